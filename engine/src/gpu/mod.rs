@@ -1,0 +1,3 @@
+//! The GPU layer: raw Vulkan through `ash`. The only module that may name `ash` or write `unsafe`.
+
+pub mod kernel;

@@ -1,0 +1,110 @@
+//! The canonical Gaussians, as stored: raw parameters, one array per parameter.
+
+use serde::Serialize;
+
+/// N Gaussians. Names carry their transform: `log_scale` is exponentiated, `opacity_logit` goes through a sigmoid,
+/// `rotation` is normalised, when used.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Gaussians {
+    /// `[N,3]` canonical centre, world units.
+    pub mean: Vec<[f32; 3]>,
+    /// `[N,3]` log of the standard deviations, world units.
+    pub log_scale: Vec<[f32; 3]>,
+    /// `[N,4]` quaternion w,x,y,z of any length > 0.
+    pub rotation: Vec<[f32; 4]>,
+    /// `[N]` opacity before the sigmoid.
+    pub opacity_logit: Vec<f32>,
+    /// SH degree 0–3; K = (degree + 1)².
+    pub sh_degree: u32,
+    /// `[N,K,3]` SH coefficients (coefficient-major, RGB innermost); colour = max(0, 0.5 + Σ).
+    pub sh: Vec<f32>,
+}
+
+/// How many Gaussians were skipped on load or refused by the renderer, by reason.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct Rejected {
+    /// A parameter is NaN or infinite.
+    pub not_finite: usize,
+    /// The quaternion's length is zero (squared length below 1e-24) or its square overflows.
+    pub zero_rotation: usize,
+    /// A |log scale| above [`MAX_ABS_LOG_SCALE`].
+    pub absurd_scale: usize,
+    /// A coordinate beyond ±[`MAX_ABS_MEAN`], or an SH coefficient beyond ±[`MAX_ABS_SH`].
+    pub out_of_range: usize,
+}
+
+/// Largest |log scale| that is rendered: e^30 ≈ 1e13 world units; beyond it f32 covariances overflow.
+pub const MAX_ABS_LOG_SCALE: f32 = 30.0;
+/// Largest |coordinate| that is rendered; beyond it f32 squares overflow.
+pub const MAX_ABS_MEAN: f32 = 1.0e15;
+/// Largest |SH coefficient| that is rendered.
+pub const MAX_ABS_SH: f32 = 1.0e6;
+
+impl Rejected {
+    /// Total number.
+    pub fn total(&self) -> usize {
+        self.not_finite + self.zero_rotation + self.absurd_scale + self.out_of_range
+    }
+}
+
+impl Gaussians {
+    /// N.
+    pub fn len(&self) -> usize {
+        self.mean.len()
+    }
+
+    /// Whether N = 0.
+    pub fn is_empty(&self) -> bool {
+        self.mean.is_empty()
+    }
+
+    /// K = (degree + 1)², the number of SH coefficients per colour channel.
+    pub fn sh_coefficients(&self) -> usize {
+        ((self.sh_degree + 1) * (self.sh_degree + 1)) as usize
+    }
+
+    /// Why Gaussian `i` cannot be rendered, if so; counts it in `rejected`. Conditions are phrased so that NaN fails.
+    pub fn is_valid(&self, i: usize, rejected: &mut Rejected) -> bool {
+        let k3 = self.sh_coefficients() * 3;
+        let sh = &self.sh[i * k3..(i + 1) * k3];
+        let finite = self.mean[i].iter().chain(&self.log_scale[i]).chain(&self.rotation[i]).chain(sh);
+        // Infinite opacity logits are legal limits (0 and 1); only NaN is refused.
+        if !finite.copied().all(f32::is_finite) || self.opacity_logit[i].is_nan() {
+            rejected.not_finite += 1;
+            return false;
+        }
+        let norm2: f32 = self.rotation[i].iter().map(|q| q * q).sum();
+        if !(norm2 > 1.0e-24 && norm2.is_finite()) {
+            rejected.zero_rotation += 1;
+            return false;
+        }
+        if !self.log_scale[i].iter().all(|s| s.abs() <= MAX_ABS_LOG_SCALE) {
+            rejected.absurd_scale += 1;
+            return false;
+        }
+        if !(self.mean[i].iter().all(|m| m.abs() <= MAX_ABS_MEAN) && sh.iter().all(|c| c.abs() <= MAX_ABS_SH)) {
+            rejected.out_of_range += 1;
+            return false;
+        }
+        true
+    }
+
+    /// Keeps the Gaussians for which `keep` holds, in order.
+    pub fn retain(&mut self, keep: &[bool]) {
+        let k3 = self.sh_coefficients() * 3;
+        retain_chunks(&mut self.mean, 1, keep);
+        retain_chunks(&mut self.log_scale, 1, keep);
+        retain_chunks(&mut self.rotation, 1, keep);
+        retain_chunks(&mut self.opacity_logit, 1, keep);
+        retain_chunks(&mut self.sh, k3, keep);
+    }
+}
+
+/// Keeps chunk i (of `width` elements) of `values` where `keep[i]`.
+pub(crate) fn retain_chunks<T>(values: &mut Vec<T>, width: usize, keep: &[bool]) {
+    let mut index = 0;
+    values.retain(|_| {
+        index += 1;
+        keep.get((index - 1) / width).copied().unwrap_or(false)
+    });
+}

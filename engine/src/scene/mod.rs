@@ -1,0 +1,48 @@
+//! Plain scene data, no GPU: Gaussians, superpoint motion, network F, cameras. Arrays keep the layout of the model file.
+
+pub mod camera;
+pub mod gaussians;
+pub mod motion;
+pub mod network;
+
+use std::collections::BTreeMap;
+
+pub use camera::Camera;
+pub use gaussians::{Gaussians, Rejected};
+pub use motion::{Association, KeyInterval, Motion, Superpoints};
+pub use network::{DeformNetwork, Linear};
+
+/// A named tensor that the engine carries but does not interpret yet (for example `nonrigid.*`): shape and f32 data.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tensor {
+    /// Dimensions, outermost first.
+    pub shape: Vec<usize>,
+    /// Row-major values.
+    pub data: Vec<f32>,
+}
+
+/// A whole model. What a scene does not need is `None`: a static scene has no superpoints, motion or network.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Scene {
+    /// The canonical Gaussians.
+    pub gaussians: Gaussians,
+    /// Which superpoint each Gaussian moves with, and the canonical superpoint centres.
+    pub superpoints: Option<Superpoints>,
+    /// Key-time table of superpoint poses.
+    pub motion: Option<Motion>,
+    /// Sparse association matrix A.
+    pub association: Option<Association>,
+    /// Network F (superpoint deformation).
+    pub deform: Option<DeformNetwork>,
+    /// Further tensors by name, kept on a round trip.
+    pub extra: BTreeMap<String, Tensor>,
+    /// Free metadata of the file (training configuration, data set, provenance).
+    pub metadata: BTreeMap<String, String>,
+}
+
+impl Scene {
+    /// Whether anything moves: the scene has superpoints and either a key-time table or network F.
+    pub fn is_dynamic(&self) -> bool {
+        self.superpoints.is_some() && (self.motion.is_some() || self.deform.is_some())
+    }
+}

@@ -1,0 +1,64 @@
+//! Superpoint motion: μ(t) = Exp(r)μ + τ about the world origin, R(t) = Exp(r)R.
+
+/// Assignment of Gaussians to superpoints.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Superpoints {
+    /// `[N]` the superpoint each Gaussian moves with.
+    pub of_gaussian: Vec<u32>,
+    /// `[M,3]` canonical centres p^c, world units.
+    pub position: Vec<[f32; 3]>,
+}
+
+/// Poses of M superpoints at T key times.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Motion {
+    /// `[T]` strictly increasing key times.
+    pub times: Vec<f32>,
+    /// `[T,M,3]` so(3) vectors r, radians.
+    pub rotation: Vec<[f32; 3]>,
+    /// `[T,M,3]` translations τ, world units.
+    pub translation: Vec<[f32; 3]>,
+}
+
+/// Sparse association matrix A: K' neighbours of each Gaussian with their logits.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Association {
+    /// K'.
+    pub neighbors: usize,
+    /// `[N,K']` superpoint indices.
+    pub neighbor: Vec<u32>,
+    /// `[N,K']` logits.
+    pub logit: Vec<f32>,
+}
+
+/// Where a time lies in the key-time table: between keys `first` and `second`, `weight` of the way.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct KeyInterval {
+    /// Index of the key at or before the time.
+    pub first: u32,
+    /// Index of the key after it (equal to `first` when held).
+    pub second: u32,
+    /// 0 at `first`, 1 at `second`.
+    pub weight: f32,
+}
+
+impl Motion {
+    /// M, the number of superpoints (0 for an empty table).
+    pub fn superpoint_count(&self) -> usize {
+        if self.times.is_empty() { 0 } else { self.rotation.len() / self.times.len() }
+    }
+
+    /// The key interval of time `t`; before the first and after the last key the pose is held.
+    pub fn interval(&self, t: f64) -> KeyInterval {
+        let last = self.times.len().saturating_sub(1);
+        let after = self.times.partition_point(|&k| f64::from(k) <= t);
+        if after == 0 {
+            return KeyInterval::default();
+        }
+        if after > last {
+            return KeyInterval { first: last as u32, second: last as u32, weight: 0.0 };
+        }
+        let (t0, t1) = (f64::from(self.times[after - 1]), f64::from(self.times[after]));
+        KeyInterval { first: (after - 1) as u32, second: after as u32, weight: ((t - t0) / (t1 - t0)) as f32 }
+    }
+}

@@ -1,0 +1,2 @@
+//! The `spgs` command.
+fn main() {}

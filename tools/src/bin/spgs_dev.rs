@@ -1,0 +1,2 @@
+//! `spgs-dev`: the project's own tasks.
+fn main() {}
