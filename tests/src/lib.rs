@@ -1,6 +1,9 @@
 //! Test harness: one device per test, and a failed test when the validation layer said anything.
 
+pub mod kernel_case;
+
 use engine::gpu::{Gpu, GpuOptions};
+pub use kernel_case::{KernelCase, KernelResult};
 
 /// A device for tests. A missing device is a failure, never a skip.
 ///
