@@ -1,1 +1,8 @@
-//! (under construction)
+//! Scene(t) + camera -> image, on the GPU: kernels with their CPU twins.
+
+pub mod compact;
+pub mod ellipse;
+pub mod limits;
+pub mod radix_sort;
+pub mod tiles;
+pub mod twin;
