@@ -1,1 +1,5 @@
-//! (under construction)
+//! Scene(t) + camera -> image, on the GPU: kernels with their CPU twins.
+
+pub mod ellipse;
+pub mod limits;
+pub mod twin;
