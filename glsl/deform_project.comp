@@ -211,14 +211,14 @@ uint project(uint g, uint n, out uint tiles) {
         return CULLED;
     }
 
-    vec3 colour = max(vec3(0.0), 0.5 + sh_sum(g, n, d / sqrt(dot(d, d))));
+    vec3 colour = 0.5 + sh_sum(g, n, d / sqrt(dot(d, d)));
     if (!within(colour, MAX_ABS_COLOUR)) {
         tiles = 0u;
         return REJECTED;
     }
     splats[3u * g] = vec4(e.mean, e.l11, e.l12);
     splats[3u * g + 1u] = vec4(e.l22, e.log2_opacity, p.z, 0.0);
-    splats[3u * g + 2u] = vec4(colour, 0.0);
+    splats[3u * g + 2u] = vec4(max(colour, vec3(0.0)), 0.0);
     return VISIBLE;
 }
 
