@@ -1,6 +1,7 @@
 //! Scene(t) + camera -> image, on the GPU: kernels with their CPU twins.
 
 pub mod angle;
+pub mod blend;
 pub mod deform_project;
 pub mod ellipse;
 pub mod frame;
