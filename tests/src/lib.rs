@@ -2,6 +2,7 @@
 
 pub mod compare;
 pub mod kernel_case;
+pub mod render_case;
 
 use engine::gpu::{Gpu, GpuOptions};
 pub use kernel_case::{KernelCase, KernelResult};
