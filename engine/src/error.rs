@@ -88,7 +88,9 @@ pub enum Error {
         code: String,
     },
     /// The device was lost.
-    #[error("device lost in submission {submission} (`{label}`); last finished kernel: {last_kernel}; running: {next_kernel}")]
+    #[error(
+        "device lost in submission {submission} (`{label}`); last finished kernel: {last_kernel}; running: {next_kernel}"
+    )]
     DeviceLost {
         /// Counter of submissions since the device was made.
         submission: u64,
@@ -124,12 +126,7 @@ impl Error {
     }
 
     /// A malformed file.
-    pub fn corrupt(
-        path: &Path,
-        at: impl Into<String>,
-        found: impl Into<String>,
-        expected: impl Into<String>,
-    ) -> Self {
+    pub fn corrupt(path: &Path, at: impl Into<String>, found: impl Into<String>, expected: impl Into<String>) -> Self {
         Self::Corrupt { path: path.into(), at: at.into(), found: found.into(), expected: expected.into() }
     }
 

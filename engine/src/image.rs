@@ -44,10 +44,5 @@ pub fn difference(reference: impl IntoIterator<Item = f64>, test: impl IntoItera
     let within = errors.iter().filter(|&&e| e <= 1.0e-3).count() as f64 / count;
     errors.sort_unstable_by(f64::total_cmp);
     let rank = ((0.999 * count).ceil() as usize).clamp(1, errors.len());
-    Difference {
-        psnr: -10.0 * mse.log10(),
-        max: errors[errors.len() - 1],
-        q999: errors[rank - 1],
-        within_1e3: within,
-    }
+    Difference { psnr: -10.0 * mse.log10(), max: errors[errors.len() - 1], q999: errors[rank - 1], within_1e3: within }
 }

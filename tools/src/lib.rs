@@ -1,1 +1,4 @@
-//! Shared parts of the command-line programs.
+//! Parts of the command-line programs `spgs` and `spgs-dev`.
+
+pub mod output;
+pub mod spirv_task;
