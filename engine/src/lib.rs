@@ -12,9 +12,12 @@
 //! render                   scene(t) + camera -> image, on the GPU
 //! ```
 
+#![deny(unsafe_code)]
+
 pub mod data;
 pub mod error;
 pub mod file;
+#[allow(unsafe_code, reason = "raw Vulkan calls")]
 pub mod gpu;
 pub mod image;
 pub mod reference;

@@ -1,1 +1,54 @@
-//! Test harness.
+//! Test harness: one device per test, and a failed test when the validation layer said anything.
+
+pub mod kernel_case;
+
+use engine::gpu::{Gpu, GpuOptions};
+pub use kernel_case::{KernelCase, KernelResult};
+
+/// A device for tests. A missing device is a failure, never a skip.
+///
+/// # Panics
+/// When no usable Vulkan device is found.
+pub fn gpu() -> TestGpu {
+    match Gpu::new(&GpuOptions { pipeline_cache: false, ..GpuOptions::default() }) {
+        Ok(gpu) => TestGpu(gpu),
+        Err(error) => panic!("tests need a Vulkan device (run ci/setup --tests): {error}"),
+    }
+}
+
+/// A device whose validation messages must be empty when it is dropped.
+#[derive(Debug)]
+pub struct TestGpu(pub Gpu);
+
+impl std::ops::Deref for TestGpu {
+    type Target = Gpu;
+    fn deref(&self) -> &Gpu {
+        &self.0
+    }
+}
+
+impl Drop for TestGpu {
+    fn drop(&mut self) {
+        let messages = self.0.take_validation_messages();
+        if !messages.is_empty() && !std::thread::panicking() {
+            panic!("the validation layer reported {} messages, first: {}", messages.len(), messages[0]);
+        }
+    }
+}
+
+/// The folder of real test data from `SPGS_DATA`. Without it the test is skipped loudly, unless `SPGS_REQUIRE_DATA=1`.
+///
+/// # Panics
+/// When the data is required but absent.
+pub fn data(relative: &str) -> Option<std::path::PathBuf> {
+    let found =
+        std::env::var_os("SPGS_DATA").map(|d| std::path::PathBuf::from(d).join(relative)).filter(|p| p.exists());
+    if found.is_none() {
+        assert!(
+            std::env::var("SPGS_REQUIRE_DATA").as_deref() != Ok("1"),
+            "SPGS_REQUIRE_DATA=1, but {relative} is not found under SPGS_DATA"
+        );
+        eprintln!("SKIPPED: {relative} not found; set SPGS_DATA to the folder of real data");
+    }
+    found
+}

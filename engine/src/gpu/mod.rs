@@ -1,3 +1,23 @@
-//! The GPU layer: raw Vulkan through `ash`. The only module that may name `ash` or write `unsafe`.
+//! The GPU layer: raw Vulkan through `ash`. The only module that may name `ash` or write `unsafe`; it knows nothing of
+//! Gaussians.
+//!
+//! [`Gpu`] opens a device ([`capability::REQUIREMENTS`] is the table of what it must have). [`Kernel`] declares a compute
+//! shader once. [`Recorder`] collects operations, derives the barriers from the declared accesses ([`access`]) and becomes
+//! [`Commands`], which are submitted again and again, several in flight.
 
+pub mod access;
+pub mod capability;
+mod commands;
+mod device;
 pub mod kernel;
+mod memory;
+mod pipeline;
+mod recorder;
+pub mod spirv;
+
+pub use capability::{Capabilities, DeviceInfo};
+pub use commands::{Commands, Submission, Timing};
+pub use device::{Gpu, GpuOptions, devices};
+pub use kernel::Kernel;
+pub use memory::{Buffer, Memory, Slice};
+pub use recorder::{Groups, Recorder, SLICE_ALIGNMENT};

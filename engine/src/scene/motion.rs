@@ -1,5 +1,17 @@
 //! Superpoint motion: μ(t) = Exp(r)μ + τ about the world origin, R(t) = Exp(r)R.
 
+/// Where the poses of the superpoints come from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub enum MotionSource {
+    /// The key-time table when the scene has one, else network F; a scene with neither does not move.
+    #[default]
+    Auto,
+    /// The key-time table; asking for it is an error when the scene has none.
+    Table,
+    /// Network F, evaluated at each time; asking for it is an error when the scene has none.
+    Network,
+}
+
 /// Assignment of Gaussians to superpoints.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Superpoints {

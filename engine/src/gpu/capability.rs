@@ -1,0 +1,293 @@
+//! What a device offers, and the one table of what the engine requires or uses when present.
+
+use std::ffi::CStr;
+
+use ash::vk;
+use serde::Serialize;
+
+use super::device::show_version;
+
+/// Features and limits that the engine looks at.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Capabilities {
+    /// Packed `VkPhysicalDeviceProperties::apiVersion`.
+    #[serde(skip)]
+    pub api_version: u32,
+    /// Queue family with compute support.
+    pub compute_family: Option<u32>,
+    /// Subgroup size that kernels will use.
+    pub subgroup_size: u32,
+    /// Smallest subgroup size the driver may choose.
+    pub min_subgroup_size: u32,
+    /// Largest subgroup size the driver may choose.
+    pub max_subgroup_size: u32,
+    /// Basic, vote, arithmetic, ballot and shuffle operations in compute shaders.
+    pub subgroup_operations: bool,
+    /// The size can be pinned and full subgroups required.
+    pub subgroup_size_control: bool,
+    /// `synchronization2`.
+    pub synchronization2: bool,
+    /// Timeline semaphores.
+    pub timeline_semaphore: bool,
+    /// Bytes a storage buffer binding may cover.
+    pub max_storage_buffer_range: u64,
+    /// Bytes of one allocation.
+    pub max_allocation_bytes: u64,
+    /// Storage buffers visible to one shader stage.
+    pub max_storage_buffers: u32,
+    /// Bytes of push constants.
+    pub max_push_constants: u32,
+    /// Bytes of shared memory.
+    pub max_shared_bytes: u32,
+    /// Invocations of a workgroup.
+    pub max_workgroup_size: u32,
+    /// Workgroups in x.
+    pub max_groups_x: u32,
+    /// Workgroups in y.
+    pub max_groups_y: u32,
+    /// Bytes of the largest device-local heap.
+    pub device_heap_bytes: u64,
+    /// Nanoseconds per timestamp tick; 0 when the queue has no timestamps.
+    pub timestamp_ns: f64,
+    /// Device extensions.
+    #[serde(skip)]
+    pub extensions: Vec<String>,
+    /// Hexadecimal pipeline cache identity of driver and device.
+    pub cache_uuid: String,
+}
+
+impl Capabilities {
+    /// Whether the device has an extension.
+    pub fn has_extension(&self, name: &CStr) -> bool {
+        self.extensions.iter().any(|e| e.as_bytes() == name.to_bytes())
+    }
+}
+
+/// One line of the table of requirements.
+#[derive(Debug, Clone, Copy)]
+pub struct Requirement {
+    /// Name, as in the Vulkan specification.
+    pub name: &'static str,
+    /// Whether the engine refuses a device without it (otherwise it is used when present).
+    pub required: bool,
+    /// What needs it.
+    pub why: &'static str,
+    /// The test.
+    pub met: fn(&Capabilities) -> bool,
+}
+
+/// Required and optional features, the single list that device choice, `spgs devices` and the docs use.
+pub const REQUIREMENTS: &[Requirement] = &[
+    Requirement {
+        name: "compute queue",
+        required: true,
+        why: "all kernels are compute shaders",
+        met: |c| c.compute_family.is_some(),
+    },
+    Requirement {
+        name: "Vulkan 1.2",
+        required: true,
+        why: "SPIR-V 1.5 and timeline semaphores",
+        met: |c| c.api_version >= vk::API_VERSION_1_2,
+    },
+    Requirement {
+        name: "timelineSemaphore",
+        required: true,
+        why: "several frames in flight",
+        met: |c| c.timeline_semaphore,
+    },
+    Requirement { name: "synchronization2", required: true, why: "explicit barriers", met: |c| c.synchronization2 },
+    Requirement {
+        name: "subgroup basic+vote+arithmetic+ballot+shuffle",
+        required: true,
+        why: "radix sort and blend",
+        met: |c| c.subgroup_operations,
+    },
+    Requirement {
+        name: "subgroup size 4..128",
+        required: true,
+        why: "kernels are specialised for it",
+        met: |c| c.subgroup_size.is_power_of_two() && (4..=128).contains(&c.subgroup_size),
+    },
+    Requirement {
+        name: "subgroupSizeControl+computeFullSubgroups",
+        required: true,
+        why: "ranking by lane needs full subgroups of a known size",
+        met: |c| c.subgroup_size_control,
+    },
+    Requirement {
+        name: "maxStorageBufferRange >= 128 MiB",
+        required: true,
+        why: "Gaussian arrays",
+        met: |c| c.max_storage_buffer_range >= 1 << 27,
+    },
+    Requirement {
+        name: "16 storage buffers per stage",
+        required: true,
+        why: "deform_project",
+        met: |c| c.max_storage_buffers >= 16,
+    },
+    Requirement {
+        name: "128 bytes of push constants",
+        required: true,
+        why: "kernel parameters",
+        met: |c| c.max_push_constants >= 128,
+    },
+    Requirement {
+        name: "32 KiB shared memory",
+        required: true,
+        why: "radix sort",
+        met: |c| c.max_shared_bytes >= 32768,
+    },
+    Requirement {
+        name: "256 invocations",
+        required: true,
+        why: "workgroup size",
+        met: |c| c.max_workgroup_size >= 256,
+    },
+    Requirement { name: "timestamps", required: false, why: "per-kernel times", met: |c| c.timestamp_ns > 0.0 },
+];
+
+/// What a device is and can do.
+#[derive(Debug, Clone, Serialize)]
+pub struct DeviceInfo {
+    /// Index for `--device`.
+    pub index: usize,
+    /// Device name.
+    pub name: String,
+    /// `discrete`, `integrated`, `virtual`, `cpu` or `other`.
+    pub kind: &'static str,
+    /// Driver name and version text.
+    pub driver: String,
+    /// Vulkan version, `1.3.230`.
+    pub vulkan: String,
+    /// Features and limits.
+    pub capabilities: Capabilities,
+}
+
+impl DeviceInfo {
+    /// Names of the required features that the device lacks.
+    pub fn missing(&self) -> Vec<&'static str> {
+        REQUIREMENTS.iter().filter(|r| r.required && !(r.met)(&self.capabilities)).map(|r| r.name).collect()
+    }
+
+    /// Whether this is a software device.
+    pub fn is_cpu(&self) -> bool {
+        self.kind == "cpu"
+    }
+
+    pub(super) fn kind_rank(&self) -> u32 {
+        ["discrete", "integrated", "virtual", "other", "cpu"].iter().position(|k| *k == self.kind).unwrap_or(9) as u32
+    }
+
+    pub(super) fn query(instance: &ash::Instance, physical: vk::PhysicalDevice, index: usize) -> Self {
+        // SAFETY: plain query.
+        let base = unsafe { instance.get_physical_device_properties(physical) };
+        let name = text(&base.device_name);
+        let kind = match base.device_type {
+            vk::PhysicalDeviceType::DISCRETE_GPU => "discrete",
+            vk::PhysicalDeviceType::INTEGRATED_GPU => "integrated",
+            vk::PhysicalDeviceType::VIRTUAL_GPU => "virtual",
+            vk::PhysicalDeviceType::CPU => "cpu",
+            _ => "other",
+        };
+        let mut info = Self {
+            index,
+            name,
+            kind,
+            driver: String::new(),
+            vulkan: show_version(base.api_version),
+            capabilities: Capabilities { api_version: base.api_version, ..Capabilities::default() },
+        };
+        if base.api_version >= vk::API_VERSION_1_2 {
+            info.query_12(instance, physical);
+        }
+        info
+    }
+
+    /// The queries that need Vulkan 1.2; an older device keeps the defaults and is refused by the table.
+    fn query_12(&mut self, instance: &ash::Instance, physical: vk::PhysicalDevice) {
+        let c = &mut self.capabilities;
+        let mut subgroup = vk::PhysicalDeviceSubgroupProperties::default();
+        let mut control = vk::PhysicalDeviceSubgroupSizeControlProperties::default();
+        let mut driver = vk::PhysicalDeviceDriverProperties::default();
+        let mut maintenance = vk::PhysicalDeviceMaintenance3Properties::default();
+        // SAFETY: plain queries; structures unknown to a driver are left at their defaults.
+        let extensions = unsafe { instance.enumerate_device_extension_properties(physical) }.unwrap_or_default();
+        c.extensions = extensions.iter().map(|e| text(&e.extension_name)).collect();
+        let size_control =
+            c.api_version >= vk::API_VERSION_1_3 || c.has_extension(ash::ext::subgroup_size_control::NAME);
+        let sync2_known = c.api_version >= vk::API_VERSION_1_3 || c.has_extension(ash::khr::synchronization2::NAME);
+        let mut properties = vk::PhysicalDeviceProperties2::default()
+            .push_next(&mut subgroup)
+            .push_next(&mut driver)
+            .push_next(&mut maintenance);
+        if size_control {
+            properties = properties.push_next(&mut control);
+        }
+        // SAFETY: as above.
+        unsafe { instance.get_physical_device_properties2(physical, &mut properties) };
+        let limits = properties.properties.limits;
+        let uuid = properties.properties.pipeline_cache_uuid;
+        let mut sync2 = vk::PhysicalDeviceSynchronization2Features::default();
+        let mut size_features = vk::PhysicalDeviceSubgroupSizeControlFeatures::default();
+        let mut timeline = vk::PhysicalDeviceTimelineSemaphoreFeatures::default();
+        let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut timeline);
+        if size_control {
+            features = features.push_next(&mut size_features);
+        }
+        if sync2_known {
+            features = features.push_next(&mut sync2);
+        }
+        // SAFETY: as above.
+        unsafe { instance.get_physical_device_features2(physical, &mut features) };
+        // SAFETY: as above.
+        let memory = unsafe { instance.get_physical_device_memory_properties(physical) };
+        // SAFETY: as above.
+        let families = unsafe { instance.get_physical_device_queue_family_properties(physical) };
+
+        let needed = vk::SubgroupFeatureFlags::BASIC
+            | vk::SubgroupFeatureFlags::VOTE
+            | vk::SubgroupFeatureFlags::ARITHMETIC
+            | vk::SubgroupFeatureFlags::BALLOT
+            | vk::SubgroupFeatureFlags::SHUFFLE;
+        c.subgroup_operations = subgroup.supported_stages.contains(vk::ShaderStageFlags::COMPUTE)
+            && subgroup.supported_operations.contains(needed);
+        c.subgroup_size = subgroup.subgroup_size;
+        (c.min_subgroup_size, c.max_subgroup_size) = if size_control {
+            (control.min_subgroup_size, control.max_subgroup_size)
+        } else {
+            (subgroup.subgroup_size, subgroup.subgroup_size)
+        };
+        c.subgroup_size_control = size_features.subgroup_size_control != 0 && size_features.compute_full_subgroups != 0;
+        // A size that varies must be pinned in the compute stage; without that right only a fixed size is usable.
+        let pinnable = control.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE);
+        if c.min_subgroup_size != c.max_subgroup_size && !pinnable {
+            c.subgroup_size_control = false;
+        }
+        c.synchronization2 = sync2.synchronization2 != 0;
+        c.timeline_semaphore = timeline.timeline_semaphore != 0;
+        c.max_storage_buffer_range = u64::from(limits.max_storage_buffer_range);
+        c.max_allocation_bytes = maintenance.max_memory_allocation_size;
+        c.max_storage_buffers = limits.max_per_stage_descriptor_storage_buffers;
+        c.max_push_constants = limits.max_push_constants_size;
+        c.max_shared_bytes = limits.max_compute_shared_memory_size;
+        c.max_workgroup_size = limits.max_compute_work_group_invocations.min(limits.max_compute_work_group_size[0]);
+        [c.max_groups_x, c.max_groups_y, _] = limits.max_compute_work_group_count;
+        let heaps = &memory.memory_heaps[..memory.memory_heap_count as usize];
+        let local = heaps.iter().filter(|h| h.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
+        c.device_heap_bytes = local.map(|h| h.size).max().unwrap_or(0);
+        // A family with graphics too is fine; a compute-only one often runs beside the desktop, so prefer it last.
+        let family = families.iter().position(|f| f.queue_flags.contains(vk::QueueFlags::COMPUTE));
+        c.compute_family = family.map(|i| i as u32);
+        let valid_bits = family.map_or(0, |i| families[i].timestamp_valid_bits);
+        c.timestamp_ns = if valid_bits > 0 { f64::from(limits.timestamp_period) } else { 0.0 };
+        c.cache_uuid = uuid.iter().map(|b| format!("{b:02x}")).collect();
+        self.driver = format!("{} {}", text(&driver.driver_name), text(&driver.driver_info));
+    }
+}
+
+fn text(chars: &[std::ffi::c_char]) -> String {
+    let bytes: Vec<u8> = chars.iter().take_while(|c| **c != 0).map(|c| c.to_ne_bytes()[0]).collect();
+    String::from_utf8_lossy(&bytes).into_owned()
+}

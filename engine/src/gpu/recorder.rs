@@ -1,0 +1,258 @@
+//! Recording: a plain list of operations first; then barriers are derived, and the list becomes a command buffer that
+//! can be submitted again and again.
+
+use std::fmt::Write as _;
+
+use super::access::{Barrier, HazardTracker, Stages, Use};
+use super::commands::Commands;
+use super::device::Gpu;
+use super::kernel::{Access, Kernel};
+use super::memory::{Buffer, Memory, Slice};
+use super::pipeline::Pipeline;
+use crate::error::{Error, Result};
+
+/// Alignment of slice starts: the largest `minStorageBufferOffsetAlignment` that the specification allows.
+pub const SLICE_ALIGNMENT: u64 = 256;
+
+/// How many workgroups a dispatch runs.
+#[derive(Debug, Clone)]
+pub enum Groups {
+    /// That many, folded into two dimensions past 65,535; the kernel decodes `workgroup_index()` and checks bounds.
+    Direct(u64),
+    /// `x, y, z` read by the device from this buffer at this byte offset.
+    Indirect(Buffer, u64),
+}
+
+pub(super) enum Work {
+    Fill { slice: Slice, value: u32 },
+    Copy { source: Slice, destination: Slice },
+    Dispatch { kernel: &'static Kernel, pipeline: Pipeline, push: Vec<u8>, slices: Vec<Slice>, grid: Grid },
+    HostRead,
+}
+
+pub(super) enum Grid {
+    Direct([u32; 3]),
+    Indirect(Buffer, u64),
+}
+
+pub(super) struct Operation {
+    pub(super) label: String,
+    pub(super) work: Work,
+    pub(super) uses: Vec<Use>,
+    pub(super) barrier: Option<Barrier>,
+}
+
+/// Collects operations; [`Recorder::finish`] turns them into [`Commands`].
+pub struct Recorder {
+    gpu: Gpu,
+    name: String,
+    profile: bool,
+    tracker: HazardTracker,
+    operations: Vec<Operation>,
+}
+
+impl std::fmt::Debug for Recorder {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Recorder({}, {} operations)", self.name, self.operations.len())
+    }
+}
+
+impl Gpu {
+    /// An empty recording.
+    pub fn recorder(&self, name: &str) -> Recorder {
+        Recorder {
+            gpu: self.clone(),
+            name: name.into(),
+            profile: false,
+            tracker: HazardTracker::default(),
+            operations: Vec::new(),
+        }
+    }
+
+    /// Finishes, submits and waits.
+    pub fn run(&self, recorder: Recorder) -> Result<Commands> {
+        let mut commands = recorder.finish()?;
+        let submission = self.submit(&mut commands)?;
+        self.wait(submission)?;
+        Ok(commands)
+    }
+}
+
+impl Recorder {
+    /// Adds a timestamp after every operation.
+    #[must_use]
+    pub fn with_timestamps(mut self, profile: bool) -> Self {
+        self.profile = profile && self.gpu.info().capabilities.timestamp_ns > 0.0;
+        self
+    }
+
+    /// Fills a range with a 32-bit value.
+    pub fn fill(&mut self, slice: impl Into<Slice>, value: u32) -> Result<()> {
+        let slice = slice.into();
+        check_range(&slice, 4, "fill")?;
+        let uses = vec![access(&slice, Stages::TRANSFER, true)];
+        self.push(format!("fill {}", slice.buffer.name()), Work::Fill { slice, value }, uses);
+        Ok(())
+    }
+
+    /// Copies a range to one of the same length.
+    pub fn copy(&mut self, source: impl Into<Slice>, destination: impl Into<Slice>) -> Result<()> {
+        let (source, destination) = (source.into(), destination.into());
+        check_range(&source, 1, "copy")?;
+        check_range(&destination, 1, "copy")?;
+        if source.bytes != destination.bytes {
+            let what = format!("copy {} -> {}", source.buffer.name(), destination.buffer.name());
+            return Err(Error::Limit { what, need: source.bytes.into(), have: destination.bytes.into() });
+        }
+        let label = format!("copy {}", source.buffer.name());
+        let uses = vec![access(&source, Stages::TRANSFER, false), access(&destination, Stages::TRANSFER, true)];
+        self.push(label, Work::Copy { source, destination }, uses);
+        Ok(())
+    }
+
+    /// Makes what the device wrote to a read-back buffer visible to the host.
+    pub fn host_read(&mut self, buffer: &Buffer) {
+        debug_assert_eq!(buffer.memory(), Memory::Readback, "only read-back buffers are read by the host");
+        let uses = vec![access(&Slice::from(buffer), Stages::HOST, false)];
+        self.push(format!("host read {}", buffer.name()), Work::HostRead, uses);
+    }
+
+    /// Runs a kernel. `spec` holds the specialisation constants from id 1 on; `buffers` are in binding order.
+    pub fn dispatch(
+        &mut self,
+        kernel: &'static Kernel,
+        spec: &[u32],
+        push: &[u8],
+        buffers: &[Slice],
+        groups: Groups,
+    ) -> Result<()> {
+        self.dispatch_labelled(kernel.name, kernel, spec, push, buffers, groups)
+    }
+
+    /// [`Recorder::dispatch`] with a label of its own in timings and plan (for a kernel that runs several times).
+    pub fn dispatch_labelled(
+        &mut self,
+        label: &str,
+        kernel: &'static Kernel,
+        spec: &[u32],
+        push: &[u8],
+        buffers: &[Slice],
+        groups: Groups,
+    ) -> Result<()> {
+        let fail = |why: String| Err(Error::Kernel { kernel: kernel.name.into(), why });
+        if buffers.len() != kernel.bindings.len() {
+            return fail(format!("{} buffers given, {} declared", buffers.len(), kernel.bindings.len()));
+        }
+        if push.len() != kernel.push_bytes() as usize {
+            return fail(format!("{} bytes of push constants given, {} declared", push.len(), kernel.push_bytes()));
+        }
+        let mut uses = Vec::with_capacity(buffers.len() + 1);
+        for (slice, binding) in buffers.iter().zip(kernel.bindings) {
+            self.check_binding(slice, binding.name, kernel)?;
+            uses.push(access(slice, Stages::COMPUTE, binding.access != Access::Read));
+        }
+        for (i, u) in uses.iter().enumerate() {
+            let clash = uses[..i]
+                .iter()
+                .any(|v| v.buffer == u.buffer && v.start < u.end && u.start < v.end && (v.write || u.write));
+            if clash {
+                return fail(format!("`{}` is bound twice and written", u.name));
+            }
+        }
+        let grid = match groups {
+            Groups::Direct(count) => Grid::Direct(self.fold(kernel, count)?),
+            Groups::Indirect(buffer, offset) => {
+                if !offset.is_multiple_of(4) || offset + 12 > buffer.bytes() {
+                    return fail(format!("indirect offset {offset} of {} bytes", buffer.bytes()));
+                }
+                uses.push(access(&buffer.slice(offset, 12), Stages::INDIRECT, false));
+                Grid::Indirect(buffer, offset)
+            }
+        };
+        let pipeline = self.gpu.pipeline(kernel, spec)?;
+        let work = Work::Dispatch { kernel, pipeline, push: push.to_vec(), slices: buffers.to_vec(), grid };
+        self.push(label.to_owned(), work, uses);
+        Ok(())
+    }
+
+    fn check_binding(&self, slice: &Slice, name: &str, kernel: &Kernel) -> Result<()> {
+        check_range(slice, 4, name)?;
+        if !slice.start.is_multiple_of(SLICE_ALIGNMENT) {
+            let why = format!("`{name}` starts at byte {}, not a multiple of {SLICE_ALIGNMENT}", slice.start);
+            return Err(Error::Kernel { kernel: kernel.name.into(), why });
+        }
+        let limit = self.gpu.info().capabilities.max_storage_buffer_range;
+        if slice.bytes > limit {
+            let what = format!("bytes of `{}` in one binding (maxStorageBufferRange)", slice.buffer.name());
+            return Err(Error::Limit { what, need: slice.bytes.into(), have: limit.into() });
+        }
+        Ok(())
+    }
+
+    /// Folds a workgroup count into x and y.
+    fn fold(&self, kernel: &Kernel, count: u64) -> Result<[u32; 3]> {
+        let c = &self.gpu.info().capabilities;
+        let max_x = u64::from(c.max_groups_x.min(65_535));
+        let y = count.div_ceil(max_x).max(1);
+        if y > u64::from(c.max_groups_y.min(65_535)) {
+            let have = u128::from(max_x) * u128::from(c.max_groups_y.min(65_535));
+            return Err(Error::Limit { what: format!("workgroups of `{}`", kernel.name), need: count.into(), have });
+        }
+        Ok([count.div_ceil(y) as u32, y as u32, 1])
+    }
+
+    fn push(&mut self, label: String, work: Work, uses: Vec<Use>) {
+        let tagged = format!("#{} {label}", self.operations.len());
+        let barrier = self.tracker.step(&tagged, &uses);
+        self.operations.push(Operation { label, work, uses, barrier });
+    }
+
+    /// Number of operations so far.
+    pub fn len(&self) -> usize {
+        self.operations.len()
+    }
+
+    /// Whether nothing was recorded.
+    pub fn is_empty(&self) -> bool {
+        self.operations.is_empty()
+    }
+
+    /// Derives nothing new: encodes the list with its barriers.
+    pub fn finish(self) -> Result<Commands> {
+        let plan = plan(&self.operations);
+        Commands::encode(&self.gpu, self.name, self.operations, plan, self.profile)
+    }
+}
+
+/// The barrier plan as text: one line per operation, with the barrier before it and why.
+fn plan(operations: &[Operation]) -> String {
+    let mut text = String::from("begin | barrier ALL:W->ALL because of earlier submissions\n");
+    for (index, operation) in operations.iter().enumerate() {
+        let _ = write!(text, "#{index} {}", operation.label);
+        if let Some(barrier) = &operation.barrier {
+            let _ = write!(text, " | barrier {}", barrier.describe());
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn access(slice: &Slice, stage: Stages, write: bool) -> Use {
+    Use {
+        buffer: slice.buffer.id(),
+        name: slice.buffer.name().to_owned(),
+        start: slice.start,
+        end: slice.start + slice.bytes,
+        stage,
+        write,
+    }
+}
+
+fn check_range(slice: &Slice, alignment: u64, what: &str) -> Result<()> {
+    let bad = slice.bytes == 0 || !slice.start.is_multiple_of(alignment) || !slice.bytes.is_multiple_of(alignment);
+    if bad {
+        let found = format!("bytes {}..{} of `{}`", slice.start, slice.start + slice.bytes, slice.buffer.name());
+        return Err(Error::usage(what, found, format!("a non-empty range in multiples of {alignment}")));
+    }
+    Ok(())
+}

@@ -1,0 +1,69 @@
+//! Constants that kernels share with the host; the Rust side of `glsl/lib/limits.glsl` (a test compares the two).
+
+/// Pixels per tile edge.
+pub const TILE_SIZE: u32 = 16;
+/// Threads of every workgroup of the sort and tile kernels.
+pub const SORT_THREADS: u32 = 256;
+/// Keys per thread of `sort_scatter` and `sort_histogram`.
+pub const SORT_ROUNDS: u32 = 16;
+/// Keys per workgroup of `sort_scatter`: one partition.
+pub const SORT_PARTITION: u32 = 4096;
+/// Columns of a histogram row, whatever the digit's width.
+pub const SORT_DIGITS: u32 = 256;
+/// Elements per block sum of `visible_block` and `instance_block`.
+pub const SCAN_BLOCK: u32 = 256;
+/// Block sums per super sum.
+pub const SCAN_SUPER: u32 = 256;
+
+/// `counters[0]`: visible Gaussians.
+pub const COUNT_VISIBLE: u32 = 0;
+/// `counters[1]`: low word of the 64-bit number of tile instances.
+pub const COUNT_INSTANCES_LOW: u32 = 1;
+/// `counters[2]`: high word of it.
+pub const COUNT_INSTANCES_HIGH: u32 = 2;
+/// `counters[3]`: failure bits.
+pub const COUNT_FAILED: u32 = 3;
+/// `counters[4]`: Gaussians rejected because they are not finite.
+pub const COUNT_REJECTED: u32 = 4;
+/// `counters[5]`: instances to process; 0 when the frame failed.
+pub const COUNT_INSTANCES: u32 = 5;
+
+/// Failure bit: more instances than the buffers hold.
+pub const FAILED_INSTANCES: u32 = 1;
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+    use super::*;
+
+    #[test]
+    fn glsl_has_the_same_constants() {
+        let glsl = include_str!("../../../glsl/lib/limits.glsl");
+        let value = |name: &str| -> u32 {
+            let line = glsl
+                .lines()
+                .find(|l| l.starts_with(&format!("const uint {name} =")))
+                .unwrap_or_else(|| panic!("limits.glsl has no {name}"));
+            line.split('=').nth(1).unwrap().split('u').next().unwrap().trim().parse().unwrap()
+        };
+        for (name, rust) in [
+            ("TILE_SIZE", TILE_SIZE),
+            ("SORT_THREADS", SORT_THREADS),
+            ("SORT_ROUNDS", SORT_ROUNDS),
+            ("SORT_PARTITION", SORT_PARTITION),
+            ("SORT_DIGITS", SORT_DIGITS),
+            ("SCAN_BLOCK", SCAN_BLOCK),
+            ("SCAN_SUPER", SCAN_SUPER),
+            ("COUNT_VISIBLE", COUNT_VISIBLE),
+            ("COUNT_INSTANCES_LOW", COUNT_INSTANCES_LOW),
+            ("COUNT_INSTANCES_HIGH", COUNT_INSTANCES_HIGH),
+            ("COUNT_FAILED", COUNT_FAILED),
+            ("COUNT_REJECTED", COUNT_REJECTED),
+            ("COUNT_INSTANCES", COUNT_INSTANCES),
+            ("FAILED_INSTANCES", FAILED_INSTANCES),
+        ] {
+            assert_eq!(value(name), rust, "{name}");
+        }
+        assert_eq!(SORT_PARTITION, SORT_THREADS * SORT_ROUNDS);
+    }
+}

@@ -1,0 +1,106 @@
+// The set of pixels that a splat reaches: u^2 + v^2 <= log2_opacity + log2(255), i.e. alpha >= 1/255, with
+// u = l11 dx + l12 dy, v = l22 dy. `deform_project` counts tiles, `emit_tiles` enumerates them and `blend` tests subtiles
+// with these same functions; the Rust twin is engine/src/render/ellipse.rs, line by line.
+//
+// Everything is slightly conservative (the threshold grows by 1e-4 relative + 1e-4 absolute, intervals by 1e-3 px + a
+// few ulps), so that rounding never loses a pixel whose alpha reaches 1/255. Tests are phrased so that NaN gives "empty".
+#ifndef SPGS_ELLIPSE
+#define SPGS_ELLIPSE
+
+#include "limits.glsl"
+
+const float LOG2_255 = 7.99435343685886;    // log2(255)
+const float ELLIPSE_SLACK = 1e-4;           // enlarges the threshold
+const float INTERVAL_SLACK_PX = 1e-3;       // enlarges an interval
+const float INTERVAL_SLACK = 1e-6;          // the same, relative to the lengths that enter it
+const float ELLIPSE_FAR_PX = 1e30;          // coefficients and centres past this are refused: products could overflow
+
+struct Ellipse {
+    vec2 mean;           // px
+    float l11, l12, l22; // Cholesky factor of the conic times sqrt(log2(e) / 2), 1/px
+    float log2_opacity;
+};
+
+// From the first two vec4 of a splat.
+Ellipse ellipse_of_splat(vec4 first, vec4 second) {
+    return Ellipse(first.xy, first.z, first.w, second.x, second.y);
+}
+
+// Enlarged threshold of u^2 + v^2; not positive when the splat is too faint to reach 1/255 anywhere.
+float ellipse_threshold(Ellipse e) {
+    precise float t = e.log2_opacity + LOG2_255;
+    precise float enlarged = t + ELLIPSE_SLACK * (abs(t) + 1.0);
+    return enlarged;
+}
+
+bool ellipse_is_valid(Ellipse e, float threshold) {
+    return threshold > 0.0 && threshold < ELLIPSE_FAR_PX && e.l11 > 0.0 && e.l22 > 0.0 && e.l11 < ELLIPSE_FAR_PX
+        && e.l22 < ELLIPSE_FAR_PX && abs(e.l12) < ELLIPSE_FAR_PX && abs(e.mean.x) < ELLIPSE_FAR_PX
+        && abs(e.mean.y) < ELLIPSE_FAR_PX;
+}
+
+// Range of x (px) of the ellipse over y in [y_low, y_high] (px, both included); low > high when it is empty.
+// For fixed v the ends are (-(l12/l22) v -+ sqrt(t - v^2)) / l11; the right one is concave in v with its maximum at
+// v = -k r / sqrt(1 + k^2), the left one convex with its minimum at the opposite point (k = l12/l22, r = sqrt(t)).
+vec2 ellipse_row_interval(Ellipse e, float y_low, float y_high) {
+    float t = ellipse_threshold(e);
+    bool valid = ellipse_is_valid(e, t);
+    precise float radius = sqrt(max(t, 0.0));
+    precise float v_low = max(e.l22 * (y_low - e.mean.y), -radius);
+    precise float v_high = min(e.l22 * (y_high - e.mean.y), radius);
+    precise float k = e.l12 / e.l22;
+    precise float v_peak = -k * radius / sqrt(1.0 + k * k);
+    precise float v_right = min(max(v_peak, v_low), v_high);
+    precise float v_left = min(max(-v_peak, v_low), v_high);
+    precise float reach_right = sqrt(max(t - v_right * v_right, 0.0));
+    precise float reach_left = sqrt(max(t - v_left * v_left, 0.0));
+    precise float right = (reach_right - k * v_right) / e.l11;
+    precise float left = (-reach_left - k * v_left) / e.l11;
+    precise float largest = (radius + abs(k) * max(abs(v_right), abs(v_left))) / e.l11;
+    precise float slack = INTERVAL_SLACK_PX + INTERVAL_SLACK * (largest + abs(e.mean.x));
+    precise float low = e.mean.x + left - slack;
+    precise float high = e.mean.x + right + slack;
+    // v_low <= v_high fails when the band misses the ellipse; low <= high fails when anything above was NaN.
+    return valid && v_low <= v_high && low <= high ? vec2(low, high) : vec2(1.0, 0.0);
+}
+
+// First and last + 1 pixel whose centre (i + 0.5) lies in [low, high], within 0..count; (0, 0) when there is none.
+uvec2 pixels_of_interval(float low, float high, uint count) {
+    precise float first = max(ceil(low - 0.5), 0.0);
+    precise float end = min(floor(high - 0.5) + 1.0, float(count));
+    return first < end ? uvec2(uint(first), uint(end)) : uvec2(0u);
+}
+
+// First and last + 1 tile row that the ellipse may reach; (0, 0) when there is none. size = (width, height, ..) in pixels.
+uvec2 tile_row_range(Ellipse e, uvec2 size) {
+    float t = ellipse_threshold(e);
+    bool valid = ellipse_is_valid(e, t);
+    precise float reach = sqrt(max(t, 0.0)) / e.l22;
+    precise float slack = INTERVAL_SLACK_PX + INTERVAL_SLACK * (reach + abs(e.mean.y));
+    precise float low = e.mean.y - reach - slack;
+    precise float high = e.mean.y + reach + slack;
+    uvec2 rows = valid && low <= high ? pixels_of_interval(low, high, size.y) : uvec2(0u);
+    return rows.x < rows.y ? uvec2(rows.x / TILE_SIZE, (rows.y - 1u) / TILE_SIZE + 1u) : uvec2(0u);
+}
+
+// First and last + 1 tile column that the ellipse reaches in one tile row (a row of the image); (0, 0) when there is none.
+uvec2 tile_columns_of_row(Ellipse e, uint tile_row, uvec2 size) {
+    float y_low = float(tile_row * TILE_SIZE) + 0.5;
+    float y_high = float(min(tile_row * TILE_SIZE + TILE_SIZE, size.y)) - 0.5;
+    vec2 x = ellipse_row_interval(e, y_low, y_high);
+    uvec2 columns = x.x <= x.y ? pixels_of_interval(x.x, x.y, size.x) : uvec2(0u);
+    return columns.x < columns.y ? uvec2(columns.x / TILE_SIZE, (columns.y - 1u) / TILE_SIZE + 1u) : uvec2(0u);
+}
+
+// Number of tiles the ellipse reaches: the one definition of `tile_count`.
+uint ellipse_tile_count(Ellipse e, uvec2 size) {
+    uvec2 rows = tile_row_range(e, size);
+    uint count = 0u;
+    for (uint row = rows.x; row < rows.y; row++) {
+        uvec2 columns = tile_columns_of_row(e, row, size);
+        count += columns.y - columns.x;
+    }
+    return count;
+}
+
+#endif

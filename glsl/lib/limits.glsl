@@ -1,0 +1,23 @@
+// Constants that several kernels share with their Rust twins (engine/src/render/limits.rs; equality is tested).
+#ifndef SPGS_LIMITS
+#define SPGS_LIMITS
+
+const uint TILE_SIZE = 16u;           // pixels per tile edge
+const uint SORT_THREADS = 256u;       // threads of every workgroup of the sort and of the tile kernels
+const uint SORT_ROUNDS = 16u;         // keys per thread of sort_scatter and sort_histogram
+const uint SORT_PARTITION = 4096u;    // SORT_THREADS * SORT_ROUNDS: keys per workgroup
+const uint SORT_DIGITS = 256u;        // columns of a histogram row, whatever the digit width
+const uint SCAN_BLOCK = 256u;         // elements per block sum
+const uint SCAN_SUPER = 256u;         // block sums per super sum
+
+// counters[]
+const uint COUNT_VISIBLE = 0u;
+const uint COUNT_INSTANCES_LOW = 1u;  // 64-bit total over the visible Gaussians
+const uint COUNT_INSTANCES_HIGH = 2u;
+const uint COUNT_FAILED = 3u;         // bits below
+const uint COUNT_REJECTED = 4u;
+const uint COUNT_INSTANCES = 5u;      // instances to process; 0 when failed
+
+const uint FAILED_INSTANCES = 1u;     // more instances than the buffers hold
+
+#endif
