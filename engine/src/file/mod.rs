@@ -1,1 +1,4 @@
-//! (under construction)
+//! Model files (`.safetensors`, 3DGS `.ply`) and pictures, read strictly and written durably.
+
+pub mod durable;
+pub mod ply;
