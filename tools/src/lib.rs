@@ -1,4 +1,8 @@
 //! Parts of the command-line programs `spgs` and `spgs-dev`.
 
+pub mod args;
+pub mod devices;
+pub mod gpu_session;
 pub mod output;
+pub mod progress;
 pub mod spirv_task;
