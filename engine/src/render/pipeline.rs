@@ -9,9 +9,7 @@ use super::compact::{
     COMPACT, COMPACT_GAUSSIANS, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT, INDIRECT_RANGES, INDIRECT_TILE_SORT,
 };
 use super::deform_network::{self, DEFORM_NETWORK};
-use super::deform_project::{
-    DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectPush, MOTION_STATIC, MOTION_TABLE,
-};
+use super::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectPush, MOTION_STATIC, MOTION_TABLE};
 use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
 use super::radix_sort::{SORT_SCATTER, SORT_SPINE, SPINE_GROUPS};
 use super::scene_buffers::{Poses, SceneBuffers};
@@ -42,7 +40,13 @@ pub(super) struct Shape {
 }
 
 /// Records a frame.
-pub(super) fn record(gpu: &Gpu, scene: &SceneBuffers, work: &WorkBuffers, frame: &FrameBuffers, shape: Shape) -> Result<Commands> {
+pub(super) fn record(
+    gpu: &Gpu,
+    scene: &SceneBuffers,
+    work: &WorkBuffers,
+    frame: &FrameBuffers,
+    shape: Shape,
+) -> Result<Commands> {
     let mut r = gpu.recorder("frame").with_timestamps(shape.profile);
     r.fill(&work.zeroed, 0)?;
     if let Poses::Network { weights, superpoint_position } = &scene.poses {
@@ -106,7 +110,14 @@ fn compact(r: &mut Recorder, scene: &SceneBuffers, work: &WorkBuffers, frame: &F
 }
 
 /// All passes of a sort whose first histogram the producer of the keys has counted.
-fn sort(r: &mut Recorder, what: &str, s: &SortBuffers, work: &WorkBuffers, count_word: u32, indirect_word: u32) -> Result<()> {
+fn sort(
+    r: &mut Recorder,
+    what: &str,
+    s: &SortBuffers,
+    work: &WorkBuffers,
+    count_word: u32,
+    indirect_word: u32,
+) -> Result<()> {
     for pass in 0..s.plan.digits.len() {
         let (from, to) = (pass % 2, (pass + 1) % 2);
         let histogram = s.histograms[pass].clone();
@@ -131,7 +142,14 @@ fn sort(r: &mut Recorder, what: &str, s: &SortBuffers, work: &WorkBuffers, count
         let push = s.plan.scatter_push(pass, count_word);
         let label = format!("sort_scatter {what} {pass}");
         let groups = Groups::Indirect(work.indirect.clone(), u64::from(indirect_word) * 4);
-        r.dispatch_labelled(&label, &SORT_SCATTER, &s.plan.scatter_spec(pass, true), bytemuck::bytes_of(&push), &buffers, groups)?;
+        r.dispatch_labelled(
+            &label,
+            &SORT_SCATTER,
+            &s.plan.scatter_spec(pass, true),
+            bytemuck::bytes_of(&push),
+            &buffers,
+            groups,
+        )?;
     }
     Ok(())
 }
@@ -166,7 +184,9 @@ fn ranges_and_blend(gpu: &Gpu, r: &mut Recorder, work: &WorkBuffers, frame: &Fra
     r.dispatch(&TILE_RANGES, &[], &[], &buffers, groups)?;
     let size = gpu.subgroup_size();
     let pixels_per_lane = blend::pixels_per_lane(size);
-    let spec = [u32::from(shape.with_depth), blend::stage(gpu.info().is_cpu()), pixels_per_lane];
+    // On a CPU device a shuffle is an extract; on a GPU shared memory broadcasts a word to all lanes for free.
+    let stage = if gpu.info().is_cpu() { blend::Stage::Shuffle } else { blend::Stage::Shared };
+    let spec = [u32::from(shape.with_depth), stage as u32, pixels_per_lane];
     let buffers = [
         Slice::from(&frame.frame),
         work.ranges.clone(),

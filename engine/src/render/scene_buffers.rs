@@ -64,7 +64,11 @@ impl SceneBuffers {
             .iter()
             .zip(&valid)
             // A refused Gaussian keeps its index; a NaN centre is culled by the first comparison on the device.
-            .map(|(m, ok)| if *ok { (DVec3::from(m.map(f64::from)) - origin).as_vec3().to_array() } else { [f32::NAN; 3] })
+            .map(
+                |(m, ok)| {
+                    if *ok { (DVec3::from(m.map(f64::from)) - origin).as_vec3().to_array() } else { [f32::NAN; 3] }
+                },
+            )
             .collect();
         let of_gaussian = scene.superpoints.as_ref().map_or(&[][..], |s| &s.of_gaussian);
         let superpoints = motion.superpoints(scene) as u32;
@@ -104,10 +108,9 @@ impl SceneBuffers {
         let interval = motion.interval(time);
         let m = motion.superpoint_count();
         let (first, second) = (interval.first as usize * m, interval.second as usize * m);
-        let exact = motion.weight(&interval, time);
         let lerp = |list: &[[f32; 3]], i: usize| {
             let (a, b) = (DVec3::from(list[first + i].map(f64::from)), DVec3::from(list[second + i].map(f64::from)));
-            a + (b - a) * exact
+            a + (b - a) * interval.weight
         };
         let mut out = Vec::with_capacity(2 * m);
         for i in 0..m {
@@ -123,7 +126,14 @@ impl SceneBuffers {
 
     /// Bytes of the model on the device.
     pub(super) fn bytes(&self) -> u64 {
-        let shared = [&self.mean, &self.log_scale, &self.rotation, &self.opacity_logit, &self.superpoint_of_gaussian, &self.pose];
+        let shared = [
+            &self.mean,
+            &self.log_scale,
+            &self.rotation,
+            &self.opacity_logit,
+            &self.superpoint_of_gaussian,
+            &self.pose,
+        ];
         shared.iter().map(|b| b.bytes()).sum::<u64>() + self.sh.iter().map(Buffer::bytes).sum::<u64>()
     }
 }
@@ -165,7 +175,11 @@ fn select_motion(scene: &Scene, source: MotionSource) -> Result<Selected> {
     let m = superpoints.position.len();
     let count = superpoints.of_gaussian.len();
     if count != scene.gaussians.len() {
-        return Err(Error::usage("superpoints.of_gaussian", count.to_string(), format!("{} entries", scene.gaussians.len())));
+        return Err(Error::usage(
+            "superpoints.of_gaussian",
+            count.to_string(),
+            format!("{} entries", scene.gaussians.len()),
+        ));
     }
     if let Some(bad) = superpoints.of_gaussian.iter().find(|&&j| j as usize >= m) {
         return Err(Error::usage("superpoints.of_gaussian", bad.to_string(), format!("an index below {m}")));
@@ -185,7 +199,8 @@ fn upload_motion(gpu: &Gpu, scene: &Scene, selected: Selected, origin: DVec3) ->
     match (selected, &scene.motion, &scene.deform, &scene.superpoints) {
         (Selected::Table, Some(motion), _, _) if origin == DVec3::ZERO => {
             let pairs = motion.rotation.iter().zip(&motion.translation);
-            let packed: Vec<[f32; 4]> = pairs.flat_map(|(r, t)| [[r[0], r[1], r[2], 0.0], [t[0], t[1], t[2], 0.0]]).collect();
+            let packed: Vec<[f32; 4]> =
+                pairs.flat_map(|(r, t)| [[r[0], r[1], r[2], 0.0], [t[0], t[1], t[2], 0.0]]).collect();
             Ok((gpu.buffer_with("pose", bytemuck::cast_slice(&packed))?, Poses::Table(motion.clone())))
         }
         (Selected::Table, Some(motion), _, _) => {

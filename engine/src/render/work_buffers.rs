@@ -79,7 +79,11 @@ impl WorkBuffers {
             indirect: word("indirect", INDIRECT_WORDS)?,
             splats: gpu.buffer("splats", u64::from(gaussians.max(1)) * 48, Memory::Device)?,
             tile_count: word("tile_count", gaussians)?,
-            depth: sort(["depth_keys_a", "depth_keys_b", "depth_values_a", "depth_values_b"], depth_plan, depth_histograms)?,
+            depth: sort(
+                ["depth_keys_a", "depth_keys_b", "depth_values_a", "depth_values_b"],
+                depth_plan,
+                depth_histograms,
+            )?,
             tile: sort(["tile_keys_a", "tile_keys_b", "tile_values_a", "tile_values_b"], tile_plan, tile_histograms)?,
             zeroed,
         })
