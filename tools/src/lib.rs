@@ -3,6 +3,8 @@
 pub mod args;
 pub mod devices;
 pub mod gpu_session;
+pub mod measure;
 pub mod output;
 pub mod progress;
 pub mod spirv_task;
+pub mod view;
