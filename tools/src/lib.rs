@@ -4,6 +4,7 @@ pub mod args;
 pub mod devices;
 pub mod gpu_session;
 pub mod measure;
+pub mod oracle;
 pub mod output;
 pub mod progress;
 pub mod spirv_task;
