@@ -83,7 +83,7 @@ pub fn relative_l2(truth: &[f64], test: &[f64]) -> f64 {
 
 /// Whether the file is a superpoint file (it has `superpoint_position`) and not an image file.
 pub fn is_superpoint_file(path: &Path) -> Result<bool> {
-    Ok(Archive::open(path)?.archive.file_names().any(|name| name == "superpoint_position.npy"))
+    Ok(Archive::open(path)?.archive.index_for_name("superpoint_position.npy").is_some())
 }
 
 /// Reads an image file.
@@ -219,7 +219,7 @@ impl<'a> Archive<'a> {
         let broken = |e: std::io::Error| Error::corrupt(path, name, e.to_string(), "a readable array");
         let entry = match self.archive.by_name(&format!("{name}.npy")) {
             Ok(entry) => entry,
-            Err(zip::result::ZipError::FileNotFound(_)) => {
+            Err(zip::result::ZipError::FileNotFound) => {
                 return Err(Error::corrupt(path, name, "no such array", "an array"));
             }
             Err(e) => return Err(broken(e.into())),
