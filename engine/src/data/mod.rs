@@ -37,10 +37,8 @@ pub struct CameraSet {
 /// [`Error::Corrupt`] naming the frame and key (json) or byte or line (COLMAP); [`Error::Usage`] when nothing that can be
 /// read is found at `path`; [`Error::Io`].
 pub fn load_cameras(path: &Path, split: Option<&str>, size_override: Option<[u32; 2]>) -> Result<CameraSet> {
-    if let Some(size) = size_override {
-        if let Some(side) = size.into_iter().find(|s| !(1..=MAX_IMAGE_SIDE).contains(s)) {
-            return Err(Error::usage("image size", side.to_string(), format!("1 to {MAX_IMAGE_SIDE} pixels")));
-        }
+    if let Some(side) = size_override.into_iter().flatten().find(|s| !(1..=MAX_IMAGE_SIDE).contains(s)) {
+        return Err(Error::usage("image size", side.to_string(), format!("1 to {MAX_IMAGE_SIDE} pixels")));
     }
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
     if !metadata.is_dir() {
@@ -88,7 +86,7 @@ fn nothing_found(folder: &Path, split: Option<&str>) -> Error {
 
 fn colmap_set(folder: &Path, split: Option<&str>, size_override: Option<[u32; 2]>) -> Result<CameraSet> {
     let mut set = colmap::read(folder)?;
-    let test = |i: usize| i % LLFF_HOLD == 0;
+    let test = |i: usize| i.is_multiple_of(LLFF_HOLD);
     let mut index = 0;
     let mut keep = |wanted: &dyn Fn(usize) -> bool| {
         index += 1;

@@ -301,11 +301,10 @@ pub(super) fn rigid(m: DMat3) -> Result<(DMat3, f64), String> {
     let mut r = m * (1.0 / scale);
     let error = |r: DMat3| {
         let gram = r.transpose() * r - DMat3::IDENTITY;
-        gram.to_cols_array().into_iter().fold(0.0, |worst: f64, v| worst.max(v.abs()))
+        gram.to_cols_array().into_iter().fold(0.0, |worst: f64, v| if v.abs() <= worst { worst } else { v.abs() })
     };
     let found = error(r);
-    // `!(≤)`: a NaN is an error too.
-    if !(found <= ORTHONORMAL) {
+    if found.is_nan() || found > ORTHONORMAL {
         return Err(format!("columns {found:.2e} from orthonormal"));
     }
     // Newton's iteration to the nearest rotation: files hold f32 values; three steps take 1e-3 below 1e-16.

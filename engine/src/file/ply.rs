@@ -20,9 +20,6 @@ use crate::scene::Gaussians;
 
 pub use write::write;
 
-/// Highest SH degree of a model.
-pub const MAX_SH_DEGREE: u32 = 3;
-
 /// Reads a 3DGS `.ply`: ascii, binary little- or big-endian, any property order and types, SH degree 0–3 by the number of
 /// `f_rest_*`, further properties and elements skipped. Values are not judged here (see [`crate::file::load`]).
 ///

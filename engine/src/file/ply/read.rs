@@ -4,9 +4,9 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::MAX_SH_DEGREE;
 use super::header::{Element, Encoding, Header, Number};
 use crate::error::{Error, Result};
+use crate::file::check::MAX_SH_DEGREE;
 use crate::scene::Gaussians;
 
 /// Rows per parallel task.

@@ -3,7 +3,8 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use crate::error::{Error, Result};
+use crate::error::Result;
+use crate::file::check;
 use crate::file::durable::write_atomic;
 use crate::scene::Gaussians;
 
@@ -29,36 +30,13 @@ use crate::scene::Gaussians;
 /// ```
 ///
 /// # Errors
-/// [`Error::Usage`] when the arrays' lengths disagree; [`Error::Io`].
+/// [`crate::Error::Usage`] when the arrays' lengths disagree; [`crate::Error::Io`].
 pub fn write(path: &Path, gaussians: &Gaussians) -> Result<()> {
-    check_lengths(gaussians)?;
+    check::gaussians(gaussians).map_err(|problem| problem.usage(path))?;
     write_atomic(path, |out| {
         out.write_all(header(gaussians).as_bytes())?;
         rows(out, gaussians)
     })
-}
-
-/// Whether all arrays hold N elements.
-pub(crate) fn check_lengths(gaussians: &Gaussians) -> Result<()> {
-    let n = gaussians.len();
-    let wrong = |name: &str, found: usize, expected: usize| {
-        Err(Error::usage(format!("gaussians.{name}"), format!("{found} elements"), format!("{expected} for N = {n}")))
-    };
-    if gaussians.sh_degree > super::MAX_SH_DEGREE {
-        return Err(Error::usage("sh_degree", gaussians.sh_degree.to_string(), "0, 1, 2 or 3"));
-    }
-    let sh = n * gaussians.sh_coefficients() * 3;
-    for (name, found, expected) in [
-        ("log_scale", gaussians.log_scale.len(), n),
-        ("rotation", gaussians.rotation.len(), n),
-        ("opacity_logit", gaussians.opacity_logit.len(), n),
-        ("sh", gaussians.sh.len(), sh),
-    ] {
-        if found != expected {
-            return wrong(name, found, expected);
-        }
-    }
-    Ok(())
 }
 
 fn header(gaussians: &Gaussians) -> String {
