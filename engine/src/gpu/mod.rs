@@ -11,7 +11,7 @@ mod commands;
 mod device;
 pub mod kernel;
 mod memory;
-pub(crate) mod mmap;
+pub mod mmap;
 mod pipeline;
 mod recorder;
 pub mod spirv;
