@@ -15,9 +15,9 @@ use engine::scene::network::{HIDDEN_LAYERS, HIDDEN_WIDTH};
 use engine::scene::{Camera, DeformNetwork, Gaussians, Linear, MotionSource, Scene, Superpoints};
 use engine::{Error, Result};
 use glam::{DMat3, DMat4, DVec3};
-use npyz::npz::NpzArchive;
 use npyz::{Order, TypeChar};
 use serde::Serialize;
+use zip::ZipArchive;
 
 /// Near plane of the image files, world units.
 pub const NEAR: f64 = 0.01;
@@ -83,7 +83,7 @@ pub fn relative_l2(truth: &[f64], test: &[f64]) -> f64 {
 
 /// Whether the file is a superpoint file (it has `superpoint_position`) and not an image file.
 pub fn is_superpoint_file(path: &Path) -> Result<bool> {
-    Ok(Archive::open(path)?.archive.array_names().any(|name| name == "superpoint_position"))
+    Ok(Archive::open(path)?.archive.index_for_name("superpoint_position.npy").is_some())
 }
 
 /// Reads an image file.
@@ -195,7 +195,7 @@ fn rows<T: Copy, const W: usize>(values: &[T]) -> Vec<[T; W]> {
 /// An open `.npz` file; every problem becomes [`Error::Corrupt`] at the array's name.
 struct Archive<'a> {
     path: &'a Path,
-    archive: NpzArchive<BufReader<File>>,
+    archive: ZipArchive<BufReader<File>>,
 }
 
 /// An array in C order, by element kind.
@@ -207,7 +207,7 @@ enum Array {
 impl<'a> Archive<'a> {
     fn open(path: &'a Path) -> Result<Self> {
         let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-        match NpzArchive::new(BufReader::new(file)) {
+        match ZipArchive::new(BufReader::new(file)) {
             Ok(archive) => Ok(Self { path, archive }),
             Err(e) => Err(Error::corrupt(path, "zip directory", e.to_string(), "an .npz file")),
         }
@@ -217,9 +217,14 @@ impl<'a> Archive<'a> {
     fn array(&mut self, name: &str, shape: &[Option<usize>]) -> Result<Array> {
         let path = self.path;
         let broken = |e: std::io::Error| Error::corrupt(path, name, e.to_string(), "a readable array");
-        let Some(npy) = self.archive.by_name(name).map_err(broken)? else {
-            return Err(Error::corrupt(path, name, "no such array", "an array"));
+        let entry = match self.archive.by_name(&format!("{name}.npy")) {
+            Ok(entry) => entry,
+            Err(zip::result::ZipError::FileNotFound) => {
+                return Err(Error::corrupt(path, name, "no such array", "an array"));
+            }
+            Err(e) => return Err(broken(e.into())),
         };
+        let npy = npyz::NpyFile::new(entry).map_err(broken)?;
         let found = npy.shape().to_vec();
         let fits = found.len() == shape.len()
             && found.iter().zip(shape).all(|(&f, e)| f <= MAX_DIMENSION && e.is_none_or(|e| e as u64 == f));
