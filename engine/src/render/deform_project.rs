@@ -265,11 +265,7 @@ fn project(buffers: &[Vec<u32>], frame: &Frame, degree: u32, motion: u32, g: usi
         return Outcome::Rejected;
     }
     let [r, g, b] = colour.map(|c| c.max(0.0));
-    let splat = [
-        [e.mean[0], e.mean[1], e.l11, e.l12],
-        [e.l22, e.log2_opacity, p[2], 0.0],
-        [r, g, b, 0.0],
-    ];
+    let splat = [[e.mean[0], e.mean[1], e.l11, e.l12], [e.l22, e.log2_opacity, p[2], 0.0], [r, g, b, 0.0]];
     Outcome::Visible { splat, tiles }
 }
 

@@ -115,7 +115,12 @@ impl Frame {
             background: [options.background[0], options.background[1], options.background[2], options.time as f32],
             size: [camera.width, camera.height, tiles[0], tiles[1]],
             counts: [options.gaussians, options.superpoints, interval.first, interval.second],
-            limits: [options.instance_capacity, tiles[0] * tiles[1], tile_passes(tiles[0] * tiles[1]), options.sh_degree],
+            limits: [
+                options.instance_capacity,
+                tiles[0] * tiles[1],
+                tile_passes(tiles[0] * tiles[1]),
+                options.sh_degree,
+            ],
         })
     }
 

@@ -2,6 +2,7 @@
 
 pub mod angle;
 pub mod blend;
+pub mod deform_network;
 pub mod deform_project;
 pub mod ellipse;
 pub mod frame;
