@@ -1,5 +1,6 @@
 //! Test harness: one device per test, and a failed test when the validation layer said anything.
 
+pub mod compare;
 pub mod kernel_case;
 pub mod render_case;
 

@@ -109,7 +109,7 @@ impl Frame {
             world_to_camera_1: row(1),
             world_to_camera_2: row(2),
             camera_position_high: high.extend(options.near).to_array(),
-            camera_position_low: low.extend(interval.weight).to_array(),
+            camera_position_low: low.extend(interval.weight as f32).to_array(),
             intrinsics: intrinsics.map(|v| v as f32),
             tan_limit: tan_limit(camera).map(|v| v as f32),
             background: [options.background[0], options.background[1], options.background[2], options.time as f32],

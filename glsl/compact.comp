@@ -1,0 +1,122 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_vote : require
+#extension GL_EXT_control_flow_attributes : require
+
+// Stable compaction of the visible Gaussians into (depth key, index) pairs, 1,024 Gaussians per workgroup; also the
+// histogram of the first depth digit. The first workgroup turns the totals into indirect dispatch arguments.
+// Twin: engine/src/render/compact.rs.
+
+#include "lib/frame.glsl"
+#include "lib/limits.glsl"
+#include "lib/dispatch.glsl"
+#include "lib/subgroup.glsl"
+
+layout(local_size_x = 256) in;
+
+layout(std430, set = 0, binding = 1) readonly buffer TileCountBlock { uint tile_count[]; };
+layout(std430, set = 0, binding = 2) readonly buffer SplatsBlock { vec4 splats[]; };
+layout(std430, set = 0, binding = 3) readonly buffer VisibleBlockBlock { uint visible_block[]; };
+layout(std430, set = 0, binding = 4) buffer CountersBlock { uint counters[]; };
+layout(std430, set = 0, binding = 5) writeonly buffer IndirectBlock { uint indirect[]; };
+layout(std430, set = 0, binding = 6) writeonly buffer KeysBlock { uint keys[]; };
+layout(std430, set = 0, binding = 7) writeonly buffer ValuesBlock { uint values[]; };
+layout(std430, set = 0, binding = 8) buffer HistogramBlock { uint histogram[]; };
+
+layout(push_constant) uniform PushBlock {
+    uint block_capacity; // where the super sums of visible_block start
+    uint digit_bits;     // width of the first depth digit
+} push;
+
+const uint ROUNDS = 4u;
+
+// Visible Gaussians before block `first_block` (256 Gaussians each), summed by the workgroup.
+uint visible_before(uint first_block) {
+    uint super_block = first_block / SCAN_SUPER;
+    uint block = super_block * SCAN_SUPER + gl_LocalInvocationID.x;
+    uint sum = block < min(first_block, push.block_capacity) ? visible_block[block] : 0u;
+    uint supers = min(super_block, (push.block_capacity + SCAN_SUPER - 1u) / SCAN_SUPER);
+    for (uint s = gl_LocalInvocationID.x; s < supers; s += SCAN_SUPER) {
+        sum += visible_block[push.block_capacity + s];
+    }
+    uint total;
+    workgroup_exclusive_add(sum, total);
+    return total;
+}
+
+// Adds one per lane with `valid` to histogram[slot]; one addition when the lanes agree.
+void count_digit(uint slot, bool valid) {
+    uvec4 lanes = subgroupBallot(valid);
+    if (valid) {
+        bool agree = subgroupAll(slot == subgroupBroadcastFirst(slot));
+        if (!agree) {
+            atomicAdd(histogram[slot], 1u);
+        } else if (count_lanes_below(lanes, gl_SubgroupInvocationID) == 0u) {
+            atomicAdd(histogram[slot], count_lanes(lanes));
+        }
+    }
+}
+
+// Group counts of dispatch d: depth sort, emit, tile sort, tile ranges; nothing runs in a failed frame.
+void write_arguments(uint d, uint visible, uint instances) {
+    uint items = d < 2u ? visible : instances;
+    uint per_group = (d & 1u) == 0u ? SORT_PARTITION : SCAN_BLOCK;
+    uvec3 groups = folded_groups(items / per_group + (items % per_group == 0u ? 0u : 1u));
+    indirect[4u * d] = groups.x;
+    indirect[4u * d + 1u] = groups.y;
+    indirect[4u * d + 2u] = groups.z;
+    indirect[4u * d + 3u] = 0u;
+}
+
+void main() {
+    uint group = workgroup_index();
+    uint lane = gl_SubgroupInvocationID;
+    uint size = SUBGROUP_SIZE;
+    uint gaussians = frame.counts.x;
+
+    // A subgroup takes ROUNDS consecutive runs of its size, so lane order is index order and the result is stable.
+    uint first = group * (ROUNDS * SCAN_BLOCK) + gl_SubgroupID * (ROUNDS * size) + lane;
+    uint offset[ROUNDS];
+    uint flags = 0u;
+    uint mine = 0u;
+    [[unroll]] for (uint r = 0u; r < ROUNDS; r++) {
+        uint i = first + r * size;
+        bool visible = i < gaussians && tile_count[i] != 0u;
+        uvec4 lanes = subgroupBallot(visible);
+        offset[r] = mine + count_lanes_below(lanes, lane);
+        flags |= visible ? 1u << r : 0u;
+        mine += count_lanes(lanes);
+    }
+    uint before = visible_before(group * ROUNDS);
+    uint total;
+    uint scanned = workgroup_exclusive_add(lane == 0u ? mine : 0u, total);
+    before += lane == 0u ? scanned : scanned - mine;
+
+    [[unroll]] for (uint r = 0u; r < ROUNDS; r++) {
+        uint i = first + r * size;
+        bool visible = (flags & (1u << r)) != 0u;
+        uint to = before + offset[r];
+        uint key = 0u;
+        if (visible) {
+            key = floatBitsToUint(splats[3u * i + 1u].z);
+            keys[to] = key;
+            values[to] = i;
+        }
+        count_digit(to / SORT_PARTITION * SORT_DIGITS + (key & ((1u << push.digit_bits) - 1u)), visible);
+    }
+
+    if (group == 0u && gl_LocalInvocationID.x < 4u) {
+        uint instances = atomicAdd(counters[COUNT_INSTANCES_LOW], 0u);
+        bool failed = atomicAdd(counters[COUNT_INSTANCES_HIGH], 0u) != 0u || instances > frame.limits.x;
+        uint visible = failed ? 0u : atomicAdd(counters[COUNT_VISIBLE], 0u);
+        instances = failed ? 0u : instances;
+        write_arguments(gl_LocalInvocationID.x, visible, instances);
+        if (gl_LocalInvocationID.x == 0u) {
+            atomicExchange(counters[COUNT_INSTANCES], instances);
+            atomicOr(counters[COUNT_FAILED], failed ? FAILED_INSTANCES : 0u);
+        }
+    }
+}

@@ -1,0 +1,119 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_vote : require
+
+// Writes one (tile, Gaussian) pair for each tile that a visible Gaussian reaches, in depth order, and counts the first
+// digit of the tile ids. A workgroup has 256 depth-sorted Gaussians and runs over their instances, not over the
+// Gaussians, so one that covers the whole image is spread over all threads. Twin: engine/src/render/tiles.rs.
+
+#include "lib/frame.glsl"
+#include "lib/limits.glsl"
+#include "lib/dispatch.glsl"
+#include "lib/subgroup.glsl"
+#include "lib/ellipse.glsl"
+
+layout(local_size_x = 256) in;
+
+layout(std430, set = 0, binding = 1) readonly buffer CountersBlock { uint counters[]; };
+layout(std430, set = 0, binding = 2) readonly buffer TileCountBlock { uint tile_count[]; };
+layout(std430, set = 0, binding = 3) readonly buffer OrderBlock { uint order[]; };
+layout(std430, set = 0, binding = 4) readonly buffer SplatsBlock { vec4 splats[]; };
+layout(std430, set = 0, binding = 5) readonly buffer InstanceBlockBlock { uint instance_block[]; };
+layout(std430, set = 0, binding = 6) writeonly buffer KeysBlock { uint keys[]; };
+layout(std430, set = 0, binding = 7) writeonly buffer ValuesBlock { uint values[]; };
+layout(std430, set = 0, binding = 8) buffer HistogramBlock { uint histogram[]; };
+
+layout(push_constant) uniform PushBlock {
+    uint block_capacity; // where the super sums of instance_block start
+    uint digit_bits;     // width of the first tile digit
+} push;
+
+shared uint first_instance[SCAN_BLOCK]; // of each Gaussian, relative to the block
+shared uint block_order[SCAN_BLOCK];
+
+// Instances of the blocks before this one, summed by the workgroup.
+uint instances_before(uint group) {
+    uint super_block = group / SCAN_SUPER;
+    uint block = super_block * SCAN_SUPER + gl_LocalInvocationID.x;
+    uint sum = block < min(group, push.block_capacity) ? instance_block[block] : 0u;
+    uint supers = min(super_block, (push.block_capacity + SCAN_SUPER - 1u) / SCAN_SUPER);
+    for (uint s = gl_LocalInvocationID.x; s < supers; s += SCAN_SUPER) {
+        sum += instance_block[push.block_capacity + s];
+    }
+    uint total;
+    workgroup_exclusive_add(sum, total);
+    return total;
+}
+
+// Last Gaussian of the block whose first instance is at or before `instance`.
+uint owner(uint instance) {
+    uint low = 0u;
+    for (uint step = SCAN_BLOCK / 2u; step != 0u; step /= 2u) {
+        low += first_instance[low + step] <= instance ? step : 0u;
+    }
+    return low;
+}
+
+// Tile number k of an ellipse in row-major order; one past the last tile when the count promised more than there are.
+uint tile_of(Ellipse e, uint k) {
+    uint tile = frame.limits.y;
+    uvec2 rows = tile_row_range(e, frame.size.xy);
+    for (uint row = rows.x; row < rows.y; row++) {
+        uvec2 columns = tile_columns_of_row(e, row, frame.size.xy);
+        uint n = columns.y - columns.x;
+        if (k < n) {
+            tile = row * frame.size.z + columns.x + k;
+            break;
+        }
+        k -= n;
+    }
+    return tile;
+}
+
+// Adds one per lane with `valid` to histogram[slot]; one addition when the lanes agree.
+void count_digit(uint slot, bool valid) {
+    uvec4 lanes = subgroupBallot(valid);
+    if (valid) {
+        bool agree = subgroupAll(slot == subgroupBroadcastFirst(slot));
+        if (!agree) {
+            atomicAdd(histogram[slot], 1u);
+        } else if (count_lanes_below(lanes, gl_SubgroupInvocationID) == 0u) {
+            atomicAdd(histogram[slot], count_lanes(lanes));
+        }
+    }
+}
+
+void main() {
+    uint group = workgroup_index();
+    uint t = gl_LocalInvocationID.x;
+    uint visible = counters[COUNT_FAILED] == 0u ? counters[COUNT_VISIBLE] : 0u;
+    uint capacity = min(counters[COUNT_INSTANCES], frame.limits.x);
+    uint i = group * SCAN_BLOCK + t;
+    uint gaussian = i < visible ? order[i] : 0u;
+    uint base = instances_before(group);
+    uint total;
+    first_instance[t] = workgroup_exclusive_add(i < visible ? tile_count[gaussian] : 0u, total);
+    block_order[t] = gaussian;
+    barrier();
+
+    uint mask = (1u << push.digit_bits) - 1u;
+    uint rounds = total / SCAN_BLOCK + (total % SCAN_BLOCK == 0u ? 0u : 1u);
+    for (uint r = 0u; r < rounds; r++) {
+        uint k = r * SCAN_BLOCK + t;
+        uint to = base + k;
+        bool valid = k < total && to < capacity;
+        uint tile = 0u;
+        if (valid) {
+            uint from = owner(k);
+            uint g = block_order[from];
+            Ellipse e = ellipse_of_splat(splats[3u * g], splats[3u * g + 1u]);
+            tile = tile_of(e, k - first_instance[from]);
+            keys[to] = tile;
+            values[to] = g;
+        }
+        count_digit(to / SORT_PARTITION * SORT_DIGITS + (tile & mask), valid);
+    }
+}

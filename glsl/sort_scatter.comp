@@ -1,0 +1,160 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_vote : require
+#extension GL_EXT_control_flow_attributes : require
+
+// One stable pass of a least-significant-digit radix sort: 256 threads scatter 4,096 keys (and values) to their places
+// and count the next pass's digits. Needs the histogram of this digit for each partition of 4,096 keys; no workgroup
+// waits for another. Twin: engine/src/render/radix_sort.rs.
+
+#include "lib/limits.glsl"
+#include "lib/dispatch.glsl"
+#include "lib/subgroup.glsl"
+
+layout(constant_id = 1) const uint HAS_VALUES = 1u;
+layout(constant_id = 2) const uint HAS_NEXT = 1u;   // count the next digit
+layout(constant_id = 3) const uint PRESCANNED = 0u; // sort_spine has run on `histogram`
+
+layout(local_size_x = 256) in;
+
+layout(std430, set = 0, binding = 0) readonly buffer CountersBlock { uint counters[]; };
+layout(std430, set = 0, binding = 1) readonly buffer HistogramBlock { uint histogram[]; };
+layout(std430, set = 0, binding = 2) readonly buffer KeysInBlock { uint keys_in[]; };
+layout(std430, set = 0, binding = 3) readonly buffer ValuesInBlock { uint values_in[]; };
+layout(std430, set = 0, binding = 4) writeonly buffer KeysOutBlock { uint keys_out[]; };
+layout(std430, set = 0, binding = 5) writeonly buffer ValuesOutBlock { uint values_out[]; };
+layout(std430, set = 0, binding = 6) buffer NextHistogramBlock { uint next_histogram[]; };
+
+layout(push_constant) uniform PushBlock {
+    uint shift;           // first bit of this digit
+    uint digit_bits;      // 1..8
+    uint count_word;      // counters[count_word] = number of keys
+    uint next_shift;
+    uint next_digit_bits;
+    uint totals_row;      // row of the digit totals in a prescanned histogram
+} push;
+
+const uint MAX_ROWS = 16u; // 16 KiB of counters: subgroups of fewer than 16 lanes share a row, taking turns
+shared uint rank_rows[MAX_ROWS * SORT_DIGITS];
+
+// Lanes that hold the same digit as this one, out of `lanes`.
+uvec4 lanes_with_digit(uint digit, uvec4 lanes) {
+    uvec4 peers = lanes;
+    for (uint b = 0u; b < push.digit_bits; b++) {
+        bool bit = ((digit >> b) & 1u) != 0u;
+        uvec4 vote = subgroupBallot(bit);
+        peers &= bit ? vote : ~vote;
+    }
+    return peers;
+}
+
+// First output position of digit d in partition `group`, for thread d: all smaller digits, then the same digit in
+// earlier partitions. Contains barriers.
+uint digit_base(uint group, uint partitions) {
+    uint d = gl_LocalInvocationID.x;
+    uint before = 0u;
+    uint all = 0u;
+    uint prescanned = PRESCANNED;
+    if (prescanned != 0u) {
+        before = group < partitions ? histogram[group * SORT_DIGITS + d] : 0u;
+        all = histogram[push.totals_row * SORT_DIGITS + d];
+    } else {
+        for (uint p = 0u; p < partitions; p++) {
+            uint n = histogram[p * SORT_DIGITS + d];
+            before += p < group ? n : 0u;
+            all += n;
+        }
+    }
+    uint total;
+    return workgroup_exclusive_add(all, total) + before;
+}
+
+// Adds one per lane with `valid` to next_histogram[slot]; one addition when the lanes agree.
+void count_next(uint slot, bool valid) {
+    uvec4 lanes = subgroupBallot(valid);
+    if (valid) {
+        bool agree = subgroupAll(slot == subgroupBroadcastFirst(slot));
+        if (!agree) {
+            atomicAdd(next_histogram[slot], 1u);
+        } else if (count_lanes_below(lanes, gl_SubgroupInvocationID) == 0u) {
+            atomicAdd(next_histogram[slot], count_lanes(lanes));
+        }
+    }
+}
+
+void main() {
+    uint group = workgroup_index();
+    uint d = gl_LocalInvocationID.x;
+    uint lane = gl_SubgroupInvocationID;
+    uint size = SUBGROUP_SIZE;
+    uint has_values = HAS_VALUES;
+    uint has_next = HAS_NEXT;
+    uint count = counters[push.count_word];
+    uint partitions = count / SORT_PARTITION + (count % SORT_PARTITION == 0u ? 0u : 1u);
+    uint mask = (1u << push.digit_bits) - 1u;
+    uint next_mask = (1u << push.next_digit_bits) - 1u;
+
+    // Subgroups that share a row are neighbours in key order, and the earlier one counts first: ranks stay stable.
+    uint subgroups = SORT_THREADS / size;
+    uint share = max(subgroups / MAX_ROWS, 1u);
+    uint rows = subgroups / share;
+    uint row = gl_SubgroupID / share * SORT_DIGITS;
+    for (uint i = 0u; i < rows; i++) {
+        rank_rows[i * SORT_DIGITS + d] = 0u;
+    }
+
+    // Each subgroup owns SORT_ROUNDS * size consecutive keys; the last partition may be partial, and a surplus
+    // workgroup of a folded grid has none.
+    uint first = gl_SubgroupID * (SORT_ROUNDS * size) + lane;
+    uint present = group < partitions ? min(count - group * SORT_PARTITION, SORT_PARTITION) : 0u;
+    uint start = group * SORT_PARTITION + first;
+    uint key[SORT_ROUNDS];
+    [[unroll]] for (uint r = 0u; r < SORT_ROUNDS; r++) {
+        key[r] = first + r * size < present ? keys_in[start + r * size] : 0u;
+    }
+
+    uint rank[SORT_ROUNDS];
+    for (uint turn = 0u; turn < share; turn++) {
+        barrier();
+        if (gl_SubgroupID % share == turn) {
+            [[unroll]] for (uint r = 0u; r < SORT_ROUNDS; r++) {
+                bool valid = first + r * size < present;
+                uint digit = (key[r] >> push.shift) & mask;
+                uvec4 peers = lanes_with_digit(digit, subgroupBallot(valid));
+                uint below = count_lanes_below(peers, lane);
+                uint seen = rank_rows[row + digit];
+                rank[r] = seen + below;
+                subgroupBarrier(); // every lane has read before one lane per digit writes
+                if (valid && below == 0u) {
+                    rank_rows[row + digit] = seen + count_lanes(peers);
+                }
+                subgroupBarrier();
+            }
+        }
+    }
+
+    uint base = digit_base(group, partitions); // its barriers also end the ranking
+    for (uint i = 0u; i < rows; i++) {
+        uint n = rank_rows[i * SORT_DIGITS + d];
+        rank_rows[i * SORT_DIGITS + d] = base;
+        base += n;
+    }
+    barrier();
+
+    [[unroll]] for (uint r = 0u; r < SORT_ROUNDS; r++) {
+        uint to = rank_rows[row + ((key[r] >> push.shift) & mask)] + rank[r];
+        bool valid = first + r * size < present && to < count;
+        if (valid) {
+            keys_out[to] = key[r];
+            if (has_values != 0u) {
+                values_out[to] = values_in[start + r * size];
+            }
+        }
+        if (has_next != 0u) {
+            count_next(to / SORT_PARTITION * SORT_DIGITS + ((key[r] >> push.next_shift) & next_mask), valid);
+        }
+    }
+}

@@ -1,0 +1,57 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+
+// In place, for each digit: exclusive prefix sum of the histogram over partitions; the digit totals go to `totals_row`.
+// Runs between the count and the scatter when there are so many partitions that summing them in every workgroup of
+// sort_scatter would cost more than this dispatch. A workgroup has 8 digits (32 bytes of a row) x 32 chunks of rows.
+// Twin: engine/src/render/radix_sort.rs.
+
+#include "lib/limits.glsl"
+#include "lib/dispatch.glsl"
+
+layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
+
+layout(local_size_x = 256) in;
+
+layout(std430, set = 0, binding = 0) readonly buffer CountersBlock { uint counters[]; };
+layout(std430, set = 0, binding = 1) buffer HistogramBlock { uint histogram[]; };
+
+layout(push_constant) uniform PushBlock {
+    uint count_word;
+    uint totals_row;
+} push;
+
+const uint DIGITS_PER_GROUP = 8u;
+const uint CHUNKS = 32u;
+
+shared uint sums[SORT_THREADS];
+
+void main() {
+    uint t = gl_LocalInvocationID.x;
+    uint digit = workgroup_index() * DIGITS_PER_GROUP + t % DIGITS_PER_GROUP;
+    uint chunk = t / DIGITS_PER_GROUP;
+    uint count = counters[push.count_word];
+    uint partitions = count / SORT_PARTITION + (count % SORT_PARTITION == 0u ? 0u : 1u);
+    uint per_chunk = (partitions + CHUNKS - 1u) / CHUNKS;
+    bool valid = digit < SORT_DIGITS;
+    uint first = min(chunk * per_chunk, partitions);
+    uint end = valid ? min(first + per_chunk, partitions) : first;
+    uint sum = 0u;
+    for (uint p = first; p < end; p++) {
+        sum += histogram[p * SORT_DIGITS + digit];
+    }
+    sums[t] = sum;
+    barrier();
+    uint before = 0u;
+    for (uint c = 0u; c < chunk; c++) {
+        before += sums[c * DIGITS_PER_GROUP + t % DIGITS_PER_GROUP];
+    }
+    for (uint p = first; p < end; p++) {
+        uint n = histogram[p * SORT_DIGITS + digit];
+        histogram[p * SORT_DIGITS + digit] = before;
+        before += n;
+    }
+    if (valid && chunk == CHUNKS - 1u) {
+        histogram[push.totals_row * SORT_DIGITS + digit] = before;
+    }
+}
