@@ -1,0 +1,77 @@
+//! Compaction, radix sort and tile kernels on the device against their twins, bit for bit.
+
+use engine::gpu::kernel::Kernel;
+use engine::render::radix_sort::*;
+use tests_harness::{KernelCase, TestGpu};
+
+/// Element counts around every boundary of subgroup, workgroup, block and partition.
+const COUNTS: [u32; 15] = [0, 1, 7, 8, 31, 32, 33, 255, 256, 257, 4095, 4096, 4097, 65_535, 65_537];
+
+struct Rng(u64);
+
+impl Rng {
+    fn next(&mut self) -> u32 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 33) as u32 ^ (self.0 >> 12) as u32
+    }
+}
+
+fn run(gpu: &TestGpu, kernel: &'static Kernel, case: KernelCase, context: &str) -> Vec<Vec<u32>> {
+    let result = case.run(gpu);
+    result.assert_equal(kernel, context);
+    result.gpu
+}
+
+/// Sorts on the device pass by pass, each pass compared with its twin, and checks the end against a stable sort.
+fn sort_and_check(gpu: &TestGpu, keys: &[u32], key_bits: u32, has_values: bool, prescanned: bool, context: &str) {
+    let n = keys.len() as u32;
+    let context = format!("n={n} bits={key_bits} values={has_values} prescanned={prescanned} {context}");
+    let mut plan = SortPlan::new(n.max(1), key_bits).unwrap();
+    plan.prescanned = prescanned;
+    let rows = plan.histogram_rows() as usize * 256;
+    let counters = vec![0, 0, n, 0, 0, 0, 0, 0];
+    let push = bytemuck::bytes_of(&plan.histogram_push(2)).to_vec();
+    let buffers = vec![counters.clone(), keys.to_vec(), vec![0; rows]];
+    let case = KernelCase { kernel: &SORT_HISTOGRAM, spec: vec![], push, buffers, groups: plan.partitions };
+    // The count leaves the rows it does not own poisoned, like the totals row; the sort must not read them.
+    let mut histogram = run(gpu, &SORT_HISTOGRAM, case, &context).swap_remove(2);
+    let mut values: Vec<u32> = (0..n).map(|i| i.wrapping_mul(3) + 1).collect();
+    let mut sorted: Vec<(u32, u32)> = keys.iter().copied().zip(values.iter().copied()).collect();
+    sorted.sort_by_key(|(k, _)| *k);
+    let mut keys = keys.to_vec();
+    for pass in 0..plan.digits.len() {
+        if prescanned {
+            let push = bytemuck::bytes_of(&plan.spine_push(2)).to_vec();
+            let buffers = vec![counters.clone(), histogram];
+            let case = KernelCase { kernel: &SORT_SPINE, spec: vec![], push, buffers, groups: SPINE_GROUPS };
+            histogram = run(gpu, &SORT_SPINE, case, &context).swap_remove(1);
+        }
+        let push = bytemuck::bytes_of(&plan.scatter_push(pass, 2)).to_vec();
+        let spec = plan.scatter_spec(pass, has_values).to_vec();
+        let out = vec![0; keys.len()];
+        let buffers = vec![counters.clone(), histogram, keys, values, out.clone(), out, vec![0; rows]];
+        // One workgroup too many, as a folded grid has.
+        let case = KernelCase { kernel: &SORT_SCATTER, spec, push, buffers, groups: plan.partitions + 1 };
+        let mut out = run(gpu, &SORT_SCATTER, case, &format!("{context} pass {pass}"));
+        histogram = out.swap_remove(6);
+        values = if has_values { out.swap_remove(5) } else { vec![0; n as usize] };
+        keys = out.swap_remove(4);
+        keys.truncate(n as usize);
+        values.truncate(n as usize);
+    }
+    assert!(keys.iter().zip(&sorted).all(|(k, (s, _))| k == s), "{context}: keys out of order");
+    if has_values {
+        assert!(values.iter().zip(&sorted).all(|(v, (_, s))| v == s), "{context}: values not stable");
+    }
+}
+
+#[test]
+fn sort_every_count() {
+    let gpu = tests_harness::gpu();
+    let mut rng = Rng(1);
+    for n in COUNTS {
+        let keys: Vec<u32> = (0..n).map(|_| rng.next()).collect();
+        sort_and_check(&gpu, &keys, 32, true, false, "random");
+        sort_and_check(&gpu, &keys, 32, true, true, "random");
+    }
+}
