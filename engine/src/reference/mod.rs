@@ -1,1 +1,185 @@
-//! (under construction)
+//! The f64 image that is the truth: every fast path is measured against it.
+//!
+//! Semantics, all in f64:
+//!
+//! - mean(t) = Exp(r)·mean + τ, R(t) = Exp(r)·R(q/|q|), with r and τ interpolated linearly between key times and held
+//!   outside (or from network F); a static scene does not move.
+//! - camera space p = W·(mean(t) − position); kept iff p.z > near.
+//! - Σ₂ = J W Σ Wᵀ Jᵀ + 0.3·I (px²), J taken at x/z and y/z clamped 0.3·tan(half field of view) outside the image.
+//! - colour = max(0, 0.5 + Σ SH(direction from the camera to mean(t))); SH are not rotated.
+//! - α = min(0.99, o·exp(−½dᵀΣ₂⁻¹d)) at pixel centres (i + 0.5, j + 0.5); a Gaussian contributes wherever α ≥ 1/255.
+//! - front to back by camera-space z, ties by index; blending stops before the Gaussian that would take T below 1e-4.
+//! - image = Σ c·α·T + T·background; A = 1 − T; Z = Σ z·α·T.
+
+mod blend;
+mod motion;
+mod network;
+mod project;
+mod sh;
+#[cfg(test)]
+mod tests;
+
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+pub use motion::{Placed, Pose, exp, place, poses, rotation_of_quaternion, table_poses};
+pub use network::network_poses;
+pub use project::{Parameters, Splat, project};
+pub use sh::color_of;
+
+use crate::error::{Error, Result};
+use crate::image::Image;
+use crate::scene::{Camera, Gaussians, MotionSource, Rejected, Scene};
+
+/// Smallest α that contributes.
+pub const ALPHA_MIN: f64 = 1.0 / 255.0;
+/// α is clamped to this.
+pub const ALPHA_MAX: f64 = 0.99;
+/// A Gaussian that would take the transmittance below this ends the pixel and is not blended.
+pub const TRANSMITTANCE_MIN: f64 = 1.0e-4;
+/// Added to the diagonal of the 2-D covariance, px².
+pub const DILATION: f64 = 0.3;
+
+/// What the reference image depends on besides scene, camera and time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ReferenceOptions {
+    /// Gaussians whose centre has camera-space z ≤ `near` are dropped, world units.
+    pub near: f64,
+    /// Colour behind everything.
+    pub background: [f64; 3],
+    /// Where the poses of the superpoints come from.
+    pub motion: MotionSource,
+}
+
+impl Default for ReferenceOptions {
+    fn default() -> Self {
+        Self { near: 0.2, background: [0.0; 3], motion: MotionSource::Auto }
+    }
+}
+
+/// An f64 image, row-major, top row first.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ReferenceImage {
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+    /// `[height, width, 3]` Σ c·α·T + T·background.
+    pub rgb: Vec<f64>,
+    /// `[height, width]` 1 − T.
+    pub alpha: Vec<f64>,
+    /// `[height, width]` Σ z·α·T, world units.
+    pub depth: Vec<f64>,
+    /// Gaussians in front of the near plane whose α reaches 1/255 somewhere in the plane (not necessarily in the image).
+    pub visible: usize,
+    /// Gaussians left out because their parameters are unusable.
+    pub rejected: Rejected,
+}
+
+impl ReferenceImage {
+    /// The image in the renderer's precision, with depth.
+    pub fn to_image(&self) -> Image {
+        let rgba = self.rgb.chunks_exact(3).zip(&self.alpha);
+        Image {
+            width: self.width,
+            height: self.height,
+            rgba: rgba.flat_map(|(c, &a)| [c[0] as f32, c[1] as f32, c[2] as f32, a as f32]).collect(),
+            depth: self.depth.iter().map(|&z| z as f32).collect(),
+        }
+    }
+}
+
+/// Gaussians in f64, for truth that is given in f64. Same arrays as [`Gaussians`].
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Gaussians64 {
+    /// `[N,3]` centre, world units.
+    pub mean: Vec<[f64; 3]>,
+    /// `[N,3]` log of the standard deviations, world units.
+    pub log_scale: Vec<[f64; 3]>,
+    /// `[N,4]` quaternion w,x,y,z of any length > 0.
+    pub rotation: Vec<[f64; 4]>,
+    /// `[N]` opacity before the sigmoid.
+    pub opacity_logit: Vec<f64>,
+    /// SH degree 0–3.
+    pub sh_degree: u32,
+    /// `[N,K,3]` SH coefficients, K = (degree + 1)².
+    pub sh: Vec<f64>,
+}
+
+impl Gaussians64 {
+    /// Rounds every parameter to f32.
+    pub fn to_f32(&self) -> Gaussians {
+        Gaussians {
+            mean: self.mean.iter().map(|v| v.map(|x| x as f32)).collect(),
+            log_scale: self.log_scale.iter().map(|v| v.map(|x| x as f32)).collect(),
+            rotation: self.rotation.iter().map(|v| v.map(|x| x as f32)).collect(),
+            opacity_logit: self.opacity_logit.iter().map(|&x| x as f32).collect(),
+            sh_degree: self.sh_degree,
+            sh: self.sh.iter().map(|&x| x as f32).collect(),
+        }
+    }
+}
+
+/// The image of `scene` at `time`, with its f32 parameters taken as exact numbers.
+///
+/// Fails when the image is empty, arrays have inconsistent lengths, a superpoint index is out of range, or the asked-for
+/// motion source is absent.
+pub fn render(scene: &Scene, camera: &Camera, time: f64, options: &ReferenceOptions) -> Result<ReferenceImage> {
+    let gaussians = &scene.gaussians;
+    let parameters = Parameters::from(gaussians);
+    parameters.check()?;
+    let mut rejected = Rejected::default();
+    let valid: Vec<bool> = (0..gaussians.len()).map(|i| gaussians.is_valid(i, &mut rejected)).collect();
+    let placed = place(&parameters, scene.superpoints.as_ref(), poses(scene, time, options.motion)?.as_deref())?;
+    let mut image = render_placed(&parameters, &placed, &valid, camera, options)?;
+    image.rejected = rejected;
+    Ok(image)
+}
+
+/// The image of f64 Gaussians that do not move. No validity limits apply; a Gaussian that projects to something not
+/// finite is dropped.
+pub fn render_gaussians(
+    gaussians: &Gaussians64,
+    camera: &Camera,
+    options: &ReferenceOptions,
+) -> Result<ReferenceImage> {
+    let parameters = Parameters::from(gaussians);
+    parameters.check()?;
+    let placed = place(&parameters, None, None)?;
+    let valid = vec![true; placed.mean.len()];
+    render_placed(&parameters, &placed, &valid, camera, options)
+}
+
+/// Projects, sorts and blends Gaussians that have been moved to their place.
+fn render_placed<T: Copy + Into<f64> + Sync>(
+    parameters: &Parameters<'_, T>,
+    placed: &Placed,
+    valid: &[bool],
+    camera: &Camera,
+    options: &ReferenceOptions,
+) -> Result<ReferenceImage> {
+    if camera.width == 0 || camera.height == 0 {
+        let size = format!("{} x {}", camera.width, camera.height);
+        return Err(Error::usage("image size", size, "at least 1 x 1"));
+    }
+    let splats = sorted_splats(parameters, &placed.mean, &placed.rotation, valid, camera, options);
+    Ok(blend::blend(&splats, camera, options.background))
+}
+
+/// The visible splats, front to back by z, ties by index.
+fn sorted_splats<T: Copy + Into<f64> + Sync>(
+    parameters: &Parameters<'_, T>,
+    mean: &[DVec3],
+    rotation: &[DMat3],
+    valid: &[bool],
+    camera: &Camera,
+    options: &ReferenceOptions,
+) -> Vec<Splat> {
+    let mut splats: Vec<Splat> = (0..mean.len())
+        .into_par_iter()
+        .filter(|&i| valid[i])
+        .filter_map(|i| project(parameters, i, mean[i], rotation[i], camera, options.near))
+        .collect();
+    splats.par_sort_by(|a, b| a.depth.total_cmp(&b.depth).then(a.index.cmp(&b.index)));
+    splats
+}

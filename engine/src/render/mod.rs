@@ -1,12 +1,34 @@
-//! Scene(t) + camera -> image, on the GPU: kernels with their CPU twins.
+//! Scene(t) + camera → image, on the GPU.
+//!
+//! ```text
+//! [deform_network] → deform_project → compact → sort_scatter ×4 (depth) → sum_tile_counts → emit_tiles
+//!                  → sort_scatter ×1..3 (tile id) → tile_ranges → blend
+//! ```
+//!
+//! [`Renderer`] uploads a scene once, records the frame once per image size and replays it: only the [`frame::Frame`]
+//! of each view is written by the host. Nothing is read back inside a frame; the counters are looked at after it, and a
+//! frame that needed more tile instances than the buffers hold is run again with larger ones.
 
+pub mod angle;
+pub mod blend;
 pub mod compact;
+pub mod deform_network;
+pub mod deform_project;
 pub mod ellipse;
+pub mod frame;
 pub mod limits;
+mod pipeline;
+pub mod quaternion;
 pub mod radix_sort;
+mod renderer;
+mod scene_buffers;
 #[cfg(test)]
 mod sort_tests;
 #[cfg(test)]
 mod tile_tests;
 pub mod tiles;
 pub mod twin;
+mod work_buffers;
+
+pub use pipeline::KERNELS;
+pub use renderer::{FrameId, FrameStatistics, MemoryUse, RenderOptions, Renderer};

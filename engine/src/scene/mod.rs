@@ -4,12 +4,15 @@ pub mod camera;
 pub mod gaussians;
 pub mod motion;
 pub mod network;
+pub mod synthetic;
 
 use std::collections::BTreeMap;
 
+use crate::error::{Error, Result};
+
 pub use camera::Camera;
 pub use gaussians::{Gaussians, Rejected};
-pub use motion::{Association, KeyInterval, Motion, Superpoints};
+pub use motion::{Association, KeyInterval, Motion, MotionSource, Superpoints};
 pub use network::{DeformNetwork, Linear};
 
 /// A named tensor that the engine carries but does not interpret yet (for example `nonrigid.*`): shape and f32 data.
@@ -44,5 +47,20 @@ impl Scene {
     /// Whether anything moves: the scene has superpoints and either a key-time table or network F.
     pub fn is_dynamic(&self) -> bool {
         self.superpoints.is_some() && (self.motion.is_some() || self.deform.is_some())
+    }
+
+    /// What moves the superpoints when `wanted` is asked for: `Table`, `Network`, or `None` for a scene that stands still.
+    pub fn motion_source(&self, wanted: MotionSource) -> Result<Option<MotionSource>> {
+        let table = self.superpoints.is_some() && self.motion.as_ref().is_some_and(|m| !m.times.is_empty());
+        let network = self.superpoints.is_some() && self.deform.is_some();
+        match wanted {
+            MotionSource::Auto if table => Ok(Some(MotionSource::Table)),
+            MotionSource::Auto if network => Ok(Some(MotionSource::Network)),
+            MotionSource::Auto => Ok(None),
+            MotionSource::Table if table => Ok(Some(MotionSource::Table)),
+            MotionSource::Network if network => Ok(Some(MotionSource::Network)),
+            MotionSource::Table => Err(Error::usage("motion source `table`", "no motion.times", "a key-time table")),
+            MotionSource::Network => Err(Error::usage("motion source `network`", "no deform.*", "network F")),
+        }
     }
 }

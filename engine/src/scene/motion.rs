@@ -1,5 +1,17 @@
 //! Superpoint motion: μ(t) = Exp(r)μ + τ about the world origin, R(t) = Exp(r)R.
 
+/// Where the poses of the superpoints come from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub enum MotionSource {
+    /// The key-time table when the scene has one, else network F; a scene with neither does not move.
+    #[default]
+    Auto,
+    /// The key-time table; asking for it is an error when the scene has none.
+    Table,
+    /// Network F, evaluated at each time; asking for it is an error when the scene has none.
+    Network,
+}
+
 /// Assignment of Gaussians to superpoints.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Superpoints {
@@ -39,7 +51,7 @@ pub struct KeyInterval {
     /// Index of the key after it (equal to `first` when held).
     pub second: u32,
     /// 0 at `first`, 1 at `second`.
-    pub weight: f32,
+    pub weight: f64,
 }
 
 impl Motion {
@@ -59,6 +71,6 @@ impl Motion {
             return KeyInterval { first: last as u32, second: last as u32, weight: 0.0 };
         }
         let (t0, t1) = (f64::from(self.times[after - 1]), f64::from(self.times[after]));
-        KeyInterval { first: (after - 1) as u32, second: after as u32, weight: ((t - t0) / (t1 - t0)) as f32 }
+        KeyInterval { first: (after - 1) as u32, second: after as u32, weight: (t - t0) / (t1 - t0) }
     }
 }

@@ -1,0 +1,124 @@
+//! Superpoint poses at a time, and Gaussians moved by them.
+
+use glam::{DMat3, DQuat, DVec3};
+use rayon::prelude::*;
+
+use super::network::network_poses;
+use super::project::Parameters;
+use crate::error::{Error, Result};
+use crate::scene::{Motion, MotionSource, Scene, Superpoints};
+
+/// Rigid motion of one superpoint about the world origin: x ↦ Exp(rotation)·x + translation.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Pose {
+    /// so(3) vector, radians.
+    pub rotation: DVec3,
+    /// World units.
+    pub translation: DVec3,
+}
+
+/// Where the Gaussians are at a time.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Placed {
+    /// `[N]` centres, world space.
+    pub mean: Vec<DVec3>,
+    /// `[N]` rotations from the Gaussian's axes to world space.
+    pub rotation: Vec<DMat3>,
+}
+
+/// sin(x)/x, by its Taylor series near zero, where the quotient would lose digits or be 0/0.
+fn sinc(x: f64) -> f64 {
+    let x2 = x * x;
+    // The first term left out is x⁸/362880 < 3e-22.
+    if x2 < 1.0e-4 { 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0 * (1.0 - x2 / 42.0)) } else { x.sin() / x }
+}
+
+/// Exponential map of so(3) (Rodrigues): I + sinθ/θ·[r]ₓ + (1 − cosθ)/θ²·[r]ₓ², θ = |r|.
+///
+/// (1 − cosθ)/θ² is taken as ½·sinc²(θ/2), which does not cancel for small θ.
+pub fn exp(r: DVec3) -> DMat3 {
+    let theta = r.length();
+    let half = sinc(0.5 * theta);
+    let k = DMat3::from_cols(DVec3::new(0.0, r.z, -r.y), DVec3::new(-r.z, 0.0, r.x), DVec3::new(r.y, -r.x, 0.0));
+    DMat3::IDENTITY + k * sinc(theta) + k * k * (0.5 * half * half)
+}
+
+/// Rotation matrix of a quaternion w,x,y,z of any length > 0.
+pub fn rotation_of_quaternion(q: [f64; 4]) -> DMat3 {
+    DMat3::from_quat(DQuat::from_xyzw(q[1], q[2], q[3], q[0]).normalize())
+}
+
+/// Poses of all superpoints at `time` from the key-time table: r and τ interpolated linearly, held outside the table.
+pub fn table_poses(motion: &Motion, time: f64) -> Vec<Pose> {
+    let count = motion.superpoint_count();
+    let interval = motion.interval(time);
+    let (first, second) = (interval.first as usize, interval.second as usize);
+    let weight = if first == second {
+        0.0
+    } else {
+        let (t0, t1) = (f64::from(motion.times[first]), f64::from(motion.times[second]));
+        (time - t0) / (t1 - t0)
+    };
+    let lerp = |table: &[[f32; 3]], m: usize| {
+        let (a, b) = (promote(table[first * count + m]), promote(table[second * count + m]));
+        a * (1.0 - weight) + b * weight
+    };
+    (0..count)
+        .map(|m| Pose { rotation: lerp(&motion.rotation, m), translation: lerp(&motion.translation, m) })
+        .collect()
+}
+
+/// Poses of all superpoints of `scene` at `time`; `None` when nothing moves.
+pub fn poses(scene: &Scene, time: f64, source: MotionSource) -> Result<Option<Vec<Pose>>> {
+    match (scene.motion_source(source)?, &scene.motion, &scene.deform, &scene.superpoints) {
+        (Some(MotionSource::Network), _, Some(network), Some(superpoints)) => {
+            Ok(Some(network_poses(network, &superpoints.position, time)))
+        }
+        (Some(_), Some(motion), _, Some(_)) => Ok(Some(table_poses(motion, time))),
+        _ => Ok(None),
+    }
+}
+
+/// Moves every Gaussian with its superpoint; without poses it stays where it is.
+pub fn place<T: Copy + Into<f64> + Sync>(
+    parameters: &Parameters<'_, T>,
+    superpoints: Option<&Superpoints>,
+    poses: Option<&[Pose]>,
+) -> Result<Placed> {
+    let count = parameters.count();
+    let still = |i: usize| (parameters.mean(i), rotation_of_quaternion(parameters.rotation(i)));
+    let (mean, rotation) = match (superpoints, poses) {
+        (Some(superpoints), Some(poses)) => {
+            let group = &superpoints.of_gaussian;
+            check_groups(group, count, poses.len())?;
+            let turn: Vec<DMat3> = poses.iter().map(|p| exp(p.rotation)).collect();
+            let moved = |i: usize| {
+                let (mean, rotation) = still(i);
+                let m = group[i] as usize;
+                (turn[m] * mean + poses[m].translation, turn[m] * rotation)
+            };
+            (0..count).into_par_iter().map(moved).unzip()
+        }
+        _ => (0..count).into_par_iter().map(still).unzip(),
+    };
+    Ok(Placed { mean, rotation })
+}
+
+/// Every Gaussian has a superpoint, and that superpoint has a pose.
+fn check_groups(group: &[u32], gaussians: usize, superpoints: usize) -> Result<()> {
+    if group.len() != gaussians {
+        return Err(Error::usage("superpoints.of_gaussian", group.len().to_string(), format!("{gaussians} elements")));
+    }
+    match group.iter().position(|&m| m as usize >= superpoints) {
+        Some(i) => Err(Error::usage(
+            format!("superpoints.of_gaussian [{i}]"),
+            group[i].to_string(),
+            format!("less than {superpoints}"),
+        )),
+        None => Ok(()),
+    }
+}
+
+fn promote(v: [f32; 3]) -> DVec3 {
+    DVec3::from_array(v.map(f64::from))
+}

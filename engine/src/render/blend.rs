@@ -1,0 +1,154 @@
+//! Kernel `blend`: front-to-back blending of each tile's splats into the image.
+//!
+//! Reads `ranges uint[2·tiles]` (first and last + 1 instance of a tile), `values uint[instances]` (the Gaussian of each
+//! instance, in depth order within a tile) and `splats`. Writes every pixel of `color vec4[H·W]` (Σ c α T + T·background,
+//! 1 − T) and, when `WITH_DEPTH` is 1, `depth float[H·W]` (Σ z α T; else a dummy of any size).
+//!
+//! One subgroup blends one subtile ([`subtile`]); the formulas are those of 3D Gaussian splatting's forward pass with the
+//! threshold α ≥ 1/255 tested before exp2, in the log2 domain.
+
+use super::ellipse::{Ellipse, LOG2_255};
+use super::frame::Frame;
+use super::limits::TILE_SIZE;
+use super::twin::{set_f32, set_vec4, spec, struct_at, vec4_at};
+use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
+
+/// Threads per workgroup: one subgroup of the largest size, several of a smaller one.
+pub const BLEND_THREADS: u32 = 128;
+/// Largest α.
+pub const MAX_ALPHA: f32 = 0.99;
+/// The splat that would take the transmittance below this ends the pixel, undrawn.
+pub const MIN_TRANSMITTANCE: f32 = 1e-4;
+
+/// How a surviving splat's parameters reach all lanes of a subgroup (spec constant `STAGE`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Stage {
+    /// `subgroupShuffle`.
+    Shuffle = 0,
+    /// Through the subgroup's slice of shared memory.
+    Shared = 1,
+    /// Read again from `splats` at a uniform address.
+    Reread = 2,
+}
+
+/// Blends each tile's splats front to back.
+pub static BLEND: Kernel = Kernel {
+    name: "blend",
+    doc: "front-to-back blending, one subgroup per subtile of pixels",
+    local_size: BLEND_THREADS,
+    spec: &["SUBGROUP_SIZE", "WITH_DEPTH", "STAGE", "PIXELS_PER_LANE"],
+    push: &[],
+    bindings: &[
+        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
+        Binding::new("ranges", Access::Read, Element::U32),
+        Binding::new("values", Access::Read, Element::U32),
+        Binding::new("splats", Access::Read, Element::F32),
+        Binding::new("color", Access::Write, Element::F32),
+        Binding::new("depth", Access::Write, Element::F32),
+    ],
+    twin: blend_twin,
+    // exp2 may be off by units in the last place; a splat at the threshold of 1/255, or a pixel at the transmittance stop,
+    // may flip.
+    tolerance: Tolerance { absolute: 1e-4, relative: 1e-4, flips: 1e-3 },
+    bytes: blend_bytes,
+    spirv: include_bytes!("../../../spirv_cache/blend.spv"),
+};
+
+/// Each instance's index and splat once, each pixel's colour (and depth) once, each tile's range once.
+fn blend_bytes(work: &Workload) -> u64 {
+    work.get("instances") * (4 + 48)
+        + work.get("pixels") * (16 + if work.get("depth") > 0 { 4 } else { 0 })
+        + work.get("tiles") * 8
+}
+
+/// Pixels per lane for a subgroup size, so that a subtile is 8×8 px (4×16 at size 4, 16×8 at size 128).
+pub fn pixels_per_lane(subgroup_size: u32) -> u32 {
+    match subgroup_size {
+        0..=4 => 16,
+        5..=64 => 64 / subgroup_size,
+        _ => 1,
+    }
+}
+
+/// A subtile's shape: columns, rows per lane row, rows in all (px).
+pub fn subtile(subgroup_size: u32, pixels_per_lane: u32) -> [u32; 3] {
+    let columns = if subgroup_size >= 128 { 16 } else { subgroup_size.min(8) };
+    let lane_rows = subgroup_size / columns;
+    [columns, lane_rows, lane_rows * pixels_per_lane]
+}
+
+/// Workgroups that blend `tiles` tiles.
+pub fn groups(tiles: u32, subgroup_size: u32, pixels_per_lane: u32) -> u64 {
+    let [columns, _, rows] = subtile(subgroup_size, pixels_per_lane);
+    let subtiles = u64::from(tiles) * u64::from((TILE_SIZE / columns) * (TILE_SIZE / rows));
+    subtiles.div_ceil(u64::from(BLEND_THREADS / subgroup_size))
+}
+
+/// A pixel's state.
+#[derive(Clone, Copy)]
+struct Pixel {
+    transmittance: f32,
+    colour: [f32; 3],
+    depth: f32,
+}
+
+fn blend_splat(pixel: &mut Pixel, [first, second, third]: [[f32; 4]; 3], x: f32, y: f32) {
+    let (dx, dy) = (x - first[0], y - first[1]);
+    let u = first[2] * dx + first[3] * dy;
+    let v = second[0] * dy;
+    let log2_alpha = second[1] - u * u - v * v;
+    if log2_alpha >= -LOG2_255 && pixel.transmittance > 0.0 {
+        let alpha = log2_alpha.exp2().min(MAX_ALPHA);
+        let after = pixel.transmittance * (1.0 - alpha);
+        if after < MIN_TRANSMITTANCE {
+            pixel.transmittance = -pixel.transmittance;
+        } else {
+            let weight = alpha * pixel.transmittance;
+            (0..3).for_each(|c| pixel.colour[c] += weight * third[c]);
+            pixel.depth += weight * second[2];
+            pixel.transmittance = after;
+        }
+    }
+}
+
+fn blend_twin(call: &mut TwinCall<'_>) {
+    let frame: Frame = struct_at(&call.buffers[0], 0);
+    let with_depth = spec(call, 1) == 1;
+    let [columns, _, rows] = subtile(spec(call, 0), spec(call, 3));
+    let [width, height, tiles_x, _] = frame.size;
+    for tile in 0..frame.limits[1] {
+        let (tile_x, tile_y) = (tile % tiles_x * TILE_SIZE, tile / tiles_x * TILE_SIZE);
+        let range = call.buffers[1][2 * tile as usize] as usize..call.buffers[1][2 * tile as usize + 1] as usize;
+        for inside in 0..(TILE_SIZE / columns) * (TILE_SIZE / rows) {
+            let x0 = tile_x + columns * (inside % (TILE_SIZE / columns));
+            let y0 = tile_y + rows * (inside / (TILE_SIZE / columns));
+            let [x_low, y_low] = [x0 as f32 + 0.5, y0 as f32 + 0.5];
+            let [x_high, y_high] = [x_low + (columns - 1) as f32, y_low + (rows - 1) as f32];
+            let mut pixels =
+                vec![Pixel { transmittance: 1.0, colour: [0.0; 3], depth: 0.0 }; (columns * rows) as usize];
+            for at in range.clone() {
+                let index = call.buffers[2][at] as usize;
+                let splat: [[f32; 4]; 3] = std::array::from_fn(|j| vec4_at(&call.buffers[3], 3 * index + j));
+                let x = Ellipse::of_splat(splat[0], splat[1]).row_interval(y_low, y_high);
+                if x[0] <= x_high && x[1] >= x_low && x[0] <= x[1] {
+                    for (i, pixel) in (0..).zip(&mut pixels) {
+                        blend_splat(pixel, splat, x_low + (i % columns) as f32, y_low + (i / columns) as f32);
+                    }
+                }
+            }
+            for (i, pixel) in (0..).zip(&pixels) {
+                let (x, y) = (x0 + i % columns, y0 + i / columns);
+                if x < width && y < height {
+                    let at = (y * width + x) as usize;
+                    let rest = pixel.transmittance.abs();
+                    let [r, g, b] = std::array::from_fn(|c| pixel.colour[c] + rest * frame.background[c]);
+                    set_vec4(&mut call.buffers[4], at, [r, g, b, 1.0 - rest]);
+                    if with_depth {
+                        set_f32(&mut call.buffers[5], at, pixel.depth);
+                    }
+                }
+            }
+        }
+    }
+}

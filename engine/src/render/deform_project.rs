@@ -1,0 +1,306 @@
+//! Kernel `deform_project`: moves, projects, culls and shades each Gaussian and counts the tiles it reaches.
+//!
+//! One Gaussian per thread, 256 per workgroup. For each Gaussian of `mean [3][N]` it writes `tile_count[N]` (0 = culled)
+//! and, for the visible ones only, `splats vec4[3N]`: (mean px, l11, l12), (l22, log2 opacity, z, 0), (r, g, b, 0).
+//! Sums: `visible_block[b]` per workgroup and `[block_capacity + b / 256]` above it; `counters` 0 visible, 1–2 instances
+//! (64 bits), 4 rejected. `visible_block` and `counters` must be zeroed before.
+//!
+//! Source of the formulas: EWA projection as in 3D Gaussian splatting with gsplat's clamp of the Jacobian; motion of
+//! Superpoint Gaussian Splatting. Cholesky form and Cauchy–Binet determinant: see `conic_root`.
+
+use super::ellipse::Ellipse;
+use super::frame::Frame;
+use super::limits::{COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE, SCAN_SUPER};
+use super::quaternion::{self, dot};
+use super::twin::{f32_at, group_count, push, set_vec4, spec, struct_at, vec4_at};
+use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
+
+crate::gpu_struct! {
+    /// Push constants of [`DEFORM_PROJECT`].
+    pub struct DeformProjectPush {
+        /// Where the super sums start in `visible_block`: the number of blocks that it has room for.
+        pub block_capacity: u32,
+    }
+}
+
+/// Threads per workgroup = Gaussians per block sum.
+pub const DEFORM_PROJECT_THREADS: u32 = 256;
+/// `MOTION` of a scene that stands still.
+pub const MOTION_STATIC: u32 = 0;
+/// `MOTION` of a scene with a pose table `vec4[T][M][2]`: (r, 0), (τ, 0).
+pub const MOTION_TABLE: u32 = 1;
+
+/// Moves, projects, culls, shades, counts tiles.
+pub static DEFORM_PROJECT: Kernel = Kernel {
+    name: "deform_project",
+    doc: "motion, projection, culling, SH colour and exact tile count of each Gaussian",
+    local_size: DEFORM_PROJECT_THREADS,
+    spec: &["SUBGROUP_SIZE", "SH_DEGREE", "MOTION"],
+    push: DeformProjectPush::FIELDS,
+    bindings: &[
+        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
+        Binding::new("mean", Access::Read, Element::F32),
+        Binding::new("log_scale", Access::Read, Element::F32),
+        Binding::new("rotation", Access::Read, Element::F32),
+        Binding::new("opacity_logit", Access::Read, Element::F32),
+        Binding::new("superpoint_of_gaussian", Access::Read, Element::U32),
+        Binding::new("pose", Access::Read, Element::F32),
+        Binding::new("sh_0", Access::Read, Element::F32),
+        Binding::new("sh_1", Access::Read, Element::F32),
+        Binding::new("sh_2", Access::Read, Element::F32),
+        Binding::new("sh_3", Access::Read, Element::F32),
+        Binding::new("splats", Access::Write, Element::F32),
+        Binding::new("tile_count", Access::Write, Element::U32),
+        Binding::new("visible_block", Access::Atomic, Element::U32),
+        Binding::new("counters", Access::Atomic, Element::U32),
+    ],
+    twin: deform_project_twin,
+    // exp, log2 and sqrt may be off by some units in the last place on a GPU (Vulkan 1.2, table of precision); a tile
+    // count may flip where an ellipse touches a tile's first pixel centre.
+    tolerance: Tolerance { absolute: 1e-4, relative: 1e-4, flips: 1e-3 },
+    bytes: deform_project_bytes,
+    spirv: include_bytes!("../../../spirv_cache/deform_project.spv"),
+};
+
+/// Every Gaussian: centre, opacity, tile count (and superpoint when moving); a visible one also scale, rotation, SH, splat.
+fn deform_project_bytes(work: &Workload) -> u64 {
+    let moving = if work.get("superpoints") > 0 { 4 } else { 0 };
+    let keys = work.get("superpoints") * 64;
+    work.get("gaussians") * (12 + 4 + 4 + moving)
+        + work.get("visible") * (12 + 16 + 12 * work.get("sh_coefficients").max(1) + 48)
+        + keys
+}
+
+const DILATION_PX2: f32 = 0.3;
+const ROOT_HALF_LOG2_E: f32 = 0.849_321_8;
+const MAX_ABS_MEAN: f32 = 1e15;
+const MAX_ABS_LOG_SCALE: f32 = 30.0;
+const MAX_ABS_TRANSLATION: f32 = 1e15;
+const MAX_ABS_COLOUR: f32 = 1e9;
+const MIN_ROTATION_NORM2: f32 = 1e-24;
+
+const SH_0: f32 = 0.282_094_8;
+const SH_1: f32 = 0.488_602_5;
+const SH_2A: f32 = 1.092_548_5;
+const SH_2B: f32 = 0.315_391_57;
+const SH_2C: f32 = 0.546_274_24;
+const SH_3A: f32 = 0.590_043_6;
+const SH_3B: f32 = 2.890_611_4;
+const SH_3C: f32 = 0.457_045_8;
+const SH_3D: f32 = 0.373_176_34;
+const SH_3E: f32 = 1.445_305_7;
+
+/// SH basis of degrees 0–3 in direction `d` (unit), the 16 values of `glsl/lib/sh.glsl`.
+pub fn sh_basis(d: [f32; 3]) -> [f32; 16] {
+    let [x, y, z] = d;
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    [
+        SH_0,
+        -SH_1 * y,
+        SH_1 * z,
+        -SH_1 * x,
+        SH_2A * x * y,
+        -SH_2A * y * z,
+        SH_2B * (2.0 * z * z - x * x - y * y),
+        -SH_2A * x * z,
+        SH_2C * (x * x - y * y),
+        -SH_3A * y * (3.0 * xx - yy),
+        SH_3B * x * y * z,
+        -SH_3C * y * (4.0 * zz - xx - yy),
+        SH_3D * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+        -SH_3C * x * (4.0 * zz - xx - yy),
+        SH_3E * z * (xx - yy),
+        -SH_3A * x * (xx - 3.0 * yy),
+    ]
+}
+
+/// What became of a Gaussian.
+enum Outcome {
+    Culled,
+    Rejected,
+    Visible { splat: [[f32; 4]; 3], tiles: u32 },
+}
+
+fn within(v: [f32; 3], limit: f32) -> bool {
+    v.iter().all(|x| x.is_finite() && x.abs() <= limit)
+}
+
+/// `[3]` of Gaussian `g` in a plane-major `[3][n]` buffer, from plane `first`.
+fn planes(words: &[u32], first: usize, n: usize, g: usize) -> [f32; 3] {
+    std::array::from_fn(|c| f32_at(words, (first + c) * n + g))
+}
+
+fn add(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
+}
+
+fn xyz(v: [f32; 4]) -> [f32; 3] {
+    [v[0], v[1], v[2]]
+}
+
+/// Σ of the SH bands up to `degree`.
+fn sh_sum(buffers: &[Vec<u32>], degree: u32, n: usize, g: usize, d: [f32; 3]) -> [f32; 3] {
+    let basis = sh_basis(d);
+    let mut sum = planes(&buffers[7], 0, n, g).map(|c| SH_0 * c);
+    for band in 1..=degree as usize {
+        for k in 0..2 * band + 1 {
+            let c = planes(&buffers[7 + band], 3 * k, n, g);
+            sum = add(sum, c.map(|c| basis[band * band + k] * c));
+        }
+    }
+    sum
+}
+
+/// Cholesky root (l11, l12, l22) of the conic and the variance along x. See the shader.
+fn conic_root(columns: [[f32; 3]; 3], scale: [f32; 3], tangent: [f32; 2], focal: [f32; 2]) -> [f32; 4] {
+    let mut m: [[f32; 2]; 3] = std::array::from_fn(|k| {
+        std::array::from_fn(|i| scale[k] * focal[i] * (columns[k][i] - tangent[i] * columns[k][2]))
+    });
+    let longest = m.iter().flatten().fold(1.0_f32, |a, b| a.max(b.abs()));
+    let unit_bits = longest.to_bits() & 0x7f80_0000;
+    let inverse_unit = f32::from_bits(0x7f00_0000 - unit_bits.min(0x7e80_0000));
+    m.iter_mut().flatten().for_each(|v| *v *= inverse_unit);
+    let s = scale.map(|v| v * inverse_unit);
+    let ray = [tangent[0], tangent[1], 1.0];
+    let area = focal[0] * focal[1];
+    let minor_12 = area * dot(columns[0], ray) * s[1] * s[2];
+    let minor_20 = area * dot(columns[1], ray) * s[2] * s[0];
+    let minor_01 = area * dot(columns[2], ray) * s[0] * s[1];
+    let dilation = DILATION_PX2 * inverse_unit * inverse_unit;
+    let xx = m[0][0] * m[0][0] + m[1][0] * m[1][0] + m[2][0] * m[2][0];
+    let xy = m[0][0] * m[0][1] + m[1][0] * m[1][1] + m[2][0] * m[2][1];
+    let yy = m[0][1] * m[0][1] + m[1][1] * m[1][1] + m[2][1] * m[2][1];
+    let minors = minor_12 * minor_12 + minor_20 * minor_20 + minor_01 * minor_01;
+    let det = minors + dilation * (xx + yy) + dilation * dilation;
+    let c = yy + dilation;
+    let k = ROOT_HALF_LOG2_E * inverse_unit;
+    let variance_x = (xx + dilation) / (inverse_unit * inverse_unit);
+    [k * (c / det).sqrt(), -k * xy / (c.sqrt() * det.sqrt()), k / c.sqrt(), variance_x]
+}
+
+fn reaches_image(e: &Ellipse, variance_x: f32, width: u32) -> bool {
+    let reach = (e.threshold().max(0.0) * variance_x).sqrt() / ROOT_HALF_LOG2_E;
+    let slack = 1.0 + 1e-4 * (reach + e.mean[0].abs());
+    let left_of = e.mean[0] + reach + slack < 0.0;
+    let right_of = e.mean[0] - reach - slack > width as f32;
+    !left_of && !right_of
+}
+
+/// Pose of Gaussian `g` at the frame's time: the unit quaternion of Exp(r), and τ.
+fn pose_of(buffers: &[Vec<u32>], frame: &Frame, g: usize) -> Option<([f32; 4], [f32; 3])> {
+    let superpoint = buffers[5][g];
+    if superpoint >= frame.counts[1] {
+        return None;
+    }
+    let key = |k: u32| (2 * (k * frame.counts[1] + superpoint)) as usize;
+    let (first, second) = (key(frame.counts[2]), key(frame.counts[3]));
+    let weight = frame.camera_position_low[3];
+    let lerp = |offset: usize| -> [f32; 3] {
+        let (a, b) = (vec4_at(&buffers[6], first + offset), vec4_at(&buffers[6], second + offset));
+        std::array::from_fn(|i| a[i] * (1.0 - weight) + b[i] * weight)
+    };
+    let (r, translation) = (lerp(0), lerp(1));
+    if !within(r, MAX_ABS_TRANSLATION) || !within(translation, MAX_ABS_TRANSLATION) {
+        return None;
+    }
+    Some((quaternion::exp(r), translation))
+}
+
+fn project(buffers: &[Vec<u32>], frame: &Frame, degree: u32, motion: u32, g: usize) -> Outcome {
+    let n = frame.counts[0] as usize;
+    let canonical = planes(&buffers[1], 0, n, g);
+    let logit = f32_at(&buffers[4], g);
+    if !within(canonical, MAX_ABS_MEAN) || logit.is_nan() {
+        return Outcome::Rejected;
+    }
+    let (high, low) = (frame.camera_position_high, frame.camera_position_low);
+    let mut d: [f32; 3] = std::array::from_fn(|i| (canonical[i] - high[i]) - low[i]);
+    let mut turn = [1.0, 0.0, 0.0, 0.0];
+    if motion == MOTION_TABLE {
+        let Some((rotation, translation)) = pose_of(buffers, frame, g) else { return Outcome::Rejected };
+        turn = rotation;
+        d = add(d, add(quaternion::displacement(turn, canonical), translation));
+    }
+    let rows = [frame.world_to_camera_0, frame.world_to_camera_1, frame.world_to_camera_2].map(xyz);
+    let p = rows.map(|row| dot(row, d));
+    if !p.iter().all(|v| v.is_finite()) {
+        return Outcome::Rejected;
+    }
+    let in_front = p[2] > high[3];
+    let log2_opacity = -(1.0 + (-logit).exp()).log2();
+    let mut e = Ellipse { mean: [0.0; 2], l11: 0.0, l12: 0.0, l22: 0.0, log2_opacity };
+    let bright = e.threshold() > 0.0;
+    if !in_front || !bright {
+        return Outcome::Culled;
+    }
+
+    let log_s = planes(&buffers[2], 0, n, g);
+    let q = vec4_at(&buffers[3], g);
+    let norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+    let long_enough = norm2 > MIN_ROTATION_NORM2;
+    if !within(log_s, MAX_ABS_LOG_SCALE) || !norm2.is_finite() || !long_enough {
+        return Outcome::Rejected;
+    }
+    let q = quaternion::product(turn, q.map(|v| v / norm2.sqrt()));
+    let columns = quaternion::columns(q).map(|axis| rows.map(|row| dot(row, axis)));
+    let slope = [p[0] / p[2], p[1] / p[2]];
+    let limit = frame.tan_limit;
+    let tangent = [slope[0].max(limit[0]).min(limit[1]), slope[1].max(limit[2]).min(limit[3])];
+    let [fx, fy, cx, cy] = frame.intrinsics;
+    let root = conic_root(columns, log_s.map(|s| s.exp() / p[2]), tangent, [fx, fy]);
+    e = Ellipse { mean: [fx * slope[0] + cx, fy * slope[1] + cy], l11: root[0], l12: root[1], l22: root[2], ..e };
+    let positive = root[0] > 0.0 && root[2] > 0.0;
+    if !e.mean.iter().chain(&root[..3]).all(|v| v.is_finite()) || !positive {
+        return Outcome::Rejected;
+    }
+    let size = [frame.size[0], frame.size[1]];
+    let tiles = if reaches_image(&e, root[3], size[0]) { e.tile_count(size) } else { 0 };
+    if tiles == 0 {
+        return Outcome::Culled;
+    }
+
+    let length = dot(d, d).sqrt();
+    let colour = sh_sum(buffers, degree, n, g, d.map(|v| v / length)).map(|s| 0.5 + s);
+    if !within(colour, MAX_ABS_COLOUR) {
+        return Outcome::Rejected;
+    }
+    let [r, g, b] = colour.map(|c| c.max(0.0));
+    let splat = [[e.mean[0], e.mean[1], e.l11, e.l12], [e.l22, e.log2_opacity, p[2], 0.0], [r, g, b, 0.0]];
+    Outcome::Visible { splat, tiles }
+}
+
+fn deform_project_twin(call: &mut TwinCall<'_>) {
+    let DeformProjectPush { block_capacity } = push(call);
+    let frame: Frame = struct_at(&call.buffers[0], 0);
+    let (degree, motion) = (spec(call, 1), spec(call, 2));
+    for group in 0..group_count(call) as usize {
+        let first = group * DEFORM_PROJECT_THREADS as usize;
+        let last = (first + DEFORM_PROJECT_THREADS as usize).min(frame.counts[0] as usize);
+        if first >= last {
+            continue;
+        }
+        let (mut visible, mut rejected, mut total) = (0, 0, 0_u32);
+        for g in first..last {
+            let outcome = project(call.buffers, &frame, degree, motion, g);
+            call.buffers[12][g] = 0;
+            match outcome {
+                Outcome::Culled => {}
+                Outcome::Rejected => rejected += 1,
+                Outcome::Visible { splat, tiles } => {
+                    (0..3).for_each(|j| set_vec4(&mut call.buffers[11], 3 * g + j, splat[j]));
+                    call.buffers[12][g] = tiles;
+                    visible += 1;
+                    total += tiles;
+                }
+            }
+        }
+        call.buffers[13][group] = visible;
+        call.buffers[13][block_capacity as usize + group / SCAN_SUPER as usize] += visible;
+        let counters = &mut call.buffers[14];
+        counters[COUNT_VISIBLE as usize] += visible;
+        let (low, carry) = counters[COUNT_INSTANCES_LOW as usize].overflowing_add(total);
+        counters[COUNT_INSTANCES_LOW as usize] = low;
+        counters[COUNT_INSTANCES_HIGH as usize] += u32::from(carry);
+        counters[COUNT_REJECTED as usize] += rejected;
+    }
+}

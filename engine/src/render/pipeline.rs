@@ -1,0 +1,218 @@
+//! The frame as a list of operations: this function reads like the pipeline picture of the crate page.
+
+use crate::error::Result;
+use crate::gpu::kernel::Kernel;
+use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, Slice};
+
+use super::blend::{self, BLEND};
+use super::compact::{
+    COMPACT, COMPACT_GAUSSIANS, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT, INDIRECT_RANGES, INDIRECT_TILE_SORT,
+};
+use super::deform_network::{self, DEFORM_NETWORK};
+use super::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectPush, MOTION_STATIC, MOTION_TABLE};
+use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
+use super::radix_sort::{SORT_SCATTER, SORT_SPINE, SPINE_GROUPS};
+use super::scene_buffers::{Poses, SceneBuffers};
+use super::tiles::{EMIT_TILES, EmitTilesPush, SUM_TILE_COUNTS, SumTileCountsPush, TILE_RANGES};
+use super::work_buffers::{SortBuffers, WorkBuffers};
+
+/// Buffers of one frame in flight.
+#[derive(Debug)]
+pub(super) struct FrameBuffers {
+    /// `Frame`, written by the host.
+    pub(super) frame: Buffer,
+    /// Poses of this frame from the host, when the scene needs them so.
+    pub(super) host_pose: Option<Buffer>,
+    /// `[H,W,4]` float.
+    pub(super) color: Buffer,
+    /// `[H,W]` float, or a dummy.
+    pub(super) depth: Buffer,
+    /// Copy of the counters for the host, looked at after the frame.
+    pub(super) counters: Buffer,
+}
+
+/// What else decides the recording.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Shape {
+    pub(super) tiles: u32,
+    pub(super) with_depth: bool,
+    pub(super) profile: bool,
+}
+
+/// Records a frame.
+pub(super) fn record(
+    gpu: &Gpu,
+    scene: &SceneBuffers,
+    work: &WorkBuffers,
+    frame: &FrameBuffers,
+    shape: Shape,
+) -> Result<Commands> {
+    let mut r = gpu.recorder("frame").with_timestamps(shape.profile);
+    r.fill(&work.zeroed, 0)?;
+    if let Poses::Network { weights, superpoint_position } = &scene.poses {
+        let buffers = slices(&[&frame.frame, superpoint_position, weights, &scene.pose]);
+        let groups = deform_network::groups(scene.superpoints);
+        r.dispatch(&DEFORM_NETWORK, &[0], &[], &buffers, Groups::Direct(groups))?;
+    }
+    deform_project(&mut r, scene, work, frame)?;
+    compact(&mut r, scene, work, frame)?;
+    sort(&mut r, "depth", &work.depth, work, COUNT_VISIBLE, INDIRECT_DEPTH_SORT)?;
+    emit(&mut r, work, frame)?;
+    sort(&mut r, "tile", &work.tile, work, COUNT_INSTANCES, INDIRECT_TILE_SORT)?;
+    ranges_and_blend(gpu, &mut r, work, frame, shape)?;
+    r.copy(&work.counters, frame.counters.slice(0, work.counters.bytes))?;
+    r.host_read(&frame.counters);
+    r.finish()
+}
+
+fn deform_project(r: &mut Recorder, scene: &SceneBuffers, work: &WorkBuffers, frame: &FrameBuffers) -> Result<()> {
+    let pose = frame.host_pose.as_ref().unwrap_or(&scene.pose);
+    let [sh_0, sh_1, sh_2, sh_3] = &scene.sh;
+    let mut buffers = slices(&[
+        &frame.frame,
+        &scene.mean,
+        &scene.log_scale,
+        &scene.rotation,
+        &scene.opacity_logit,
+        &scene.superpoint_of_gaussian,
+        pose,
+        sh_0,
+        sh_1,
+        sh_2,
+        sh_3,
+        &work.splats,
+        &work.tile_count,
+    ]);
+    buffers.extend([work.visible_block.clone(), work.counters.clone()]);
+    let motion = if scene.moves() { MOTION_TABLE } else { MOTION_STATIC };
+    let push = DeformProjectPush { block_capacity: work.block_capacity };
+    let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS));
+    r.dispatch(&DEFORM_PROJECT, &[scene.sh_degree, motion], bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+}
+
+fn compact(r: &mut Recorder, scene: &SceneBuffers, work: &WorkBuffers, frame: &FrameBuffers) -> Result<()> {
+    let first = &work.depth.plan.digits[0];
+    let push = CompactPush { block_capacity: work.block_capacity, digit_bits: first.bits };
+    let buffers = [
+        Slice::from(&frame.frame),
+        Slice::from(&work.tile_count),
+        Slice::from(&work.splats),
+        work.visible_block.clone(),
+        work.counters.clone(),
+        Slice::from(&work.indirect),
+        Slice::from(&work.depth.keys[0]),
+        Slice::from(&work.depth.values[0]),
+        work.depth.histograms[0].clone(),
+    ];
+    // The first workgroup writes the indirect arguments, so one runs even for an empty scene.
+    let groups = u64::from(scene.gaussians.div_ceil(COMPACT_GAUSSIANS).max(1));
+    r.dispatch(&COMPACT, &[], bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+}
+
+/// All passes of a sort whose first histogram the producer of the keys has counted.
+fn sort(
+    r: &mut Recorder,
+    what: &str,
+    s: &SortBuffers,
+    work: &WorkBuffers,
+    count_word: u32,
+    indirect_word: u32,
+) -> Result<()> {
+    for pass in 0..s.plan.digits.len() {
+        let (from, to) = (pass % 2, (pass + 1) % 2);
+        let histogram = s.histograms[pass].clone();
+        if s.plan.prescanned {
+            let push = s.plan.spine_push(count_word);
+            let buffers = [work.counters.clone(), histogram.clone()];
+            let label = format!("sort_spine {what} {pass}");
+            let groups = Groups::Direct(SPINE_GROUPS.into());
+            r.dispatch_labelled(&label, &SORT_SPINE, &[], bytemuck::bytes_of(&push), &buffers, groups)?;
+        }
+        // The last pass counts nothing; any other buffer of the right kind stands in for the next histogram.
+        let next = s.histograms.get(pass + 1).cloned().unwrap_or_else(|| work.visible_block.clone());
+        let buffers = [
+            work.counters.clone(),
+            histogram,
+            Slice::from(&s.keys[from]),
+            Slice::from(&s.values[from]),
+            Slice::from(&s.keys[to]),
+            Slice::from(&s.values[to]),
+            next,
+        ];
+        let push = s.plan.scatter_push(pass, count_word);
+        let label = format!("sort_scatter {what} {pass}");
+        let groups = Groups::Indirect(work.indirect.clone(), u64::from(indirect_word) * 4);
+        r.dispatch_labelled(
+            &label,
+            &SORT_SCATTER,
+            &s.plan.scatter_spec(pass, true),
+            bytemuck::bytes_of(&push),
+            &buffers,
+            groups,
+        )?;
+    }
+    Ok(())
+}
+
+fn emit(r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers) -> Result<()> {
+    let order = &work.depth.values[work.depth.plan.result_in()];
+    let groups = || Groups::Indirect(work.indirect.clone(), u64::from(INDIRECT_EMIT) * 4);
+    let push = SumTileCountsPush { block_capacity: work.block_capacity };
+    let buffers =
+        [work.counters.clone(), Slice::from(&work.tile_count), Slice::from(order), work.instance_block.clone()];
+    r.dispatch(&SUM_TILE_COUNTS, &[], bytemuck::bytes_of(&push), &buffers, groups())?;
+    let push = EmitTilesPush { block_capacity: work.block_capacity, digit_bits: work.tile.plan.digits[0].bits };
+    let buffers = [
+        Slice::from(&frame.frame),
+        work.counters.clone(),
+        Slice::from(&work.tile_count),
+        Slice::from(order),
+        Slice::from(&work.splats),
+        work.instance_block.clone(),
+        Slice::from(&work.tile.keys[0]),
+        Slice::from(&work.tile.values[0]),
+        work.tile.histograms[0].clone(),
+    ];
+    r.dispatch(&EMIT_TILES, &[], bytemuck::bytes_of(&push), &buffers, groups())
+}
+
+fn ranges_and_blend(gpu: &Gpu, r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: Shape) -> Result<()> {
+    let sorted = work.tile.plan.result_in();
+    let buffers =
+        [Slice::from(&frame.frame), work.counters.clone(), Slice::from(&work.tile.keys[sorted]), work.ranges.clone()];
+    let groups = Groups::Indirect(work.indirect.clone(), u64::from(INDIRECT_RANGES) * 4);
+    r.dispatch(&TILE_RANGES, &[], &[], &buffers, groups)?;
+    let size = gpu.subgroup_size();
+    let pixels_per_lane = blend::pixels_per_lane(size);
+    // On a CPU device a shuffle is an extract; on a GPU shared memory broadcasts a word to all lanes for free.
+    let stage = if gpu.info().is_cpu() { blend::Stage::Shuffle } else { blend::Stage::Shared };
+    let spec = [u32::from(shape.with_depth), stage as u32, pixels_per_lane];
+    let buffers = [
+        Slice::from(&frame.frame),
+        work.ranges.clone(),
+        Slice::from(&work.tile.values[sorted]),
+        Slice::from(&work.splats),
+        Slice::from(&frame.color),
+        Slice::from(&frame.depth),
+    ];
+    let groups = Groups::Direct(blend::groups(shape.tiles, size, pixels_per_lane));
+    r.dispatch(&BLEND, &spec, &[], &buffers, groups)
+}
+
+fn slices(buffers: &[&Buffer]) -> Vec<Slice> {
+    buffers.iter().map(|b| Slice::from(*b)).collect()
+}
+
+/// Every kernel of the renderer, for the tests, the docs and the freshness check.
+pub static KERNELS: &[&Kernel] = &[
+    &DEFORM_NETWORK,
+    &DEFORM_PROJECT,
+    &COMPACT,
+    &super::radix_sort::SORT_HISTOGRAM,
+    &SORT_SPINE,
+    &SORT_SCATTER,
+    &SUM_TILE_COUNTS,
+    &EMIT_TILES,
+    &TILE_RANGES,
+    &BLEND,
+];

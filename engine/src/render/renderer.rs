@@ -1,0 +1,345 @@
+//! The renderer's public face: options, frames in flight, growth, read-back.
+
+use crate::error::{Error, Result};
+use crate::gpu::kernel::Workload;
+use crate::gpu::{Buffer, Commands, Gpu, Memory, Timing};
+use crate::image::Image;
+use crate::scene::{Camera, MotionSource, Rejected, Scene};
+
+use super::frame::{Frame, FrameOptions};
+use super::limits::{
+    COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE, TILE_SIZE,
+};
+use super::pipeline::{self, FrameBuffers, Shape};
+use super::scene_buffers::{Poses, SceneBuffers};
+use super::work_buffers::{COUNTER_WORDS, WorkBuffers};
+
+/// Tile instances that the first frame has room for, per Gaussian.
+const FIRST_INSTANCES_PER_GAUSSIAN: u64 = 2;
+/// Room beyond what a frame needed when the buffers grow.
+const GROWTH_PERCENT: u64 = 125;
+/// Frames of one renderer that may be in flight.
+const FRAMES_IN_FLIGHT: usize = 2;
+
+/// What to draw and how.
+#[derive(Debug, Clone)]
+pub struct RenderOptions {
+    /// Colour behind everything.
+    pub background: [f32; 3],
+    /// Gaussians at camera depth z ≤ near are not drawn; world units.
+    pub near: f32,
+    /// Whether the weighted depth is rendered too.
+    pub depth: bool,
+    /// Where the poses of a moving scene come from.
+    pub motion: MotionSource,
+    /// Largest number of tile instances; `None`: what the device's buffers can hold.
+    pub max_instances: Option<u64>,
+    /// Whether timestamps are taken around every operation.
+    pub profile: bool,
+}
+
+impl Default for RenderOptions {
+    fn default() -> Self {
+        Self {
+            background: [0.0; 3],
+            near: 0.2,
+            depth: false,
+            motion: MotionSource::Auto,
+            max_instances: None,
+            profile: false,
+        }
+    }
+}
+
+/// What a finished frame counted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct FrameStatistics {
+    /// Gaussians that touch the image.
+    pub visible: u32,
+    /// (Gaussian, tile) pairs.
+    pub instances: u64,
+    /// Gaussians refused on the device because a derived value was not finite (those refused on upload included).
+    pub rejected: u32,
+}
+
+/// Device memory of a renderer, bytes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct MemoryUse {
+    /// The model.
+    pub scene: u64,
+    /// Intermediate buffers that grow with the number of Gaussians.
+    pub per_gaussian: u64,
+    /// Intermediate buffers that grow with the number of tile instances.
+    pub per_instance: u64,
+    /// Images of all frames in flight.
+    pub images: u64,
+    /// Tile instances that the buffers hold.
+    pub instance_capacity: u64,
+}
+
+/// A frame in flight; see [`Renderer::submit`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FrameId(u64);
+
+#[derive(Debug)]
+struct Slot {
+    buffers: FrameBuffers,
+    commands: Commands,
+    frame: u64,
+}
+
+/// Everything that depends on image size and capacity.
+#[derive(Debug)]
+struct Targets {
+    size: [u32; 2],
+    capacity: u32,
+    work: WorkBuffers,
+    slots: Vec<Slot>,
+    readback: Option<Buffer>,
+}
+
+/// Renders one scene.
+#[derive(Debug)]
+pub struct Renderer {
+    gpu: Gpu,
+    options: RenderOptions,
+    scene: SceneBuffers,
+    targets: Option<Targets>,
+    capacity: u64,
+    frames: u64,
+}
+
+impl Renderer {
+    /// Uploads a scene. Invalid Gaussians (see [`crate::scene::Gaussians::is_valid`]) are counted and never shown.
+    ///
+    /// # Errors
+    /// `Usage` for an inconsistent scene or a motion source that it lacks, `Limit` and `OutOfMemory` when it does not fit.
+    pub fn new(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<Self> {
+        let scene = SceneBuffers::new(gpu, scene, options.motion)?;
+        let capacity = (u64::from(scene.gaussians) * FIRST_INSTANCES_PER_GAUSSIAN).max(4096);
+        let mut renderer =
+            Self { gpu: gpu.clone(), options: options.clone(), scene, targets: None, capacity, frames: 0 };
+        renderer.capacity = capacity.min(renderer.instance_limit());
+        Ok(renderer)
+    }
+
+    /// Gaussians refused on upload, by reason.
+    pub fn rejected(&self) -> Rejected {
+        self.scene.rejected
+    }
+
+    /// Renders one view at `time` (unit of the motion table) and reads it back.
+    ///
+    /// # Errors
+    /// `Limit` when the view needs more tile instances than the device or the options allow; `NonFinite` or `Usage` for
+    /// a senseless camera; `OutOfMemory`; `DeviceLost`.
+    pub fn render(&mut self, camera: &Camera, time: f64) -> Result<Image> {
+        let (frame, _) = self.draw(camera, time)?;
+        self.read(frame)
+    }
+
+    /// Renders one view, growing the buffers until it fits, and leaves the image on the device.
+    pub fn draw(&mut self, camera: &Camera, time: f64) -> Result<(FrameId, FrameStatistics)> {
+        loop {
+            let frame = self.submit(camera, time)?;
+            if let Some(statistics) = self.finish(frame)? {
+                return Ok((frame, statistics));
+            }
+        }
+    }
+
+    /// Starts a frame without waiting for it, unless [`Renderer::frames_in_flight`] are running already.
+    pub fn submit(&mut self, camera: &Camera, time: f64) -> Result<FrameId> {
+        let mut frame = self.frame(camera, time)?;
+        let slot = self.prepare([camera.width, camera.height])?;
+        let pose = self.scene.host_poses(time);
+        let Some(targets) = &mut self.targets else {
+            return Err(Error::usage("renderer", "no targets", "targets after prepare"));
+        };
+        frame.limits[0] = targets.capacity;
+        let slot = &mut targets.slots[slot];
+        self.gpu.wait_for(&slot.commands)?;
+        slot.buffers.frame.write(0, bytemuck::bytes_of(&frame))?;
+        if let (Some(buffer), Some(pose)) = (&slot.buffers.host_pose, pose) {
+            buffer.write(0, bytemuck::cast_slice(&pose))?;
+        }
+        self.gpu.submit(&mut slot.commands)?;
+        self.frames += 1;
+        slot.frame = self.frames;
+        Ok(FrameId(self.frames))
+    }
+
+    /// Waits for a frame. `None`: it needed more tile instances than there was room for; its image is invalid, the
+    /// buffers are grown for the next try.
+    pub fn finish(&mut self, frame: FrameId) -> Result<Option<FrameStatistics>> {
+        let slot = self.slot(frame)?;
+        self.gpu.wait_for(&slot.commands)?;
+        let mut bytes = [0_u8; COUNTER_WORDS as usize * 4];
+        slot.buffers.counters.read(0, &mut bytes)?;
+        let word = |i: u32| u32::from_le_bytes([0, 1, 2, 3].map(|b| bytes[4 * i as usize + b]));
+        let instances = u64::from(word(COUNT_INSTANCES_HIGH)) << 32 | u64::from(word(COUNT_INSTANCES_LOW));
+        if word(COUNT_FAILED) != 0 {
+            self.grow(instances)?;
+            return Ok(None);
+        }
+        Ok(Some(FrameStatistics { visible: word(COUNT_VISIBLE), instances, rejected: word(COUNT_REJECTED) }))
+    }
+
+    /// Reads the image of a finished frame.
+    pub fn read(&mut self, frame: FrameId) -> Result<Image> {
+        let with_depth = self.options.depth;
+        let slot = self.slot(frame)?;
+        let (color, depth) = (slot.buffers.color.clone(), slot.buffers.depth.clone());
+        let Some(targets) = &mut self.targets else {
+            return Err(Error::usage("renderer", "no targets", "a finished frame"));
+        };
+        let [width, height] = targets.size;
+        let pixels = width as usize * height as usize;
+        let (color_bytes, depth_bytes) = (pixels as u64 * 16, if with_depth { pixels as u64 * 4 } else { 0 });
+        let readback = match &targets.readback {
+            Some(buffer) => buffer.clone(),
+            None => {
+                let bytes = color_bytes + depth_bytes;
+                targets.readback.insert(self.gpu.buffer("image readback", bytes, Memory::Readback)?).clone()
+            }
+        };
+        let mut recorder = self.gpu.recorder("read image");
+        recorder.copy(color.slice(0, color_bytes), readback.slice(0, color_bytes))?;
+        if with_depth {
+            recorder.copy(depth.slice(0, depth_bytes), readback.slice(color_bytes, depth_bytes))?;
+        }
+        recorder.host_read(&readback);
+        self.gpu.run(recorder)?;
+        let mut image =
+            Image { width, height, rgba: vec![0.0; pixels * 4], depth: vec![0.0; depth_bytes as usize / 4] };
+        readback.read(0, bytemuck::cast_slice_mut(&mut image.rgba))?;
+        readback.read(color_bytes, bytemuck::cast_slice_mut(&mut image.depth))?;
+        Ok(image)
+    }
+
+    /// How many frames may be in flight.
+    pub fn frames_in_flight(&self) -> usize {
+        FRAMES_IN_FLIGHT
+    }
+
+    /// Device times of a finished frame's operations; empty unless [`RenderOptions::profile`].
+    pub fn timings(&self, frame: FrameId) -> Result<Vec<Timing>> {
+        self.slot(frame)?.commands.timings()
+    }
+
+    /// The recorded commands of the current image size, for plans and counts; `None` before the first frame.
+    pub fn commands(&self) -> Option<&Commands> {
+        self.targets.as_ref().and_then(|t| t.slots.first()).map(|s| &s.commands)
+    }
+
+    /// Amounts of work of a frame, from which kernels derive the bytes that they move.
+    pub fn workload(&self, statistics: &FrameStatistics) -> Workload {
+        let size = self.targets.as_ref().map_or([0, 0], |t| t.size);
+        let tiles = u64::from(size[0].div_ceil(TILE_SIZE)) * u64::from(size[1].div_ceil(TILE_SIZE));
+        Workload(
+            [
+                ("gaussians", u64::from(self.scene.gaussians)),
+                ("superpoints", u64::from(self.scene.superpoints)),
+                ("visible", u64::from(statistics.visible)),
+                ("instances", statistics.instances),
+                ("tiles", tiles),
+                ("pixels", u64::from(size[0]) * u64::from(size[1])),
+                ("sh_degree", u64::from(self.scene.sh_degree)),
+                ("sh_coefficients", u64::from((self.scene.sh_degree + 1) * (self.scene.sh_degree + 1))),
+                ("moving", u64::from(self.scene.moves())),
+                ("depth", u64::from(self.options.depth)),
+            ]
+            .into_iter()
+            .collect(),
+        )
+    }
+
+    /// Device memory in use.
+    pub fn memory(&self) -> MemoryUse {
+        let mut used = MemoryUse { scene: self.scene.bytes(), ..MemoryUse::default() };
+        if let Some(targets) = &self.targets {
+            (used.per_gaussian, used.per_instance) = targets.work.bytes();
+            used.images = targets.slots.iter().map(|s| s.buffers.color.bytes() + s.buffers.depth.bytes()).sum();
+            used.instance_capacity = targets.capacity.into();
+        }
+        used
+    }
+
+    fn slot(&self, frame: FrameId) -> Result<&Slot> {
+        let slots = self.targets.iter().flat_map(|t| &t.slots);
+        slots.into_iter().find(|s| s.frame == frame.0 && frame.0 != 0).ok_or_else(|| {
+            Error::usage("frame", format!("{}", frame.0), format!("one of the last {FRAMES_IN_FLIGHT} frames"))
+        })
+    }
+
+    fn frame(&self, camera: &Camera, time: f64) -> Result<Frame> {
+        let options = FrameOptions {
+            background: self.options.background,
+            near: self.options.near,
+            time,
+            interval: self.scene.interval(time),
+            gaussians: self.scene.gaussians,
+            superpoints: self.scene.superpoints,
+            sh_degree: self.scene.sh_degree,
+            instance_capacity: 0,
+        };
+        Frame::new(camera, self.scene.origin, &options)
+    }
+
+    /// Makes targets of this size and capacity when there are none; returns the slot for the next frame.
+    fn prepare(&mut self, size: [u32; 2]) -> Result<usize> {
+        let capacity = self.capacity as u32;
+        let fits = self.targets.as_ref().is_some_and(|t| t.size == size && t.capacity == capacity);
+        if !fits {
+            // Old buffers go before new ones come: the peak is the larger of the two, not the sum.
+            self.targets = None;
+            self.targets = Some(self.make_targets(size, capacity)?);
+        }
+        Ok(self.frames as usize % FRAMES_IN_FLIGHT)
+    }
+
+    fn make_targets(&self, size: [u32; 2], capacity: u32) -> Result<Targets> {
+        let tiles = size[0].div_ceil(TILE_SIZE) * size[1].div_ceil(TILE_SIZE);
+        let work = WorkBuffers::new(&self.gpu, self.scene.gaussians, tiles, capacity)?;
+        let shape = Shape { tiles, with_depth: self.options.depth, profile: self.options.profile };
+        let slots = (0..FRAMES_IN_FLIGHT)
+            .map(|_| {
+                let buffers = self.frame_buffers(size)?;
+                let commands = pipeline::record(&self.gpu, &self.scene, &work, &buffers, shape)?;
+                Ok(Slot { buffers, commands, frame: 0 })
+            })
+            .collect::<Result<_>>()?;
+        Ok(Targets { size, capacity, work, slots, readback: None })
+    }
+
+    fn frame_buffers(&self, size: [u32; 2]) -> Result<FrameBuffers> {
+        let pixels = u64::from(size[0]) * u64::from(size[1]);
+        let depth_bytes = if self.options.depth { pixels * 4 } else { 16 };
+        let pose_bytes = u64::from(self.scene.superpoints) * 32;
+        let host_pose = matches!(self.scene.poses, Poses::Host(_));
+        Ok(FrameBuffers {
+            frame: self.gpu.buffer("frame", size_of::<Frame>() as u64, Memory::Upload)?,
+            host_pose: host_pose.then(|| self.gpu.buffer("pose", pose_bytes, Memory::Upload)).transpose()?,
+            color: self.gpu.buffer("color", pixels * 16, Memory::Device)?,
+            depth: self.gpu.buffer("depth", depth_bytes, Memory::Device)?,
+            counters: self.gpu.buffer("counters readback", COUNTER_WORDS * 4, Memory::Readback)?,
+        })
+    }
+
+    /// Most tile instances that one binding of 4-byte words holds.
+    fn instance_limit(&self) -> u64 {
+        let c = &self.gpu.info().capabilities;
+        let device = (c.max_storage_buffer_range.min(c.max_allocation_bytes) / 4).min(1 << 31);
+        self.options.max_instances.unwrap_or(u64::MAX).min(device)
+    }
+
+    fn grow(&mut self, needed: u64) -> Result<()> {
+        let limit = self.instance_limit();
+        if needed > limit {
+            let what = format!("tile instances of {} Gaussians in this view", self.scene.gaussians);
+            return Err(Error::Limit { what, need: needed.into(), have: limit.into() });
+        }
+        self.capacity = (needed * GROWTH_PERCENT / 100).clamp(self.capacity, limit);
+        Ok(())
+    }
+}

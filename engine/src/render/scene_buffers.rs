@@ -1,0 +1,268 @@
+//! A scene on the device: the model's arrays, plane by plane, and where its motion comes from.
+
+use glam::{DMat3, DVec3};
+
+use crate::error::{Error, Result};
+use crate::gpu::{Buffer, Gpu, Memory};
+use crate::scene::{Gaussians, KeyInterval, Motion, MotionSource, Rejected, Scene};
+
+use super::deform_network::pack_weights;
+
+/// A scene is moved to the origin when its centre is farther away than this many times its extent: poses then keep their
+/// precision, because |Exp(r)μ + τ| no longer cancels.
+const RECENTRE_RATIO: f64 = 64.0;
+
+/// How poses reach the kernels.
+#[derive(Debug)]
+pub(super) enum Poses {
+    /// Nothing moves.
+    Static,
+    /// The key-time table lies on the device; two keys are interpolated in `deform_project`.
+    Table(Motion),
+    /// Poses of each frame come from the host in f64 (a moving scene far from the world's origin).
+    Host(Motion),
+    /// Network F runs on the device each frame.
+    Network {
+        /// Packed weights.
+        weights: Buffer,
+        /// `[M,3]` canonical centres.
+        superpoint_position: Buffer,
+    },
+}
+
+/// The model's arrays on the device.
+#[derive(Debug)]
+pub(super) struct SceneBuffers {
+    pub(super) gaussians: u32,
+    pub(super) superpoints: u32,
+    pub(super) sh_degree: u32,
+    /// World position of the coordinates' origin.
+    pub(super) origin: DVec3,
+    pub(super) poses: Poses,
+    pub(super) rejected: Rejected,
+    pub(super) mean: Buffer,
+    pub(super) log_scale: Buffer,
+    pub(super) rotation: Buffer,
+    pub(super) opacity_logit: Buffer,
+    pub(super) superpoint_of_gaussian: Buffer,
+    /// `[T,M,2]` vec4 of the table, or `[M,2]` written by network F.
+    pub(super) pose: Buffer,
+    pub(super) sh: [Buffer; 4],
+}
+
+impl SceneBuffers {
+    pub(super) fn new(gpu: &Gpu, scene: &Scene, source: MotionSource) -> Result<Self> {
+        let g = &scene.gaussians;
+        check_lengths(g)?;
+        let motion = select_motion(scene, source)?;
+        let mut rejected = Rejected::default();
+        let valid: Vec<bool> = (0..g.len()).map(|i| g.is_valid(i, &mut rejected)).collect();
+        let moving = !matches!(motion, Selected::None);
+        let origin = if moving { far_origin(g, &valid) } else { DVec3::ZERO };
+        let mean: Vec<[f32; 3]> = g
+            .mean
+            .iter()
+            .zip(&valid)
+            // A refused Gaussian keeps its index; a NaN centre is culled by the first comparison on the device.
+            .map(
+                |(m, ok)| {
+                    if *ok { (DVec3::from(m.map(f64::from)) - origin).as_vec3().to_array() } else { [f32::NAN; 3] }
+                },
+            )
+            .collect();
+        let of_gaussian = scene.superpoints.as_ref().map_or(&[][..], |s| &s.of_gaussian);
+        let superpoints = motion.superpoints(scene) as u32;
+        let (pose, poses) = upload_motion(gpu, scene, motion, origin)?;
+        let band = |b: u32| gpu.buffer_with(&format!("sh_{b}"), bytemuck::cast_slice(&sh_band(g, b)));
+        Ok(Self {
+            gaussians: g.len() as u32,
+            superpoints,
+            sh_degree: g.sh_degree,
+            origin,
+            poses,
+            rejected,
+            mean: gpu.buffer_with("mean", bytemuck::cast_slice(&planes(&mean)))?,
+            log_scale: gpu.buffer_with("log_scale", bytemuck::cast_slice(&planes(&g.log_scale)))?,
+            rotation: gpu.buffer_with("rotation", bytemuck::cast_slice(&g.rotation))?,
+            opacity_logit: gpu.buffer_with("opacity_logit", bytemuck::cast_slice(&g.opacity_logit))?,
+            superpoint_of_gaussian: gpu.buffer_with("superpoint_of_gaussian", bytemuck::cast_slice(of_gaussian))?,
+            pose,
+            sh: [band(0)?, band(1)?, band(2)?, band(3)?],
+        })
+    }
+
+    /// Whether `deform_project` reads poses.
+    pub(super) fn moves(&self) -> bool {
+        !matches!(self.poses, Poses::Static)
+    }
+
+    /// Key interval of a time in the pose table that the kernels see.
+    pub(super) fn interval(&self, time: f64) -> KeyInterval {
+        if let Poses::Table(motion) = &self.poses { motion.interval(time) } else { KeyInterval::default() }
+    }
+
+    /// Poses at `time` as `[M,2]` vec4, relative to the origin: Exp(r)(μ' + o) + τ − o = Exp(r)μ' + τ'. Only for
+    /// [`Poses::Host`].
+    pub(super) fn host_poses(&self, time: f64) -> Option<Vec<[f32; 4]>> {
+        let Poses::Host(motion) = &self.poses else { return None };
+        let interval = motion.interval(time);
+        let m = motion.superpoint_count();
+        let (first, second) = (interval.first as usize * m, interval.second as usize * m);
+        let lerp = |list: &[[f32; 3]], i: usize| {
+            let (a, b) = (DVec3::from(list[first + i].map(f64::from)), DVec3::from(list[second + i].map(f64::from)));
+            a + (b - a) * interval.weight
+        };
+        let mut out = Vec::with_capacity(2 * m);
+        for i in 0..m {
+            let r = lerp(&motion.rotation, i);
+            let angle = r.length();
+            let rotation = if angle > 0.0 { DMat3::from_axis_angle(r / angle, angle) } else { DMat3::IDENTITY };
+            let translation = rotation * self.origin - self.origin + lerp(&motion.translation, i);
+            out.push(r.as_vec3().extend(0.0).to_array());
+            out.push(translation.as_vec3().extend(0.0).to_array());
+        }
+        Some(out)
+    }
+
+    /// Bytes of the model on the device.
+    pub(super) fn bytes(&self) -> u64 {
+        let shared = [
+            &self.mean,
+            &self.log_scale,
+            &self.rotation,
+            &self.opacity_logit,
+            &self.superpoint_of_gaussian,
+            &self.pose,
+        ];
+        shared.iter().map(|b| b.bytes()).sum::<u64>() + self.sh.iter().map(Buffer::bytes).sum::<u64>()
+    }
+}
+
+enum Selected {
+    None,
+    Table,
+    Network,
+}
+
+impl Selected {
+    fn superpoints(&self, scene: &Scene) -> usize {
+        match self {
+            Self::None => 0,
+            _ => scene.superpoints.as_ref().map_or(0, |s| s.position.len()),
+        }
+    }
+}
+
+fn select_motion(scene: &Scene, source: MotionSource) -> Result<Selected> {
+    let missing = |what: &str| Err(Error::usage("--motion", what, "a source that the model contains"));
+    let table = scene.motion.as_ref().is_some_and(|m| !m.times.is_empty());
+    let Some(superpoints) = &scene.superpoints else {
+        return match source {
+            MotionSource::Auto => Ok(Selected::None),
+            MotionSource::Table => missing("table, but the model does not move"),
+            MotionSource::Network => missing("network, but the model does not move"),
+        };
+    };
+    let selected = match source {
+        MotionSource::Auto if table => Selected::Table,
+        MotionSource::Auto if scene.deform.is_some() => Selected::Network,
+        MotionSource::Auto => Selected::None,
+        MotionSource::Table if table => Selected::Table,
+        MotionSource::Table => return missing("table, but the model has no key-time table"),
+        MotionSource::Network if scene.deform.is_some() => Selected::Network,
+        MotionSource::Network => return missing("network, but the model has no network F"),
+    };
+    let m = superpoints.position.len();
+    let count = superpoints.of_gaussian.len();
+    if count != scene.gaussians.len() {
+        return Err(Error::usage(
+            "superpoints.of_gaussian",
+            count.to_string(),
+            format!("{} entries", scene.gaussians.len()),
+        ));
+    }
+    if let Some(bad) = superpoints.of_gaussian.iter().find(|&&j| j as usize >= m) {
+        return Err(Error::usage("superpoints.of_gaussian", bad.to_string(), format!("an index below {m}")));
+    }
+    if let (Selected::Table, Some(motion)) = (&selected, &scene.motion) {
+        let expected = motion.times.len() * m;
+        if motion.rotation.len() != expected || motion.translation.len() != expected {
+            let found = format!("{} rotations, {} translations", motion.rotation.len(), motion.translation.len());
+            return Err(Error::usage("motion table", found, format!("{expected} each")));
+        }
+    }
+    Ok(selected)
+}
+
+fn upload_motion(gpu: &Gpu, scene: &Scene, selected: Selected, origin: DVec3) -> Result<(Buffer, Poses)> {
+    let m = selected.superpoints(scene) as u64;
+    match (selected, &scene.motion, &scene.deform, &scene.superpoints) {
+        (Selected::Table, Some(motion), _, _) if origin == DVec3::ZERO => {
+            let pairs = motion.rotation.iter().zip(&motion.translation);
+            let packed: Vec<[f32; 4]> =
+                pairs.flat_map(|(r, t)| [[r[0], r[1], r[2], 0.0], [t[0], t[1], t[2], 0.0]]).collect();
+            Ok((gpu.buffer_with("pose", bytemuck::cast_slice(&packed))?, Poses::Table(motion.clone())))
+        }
+        (Selected::Table, Some(motion), _, _) => {
+            Ok((gpu.buffer("pose", m * 32, Memory::Upload)?, Poses::Host(motion.clone())))
+        }
+        (Selected::Network, _, Some(network), Some(superpoints)) => {
+            let weights = gpu.buffer_with("weights", bytemuck::cast_slice(&pack_weights(network)?))?;
+            let superpoint_position =
+                gpu.buffer_with("superpoint_position", bytemuck::cast_slice(&superpoints.position))?;
+            Ok((gpu.buffer("pose", m * 32, Memory::Device)?, Poses::Network { weights, superpoint_position }))
+        }
+        _ => Ok((gpu.buffer("pose", 32, Memory::Device)?, Poses::Static)),
+    }
+}
+
+/// `[N,3]` → three planes of N.
+fn planes(values: &[[f32; 3]]) -> Vec<f32> {
+    (0..3).flat_map(|axis| values.iter().map(move |v| v[axis])).collect()
+}
+
+/// Coefficients of one SH band as planes of N: plane = (k − b²)·3 + channel. Empty above the scene's degree.
+fn sh_band(g: &Gaussians, band: u32) -> Vec<f32> {
+    if band > g.sh_degree {
+        return Vec::new();
+    }
+    let k3 = g.sh_coefficients() * 3;
+    let (first, last) = ((band * band) as usize * 3, ((band + 1) * (band + 1)) as usize * 3);
+    (first..last).flat_map(|c| (0..g.len()).map(move |i| g.sh[i * k3 + c])).collect()
+}
+
+/// Centre of the valid Gaussians' bounds when it is far away in terms of their extent, else zero.
+fn far_origin(g: &Gaussians, valid: &[bool]) -> DVec3 {
+    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for (m, _) in g.mean.iter().zip(valid).filter(|(_, ok)| **ok) {
+        let m = DVec3::from(m.map(f64::from));
+        low = low.min(m);
+        high = high.max(m);
+    }
+    let centre = (low + high) * 0.5;
+    let far = low.x <= high.x && centre.length() > RECENTRE_RATIO * (high - low).length().max(1.0);
+    // Rounded to f32, so that subtracting it from f32 means is exact.
+    if far { centre.as_vec3().as_dvec3() } else { DVec3::ZERO }
+}
+
+fn check_lengths(g: &Gaussians) -> Result<()> {
+    let n = g.len();
+    let lengths = [
+        ("log_scale", g.log_scale.len(), n),
+        ("rotation", g.rotation.len(), n),
+        ("opacity_logit", g.opacity_logit.len(), n),
+        ("sh", g.sh.len(), n * g.sh_coefficients() * 3),
+    ];
+    for (name, found, expected) in lengths {
+        if found != expected {
+            return Err(Error::usage(format!("gaussians.{name}"), format!("{found} values"), format!("{expected}")));
+        }
+    }
+    if g.sh_degree > 3 {
+        return Err(Error::usage("SH degree", g.sh_degree.to_string(), "0 to 3"));
+    }
+    if n > 1 << 30 {
+        return Err(Error::Limit { what: "Gaussians".into(), need: n as u128, have: 1 << 30 });
+    }
+    Ok(())
+}

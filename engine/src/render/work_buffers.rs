@@ -1,0 +1,101 @@
+//! Intermediate buffers of a frame and their sizes. One arena holds everything that must be zero at the start of a frame,
+//! so that one fill clears it.
+
+use crate::error::{Error, Result};
+use crate::gpu::{Buffer, Gpu, Memory, SLICE_ALIGNMENT, Slice};
+
+use super::compact::INDIRECT_WORDS;
+use super::radix_sort::SortPlan;
+use super::tiles::{block_words, tile_key_bits};
+
+/// Words of `counters`.
+pub(super) const COUNTER_WORDS: u64 = 8;
+/// Bits of a depth key: the whole positive float.
+const DEPTH_KEY_BITS: u32 = 32;
+
+/// Keys and values, twice, for a sort that goes back and forth.
+#[derive(Debug)]
+pub(super) struct SortBuffers {
+    pub(super) plan: SortPlan,
+    pub(super) keys: [Buffer; 2],
+    pub(super) values: [Buffer; 2],
+    /// One histogram per pass, inside the zeroed arena.
+    pub(super) histograms: Vec<Slice>,
+}
+
+/// Everything between the scene and the image.
+#[derive(Debug)]
+pub(super) struct WorkBuffers {
+    pub(super) zeroed: Buffer,
+    pub(super) counters: Slice,
+    pub(super) visible_block: Slice,
+    pub(super) instance_block: Slice,
+    pub(super) ranges: Slice,
+    pub(super) block_capacity: u32,
+    pub(super) indirect: Buffer,
+    pub(super) splats: Buffer,
+    pub(super) tile_count: Buffer,
+    pub(super) depth: SortBuffers,
+    pub(super) tile: SortBuffers,
+}
+
+impl WorkBuffers {
+    /// Buffers for `gaussians`, `tiles` of the image and at most `instances` (Gaussian, tile) pairs.
+    pub(super) fn new(gpu: &Gpu, gaussians: u32, tiles: u32, instances: u32) -> Result<Self> {
+        let depth_plan = SortPlan::new(gaussians.max(1), DEPTH_KEY_BITS)?;
+        let tile_plan = SortPlan::new(instances.max(1), tile_key_bits(tiles))?;
+        let (words, block_capacity) = block_words(gaussians);
+        let block_bytes = u64::from(words) * 4;
+        let mut sizes = vec![COUNTER_WORDS * 4, block_bytes, block_bytes, u64::from(tiles) * 8];
+        let histograms = |plan: &SortPlan| vec![plan.histogram_bytes(); plan.digits.len()];
+        sizes.extend(histograms(&depth_plan));
+        sizes.extend(histograms(&tile_plan));
+        let total: u64 = sizes.iter().map(|s| s.next_multiple_of(SLICE_ALIGNMENT)).sum();
+        let zeroed = gpu.buffer("zeroed", total, Memory::Device)?;
+        let mut start = 0;
+        let mut slices = sizes.into_iter().map(|bytes| {
+            let slice = zeroed.slice(start, bytes);
+            start += bytes.next_multiple_of(SLICE_ALIGNMENT);
+            slice
+        });
+        let mut next = || slices.next().ok_or_else(|| Error::usage("zeroed arena", "too few parts", "one per buffer"));
+        let (counters, visible_block, instance_block, ranges) = (next()?, next()?, next()?, next()?);
+        let depth_histograms = depth_plan.digits.iter().map(|_| next()).collect::<Result<_>>()?;
+        let tile_histograms = tile_plan.digits.iter().map(|_| next()).collect::<Result<_>>()?;
+        drop(slices);
+        let word = |name: &str, count: u32| gpu.buffer(name, u64::from(count.max(1)) * 4, Memory::Device);
+        let sort = |names: [&str; 4], plan: SortPlan, histograms| {
+            let n = plan.capacity;
+            let keys = [word(names[0], n)?, word(names[1], n)?];
+            let values = [word(names[2], n)?, word(names[3], n)?];
+            Ok::<_, Error>(SortBuffers { plan, keys, values, histograms })
+        };
+        Ok(Self {
+            counters,
+            visible_block,
+            instance_block,
+            ranges,
+            block_capacity,
+            indirect: word("indirect", INDIRECT_WORDS)?,
+            splats: gpu.buffer("splats", u64::from(gaussians.max(1)) * 48, Memory::Device)?,
+            tile_count: word("tile_count", gaussians)?,
+            depth: sort(
+                ["depth_keys_a", "depth_keys_b", "depth_values_a", "depth_values_b"],
+                depth_plan,
+                depth_histograms,
+            )?,
+            tile: sort(["tile_keys_a", "tile_keys_b", "tile_values_a", "tile_values_b"], tile_plan, tile_histograms)?,
+            zeroed,
+        })
+    }
+
+    /// Bytes that grow with the number of Gaussians, and bytes that grow with the number of tile instances.
+    pub(super) fn bytes(&self) -> (u64, u64) {
+        let sort = |s: &SortBuffers| {
+            let arrays = s.keys.iter().chain(&s.values).map(Buffer::bytes).sum::<u64>();
+            arrays + s.histograms.iter().map(|h| h.bytes).sum::<u64>()
+        };
+        let blocks = self.visible_block.bytes + self.instance_block.bytes;
+        (self.splats.bytes() + self.tile_count.bytes() + blocks + sort(&self.depth), sort(&self.tile))
+    }
+}
