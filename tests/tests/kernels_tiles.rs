@@ -155,6 +155,11 @@ fn sort(
     groups: u32,
 ) -> (Vec<u32>, Vec<u32>) {
     for pass in 0..plan.digits.len() {
+        if plan.prescanned {
+            let buffers = vec![counters.to_vec(), histogram];
+            let push = plan.spine_push(count_word);
+            histogram = run(gpu, &SORT_SPINE, &[], bytemuck::bytes_of(&push), buffers, SPINE_GROUPS).swap_remove(1);
+        }
         let push = plan.scatter_push(pass, count_word);
         let (out, next) = (vec![0; keys.len()], vec![0; histogram.len()]);
         let buffers = vec![counters.to_vec(), histogram, keys, values, out.clone(), out, next];
@@ -164,6 +169,8 @@ fn sort(
         values = done.swap_remove(5);
         keys = done.swap_remove(4);
     }
+    let count = counters[count_word as usize] as usize;
+    assert!(counters[3] != 0 || keys[..count].is_sorted());
     (keys, values)
 }
 

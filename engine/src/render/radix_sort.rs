@@ -9,7 +9,6 @@ use super::limits::*;
 use super::twin;
 use crate::error::{Error, Result};
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
-use crate::gpu::{Buffer, Groups, Recorder, Slice};
 
 /// Above this many partitions `sort_spine` scans the histogram before each `sort_scatter`.
 pub const SPINE_PARTITIONS: u32 = 128;
@@ -114,7 +113,6 @@ pub static SORT_SPINE: Kernel = Kernel {
 };
 
 const DIGITS: usize = SORT_DIGITS as usize;
-const ROW_BYTES: u64 = SORT_DIGITS as u64 * 4;
 
 fn sort_scatter_twin(call: &mut TwinCall<'_>) {
     let push: SortScatterPush = twin::push(call);
@@ -280,91 +278,5 @@ impl SortPlan {
     /// Push constants of `sort_spine`.
     pub fn spine_push(&self, count_word: u32) -> SortSpinePush {
         SortSpinePush { count_word, totals_row: self.partitions }
-    }
-}
-
-/// Buffers of a recorded sort.
-#[derive(Debug, Clone)]
-pub struct SortBuffers {
-    /// `counters`, which hold the number of keys.
-    pub counters: Slice,
-    /// Keys: input in \[0\], then ping-pong.
-    pub keys: [Slice; 2],
-    /// Values that travel with the keys.
-    pub values: Option<[Slice; 2]>,
-    /// [`SortPlan::sort_histogram_bytes`] bytes: a histogram per pass, then two spare rows that stand in for the
-    /// buffers a pass does not use. All zero except the first pass's, which was counted.
-    pub histogram: Buffer,
-}
-
-impl SortPlan {
-    /// Bytes of the histogram buffer of a recorded sort.
-    pub fn sort_histogram_bytes(&self) -> u64 {
-        self.digits.len() as u64 * self.histogram_bytes() + 2 * ROW_BYTES
-    }
-
-    /// The histogram of one pass.
-    pub fn histogram(&self, buffer: &Buffer, pass: usize) -> Slice {
-        buffer.slice(pass as u64 * self.histogram_bytes(), self.histogram_bytes())
-    }
-
-    fn spare_row(&self, buffer: &Buffer, row: u64) -> Slice {
-        buffer.slice(self.digits.len() as u64 * self.histogram_bytes() + row * ROW_BYTES, ROW_BYTES)
-    }
-
-    /// Zeroes the histograms and counts the first digit, for keys nobody counted.
-    ///
-    /// # Errors
-    /// As [`Recorder::dispatch`].
-    pub fn record_count(&self, recorder: &mut Recorder, buffers: &SortBuffers, count_word: u32) -> Result<()> {
-        recorder.fill(&buffers.histogram, 0)?;
-        let slices = [buffers.counters.clone(), buffers.keys[0].clone(), self.histogram(&buffers.histogram, 0)];
-        let groups = Groups::Direct(self.partitions.into());
-        recorder.dispatch(&SORT_HISTOGRAM, &[], bytemuck::bytes_of(&self.histogram_push(count_word)), &slices, groups)
-    }
-
-    /// Records the passes. `groups` = ceil(keys / 4096), from the device where the count is there. Returns which of the
-    /// two key and value buffers holds the result.
-    ///
-    /// # Errors
-    /// As [`Recorder::dispatch`].
-    pub fn record_passes(
-        &self,
-        recorder: &mut Recorder,
-        label: &str,
-        buffers: &SortBuffers,
-        count_word: u32,
-        groups: &Groups,
-    ) -> Result<usize> {
-        for pass in 0..self.digits.len() {
-            let (from, to) = (pass % 2, (pass + 1) % 2);
-            let histogram = self.histogram(&buffers.histogram, pass);
-            if self.prescanned {
-                let slices = [buffers.counters.clone(), histogram.clone()];
-                let push = self.spine_push(count_word);
-                let spine = Groups::Direct(SPINE_GROUPS.into());
-                let name = format!("{label} spine {pass}");
-                recorder.dispatch_labelled(&name, &SORT_SPINE, &[], bytemuck::bytes_of(&push), &slices, spine)?;
-            }
-            let (values_in, values_out) = match &buffers.values {
-                Some(values) => (values[from].clone(), values[to].clone()),
-                None => (buffers.keys[from].clone(), self.spare_row(&buffers.histogram, 0)),
-            };
-            let next = if pass + 1 < self.digits.len() {
-                self.histogram(&buffers.histogram, pass + 1)
-            } else {
-                self.spare_row(&buffers.histogram, 1)
-            };
-            let counters = buffers.counters.clone();
-            let keys = [buffers.keys[from].clone(), buffers.keys[to].clone()];
-            let [keys_in, keys_out] = keys;
-            let slices = [counters, histogram, keys_in, values_in, keys_out, values_out, next];
-            let spec = self.scatter_spec(pass, buffers.values.is_some());
-            let push = self.scatter_push(pass, count_word);
-            let name = format!("{label} {pass}");
-            let push = bytemuck::bytes_of(&push);
-            recorder.dispatch_labelled(&name, &SORT_SCATTER, &spec, push, &slices, groups.clone())?;
-        }
-        Ok(self.result_in())
     }
 }
