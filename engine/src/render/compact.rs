@@ -30,7 +30,7 @@ pub const INDIRECT_RANGES: u32 = 12;
 /// Words of `indirect`.
 pub const INDIRECT_WORDS: u32 = 16;
 
-/// Stable compaction. Dispatch ceil(gaussians / 1024) workgroups; `histogram` must be zero.
+/// Stable compaction. Dispatch ceil(gaussians / 1024) workgroups; `next_histogram` must be zero.
 pub static COMPACT: Kernel = Kernel {
     name: "compact",
     doc: "packs the visible Gaussians into (depth key, index) pairs in index order, counts the first depth digit, \
@@ -47,7 +47,7 @@ pub static COMPACT: Kernel = Kernel {
         Binding::new("indirect", Access::Write, Element::U32),
         Binding::new("keys", Access::Write, Element::U32),
         Binding::new("values", Access::Write, Element::U32),
-        Binding::new("histogram", Access::Atomic, Element::U32),
+        Binding::new("next_histogram", Access::Atomic, Element::U32),
     ],
     twin: compact_twin,
     tolerance: Tolerance::EXACT,

@@ -73,7 +73,7 @@ fn sum_tile_counts_twin(call: &mut TwinCall<'_>) {
     }
 }
 
-/// Tile instances in depth order. Dispatch ceil(visible / 256) workgroups; `histogram` must be zero.
+/// Tile instances in depth order. Dispatch ceil(visible / 256) workgroups; `next_histogram` must be zero.
 pub static EMIT_TILES: Kernel = Kernel {
     name: "emit_tiles",
     doc: "writes one (tile, Gaussian) pair for each tile a visible Gaussian reaches, in depth order, and counts the \
@@ -90,7 +90,7 @@ pub static EMIT_TILES: Kernel = Kernel {
         Binding::new("instance_block", Access::Read, Element::U32),
         Binding::new("keys", Access::Write, Element::U32),
         Binding::new("values", Access::Write, Element::U32),
-        Binding::new("histogram", Access::Atomic, Element::U32),
+        Binding::new("next_histogram", Access::Atomic, Element::U32),
     ],
     twin: emit_tiles_twin,
     tolerance: Tolerance::EXACT,
