@@ -13,12 +13,22 @@ pub struct Image {
     pub depth: Vec<f32>,
 }
 
-/// How far a test image is from the reference.
+impl Image {
+    /// R, G, B of every pixel, without A: the values that [`difference`] compares.
+    pub fn rgb(&self) -> impl Iterator<Item = f64> {
+        self.rgba.chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]).map(f64::from)
+    }
+}
+
+/// PSNR reported for equal images, and the bound of every PSNR, dB: JSON has no infinity.
+pub const PSNR_CAP: f64 = 300.0;
+
+/// How far a test image is from the reference. All fields are finite.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Difference {
-    /// Peak signal-to-noise ratio over R, G, B with peak 1, dB; infinite for equal images.
+    /// Peak signal-to-noise ratio over R, G, B with peak 1, dB, held within ±[`PSNR_CAP`].
     pub psnr: f64,
-    /// Largest absolute difference.
+    /// Largest absolute difference; `f64::MAX` where a value is NaN, infinite or missing.
     pub max: f64,
     /// 99.9 % quantile of the absolute differences.
     pub q999: f64,
@@ -26,23 +36,64 @@ pub struct Difference {
     pub within_1e3: f64,
 }
 
-/// Compares two equally long lists of values; a NaN on either side counts as an infinite difference.
+/// Compares two lists of values. A value that is NaN or missing (lists of unequal length) on either side counts as the
+/// largest difference there is.
 pub fn difference(reference: impl IntoIterator<Item = f64>, test: impl IntoIterator<Item = f64>) -> Difference {
-    let mut errors: Vec<f64> = reference
-        .into_iter()
-        .zip(test)
-        .map(|(a, b)| {
-            let e = (a - b).abs();
-            if e.is_nan() { f64::INFINITY } else { e }
-        })
-        .collect();
+    let mut errors = absolute_errors(reference.into_iter(), test.into_iter());
     if errors.is_empty() {
-        return Difference { psnr: f64::INFINITY, max: 0.0, q999: 0.0, within_1e3: 1.0 };
+        return Difference { psnr: PSNR_CAP, max: 0.0, q999: 0.0, within_1e3: 1.0 };
     }
     let count = errors.len() as f64;
     let mse = errors.iter().map(|e| e * e).sum::<f64>() / count;
     let within = errors.iter().filter(|&&e| e <= 1.0e-3).count() as f64 / count;
     errors.sort_unstable_by(f64::total_cmp);
     let rank = ((0.999 * count).ceil() as usize).clamp(1, errors.len());
-    Difference { psnr: -10.0 * mse.log10(), max: errors[errors.len() - 1], q999: errors[rank - 1], within_1e3: within }
+    Difference {
+        psnr: (-10.0 * mse.log10()).clamp(-PSNR_CAP, PSNR_CAP),
+        max: errors[errors.len() - 1],
+        q999: errors[rank - 1],
+        within_1e3: within,
+    }
+}
+
+fn absolute_errors(mut reference: impl Iterator<Item = f64>, mut test: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut errors = Vec::new();
+    loop {
+        match (reference.next(), test.next()) {
+            (None, None) => return errors,
+            (Some(a), Some(b)) => {
+                let e = (a - b).abs();
+                errors.push(if e.is_finite() { e } else { f64::MAX });
+            }
+            _ => errors.push(f64::MAX),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn difference_of_known_lists() {
+        let d = difference([0.0, 0.5, 1.0, 1.0], [0.0, 0.5, 0.9, 1.0]);
+        assert!((d.psnr - 10.0 * (4.0f64 / 0.01).log10()).abs() < 1.0e-9);
+        assert!((d.max - 0.1).abs() < 1.0e-15 && (d.q999 - 0.1).abs() < 1.0e-15);
+        assert_eq!(d.within_1e3, 0.75);
+        assert_eq!(difference([1.0], [1.0]).psnr, PSNR_CAP);
+    }
+
+    #[test]
+    fn bad_or_missing_values_are_the_largest_difference() {
+        for d in [difference([f64::NAN, 0.0], [0.0, 0.0]), difference([0.0, 0.0], [0.0]), difference([], [f64::NAN])] {
+            assert_eq!((d.psnr, d.max), (-PSNR_CAP, f64::MAX));
+            assert!(d.within_1e3 < 1.0);
+        }
+    }
+
+    #[test]
+    fn rgb_leaves_alpha_out() {
+        let image = Image { width: 1, height: 2, rgba: vec![1.0, 2.0, 3.0, 9.0, 4.0, 5.0, 6.0, 9.0], depth: vec![] };
+        assert_eq!(image.rgb().collect::<Vec<_>>(), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+    }
 }

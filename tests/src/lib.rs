@@ -1,6 +1,8 @@
 //! Test harness: one device per test, and a failed test when the validation layer said anything.
 
+pub mod compare;
 pub mod kernel_case;
+pub mod render_case;
 
 use engine::gpu::{Gpu, GpuOptions};
 pub use kernel_case::{KernelCase, KernelResult};

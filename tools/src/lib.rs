@@ -1,1 +1,3 @@
 //! Shared parts of the command-line programs.
+
+pub mod oracle;

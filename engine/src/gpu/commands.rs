@@ -50,7 +50,7 @@ impl Commands {
         name: String,
         operations: Vec<Operation>,
         plan: String,
-        profile: bool,
+        (profile, begin_barrier): (bool, bool),
     ) -> Result<Self> {
         let shared = &gpu.0;
         let breadcrumbs = if shared.options.breadcrumbs {
@@ -75,7 +75,7 @@ impl Commands {
             last: Submission(0),
         };
         commands.create_pools(profile)?;
-        commands.record()?;
+        commands.record(begin_barrier)?;
         Ok(commands)
     }
 
@@ -110,7 +110,7 @@ impl Commands {
         Ok(())
     }
 
-    fn record(&mut self) -> Result<()> {
+    fn record(&mut self, begin_barrier: bool) -> Result<()> {
         let device = &self.gpu.device;
         // SAFETY: all handles used below are live and kept by `self`; ranges were checked by the recorder.
         unsafe {
@@ -122,7 +122,10 @@ impl Commands {
             }
         }
         // Earlier submissions share buffers with this one; the queue alone orders nothing.
-        self.barrier(Stages(Stages::COMPUTE.0 | Stages::TRANSFER.0 | Stages::INDIRECT.0), true, Stages(7));
+        if begin_barrier {
+            let all = Stages::COMPUTE.union(Stages::TRANSFER).union(Stages::INDIRECT);
+            self.barrier(all, true, all);
+        }
         self.timestamp(0);
         for index in 0..self.operations.len() {
             if let Some(Barrier { source, flush, destination, .. }) = self.operations[index].barrier.clone() {

@@ -20,6 +20,9 @@ pub struct GpuOptions {
     pub device: Option<String>,
     /// Enable the Khronos validation layer with synchronisation validation; its messages are collected.
     pub validation: bool,
+    /// With `validation`: GPU-assisted checks (reads and writes past the end of a buffer) instead of synchronisation
+    /// validation. `SPGS_GPU_ASSISTED=1`.
+    pub gpu_assisted: bool,
     /// Note each operation in host-visible memory, so that a lost device names its last kernel.
     pub breadcrumbs: bool,
     /// Bytes of device memory the engine may allocate; `None`: 80 % of the largest device-local heap.
@@ -37,6 +40,7 @@ impl Default for GpuOptions {
         Self {
             device: std::env::var("SPGS_DEVICE").ok().filter(|v| !v.is_empty()),
             validation: flag("SPGS_VALIDATION", false),
+            gpu_assisted: flag("SPGS_GPU_ASSISTED", false),
             breadcrumbs: flag("SPGS_BREADCRUMBS", true),
             byte_budget: None,
             pipeline_cache: true,
@@ -300,8 +304,15 @@ fn create_instance(options: &GpuOptions) -> Result<(ash::Entry, ash::Instance, O
         extensions.push(ash::khr::portability_enumeration::NAME.as_ptr());
         flags |= vk::InstanceCreateFlags::ENUMERATE_PORTABILITY_KHR;
     }
-    let enabled = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
-    let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&enabled);
+    let enabled: &[vk::ValidationFeatureEnableEXT] = if options.gpu_assisted {
+        &[
+            vk::ValidationFeatureEnableEXT::GPU_ASSISTED,
+            vk::ValidationFeatureEnableEXT::GPU_ASSISTED_RESERVE_BINDING_SLOT,
+        ]
+    } else {
+        &[vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION]
+    };
+    let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(enabled);
     let mut create = vk::InstanceCreateInfo::default()
         .flags(flags)
         .application_info(&app)

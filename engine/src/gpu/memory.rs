@@ -54,11 +54,26 @@ pub struct Slice {
     pub start: u64,
     /// Length in bytes.
     pub bytes: u64,
+    name: Option<&'static str>,
+}
+
+impl Slice {
+    /// Name in plans: the part's own, else the buffer's.
+    pub fn name(&self) -> &str {
+        self.name.unwrap_or_else(|| self.buffer.name())
+    }
+
+    /// Gives a part of an arena a name of its own.
+    #[must_use]
+    pub fn named(mut self, name: &'static str) -> Self {
+        self.name = Some(name);
+        self
+    }
 }
 
 impl From<&Buffer> for Slice {
     fn from(buffer: &Buffer) -> Self {
-        Self { buffer: buffer.clone(), start: 0, bytes: buffer.bytes() }
+        Self { buffer: buffer.clone(), start: 0, bytes: buffer.bytes(), name: None }
     }
 }
 
@@ -90,10 +105,10 @@ impl Buffer {
         self.0.memory
     }
 
-    /// A range of it. Panics are avoided: a range past the end is cut to the buffer.
+    /// A range of it; one past the end is cut to the buffer.
     pub fn slice(&self, start: u64, bytes: u64) -> Slice {
         let start = start.min(self.0.bytes);
-        Slice { buffer: self.clone(), start, bytes: bytes.min(self.0.bytes - start) }
+        Slice { buffer: self.clone(), start, bytes: bytes.min(self.0.bytes - start), name: None }
     }
 
     pub(super) fn raw(&self) -> vk::Buffer {

@@ -11,6 +11,7 @@ mod commands;
 mod device;
 pub mod kernel;
 mod memory;
+pub mod mmap;
 mod pipeline;
 mod recorder;
 pub mod spirv;

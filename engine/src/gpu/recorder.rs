@@ -49,6 +49,7 @@ pub struct Recorder {
     profile: bool,
     tracker: HazardTracker,
     operations: Vec<Operation>,
+    begin_barrier: bool,
 }
 
 impl std::fmt::Debug for Recorder {
@@ -66,6 +67,7 @@ impl Gpu {
             profile: false,
             tracker: HazardTracker::default(),
             operations: Vec::new(),
+            begin_barrier: true,
         }
     }
 
@@ -217,16 +219,29 @@ impl Recorder {
         self.operations.is_empty()
     }
 
+    /// Test seam: drops the barrier before operation `index` (or, past the last, the one at the beginning), so that tests
+    /// can show that the validation layer notices. Returns whether there was one.
+    pub fn omit_barrier(&mut self, index: usize) -> bool {
+        match self.operations.get_mut(index) {
+            Some(operation) => operation.barrier.take().is_some(),
+            None => std::mem::replace(&mut self.begin_barrier, false),
+        }
+    }
+
     /// Derives nothing new: encodes the list with its barriers.
     pub fn finish(self) -> Result<Commands> {
-        let plan = plan(&self.operations);
-        Commands::encode(&self.gpu, self.name, self.operations, plan, self.profile)
+        let plan = plan(&self.operations, self.begin_barrier);
+        Commands::encode(&self.gpu, self.name, self.operations, plan, (self.profile, self.begin_barrier))
     }
 }
 
 /// The barrier plan as text: one line per operation, with the barrier before it and why.
-fn plan(operations: &[Operation]) -> String {
-    let mut text = String::from("begin | barrier ALL:W->ALL because of earlier submissions\n");
+fn plan(operations: &[Operation], begin_barrier: bool) -> String {
+    let mut text = String::from("begin");
+    if begin_barrier {
+        text.push_str(" | barrier ALL:W->ALL because of earlier submissions");
+    }
+    text.push('\n');
     for (index, operation) in operations.iter().enumerate() {
         let _ = write!(text, "#{index} {}", operation.label);
         if let Some(barrier) = &operation.barrier {
@@ -240,7 +255,7 @@ fn plan(operations: &[Operation]) -> String {
 fn access(slice: &Slice, stage: Stages, write: bool) -> Use {
     Use {
         buffer: slice.buffer.id(),
-        name: slice.buffer.name().to_owned(),
+        name: slice.name().to_owned(),
         start: slice.start,
         end: slice.start + slice.bytes,
         stage,

@@ -59,9 +59,14 @@ impl WorkBuffers {
             slice
         });
         let mut next = || slices.next().ok_or_else(|| Error::usage("zeroed arena", "too few parts", "one per buffer"));
-        let (counters, visible_block, instance_block, ranges) = (next()?, next()?, next()?, next()?);
-        let depth_histograms = depth_plan.digits.iter().map(|_| next()).collect::<Result<_>>()?;
-        let tile_histograms = tile_plan.digits.iter().map(|_| next()).collect::<Result<_>>()?;
+        let counters = next()?.named("counters");
+        let visible_block = next()?.named("visible_block");
+        let instance_block = next()?.named("instance_block");
+        let ranges = next()?.named("ranges");
+        let depth_histograms =
+            depth_plan.digits.iter().map(|_| Ok(next()?.named("depth_histogram"))).collect::<Result<_>>()?;
+        let tile_histograms =
+            tile_plan.digits.iter().map(|_| Ok(next()?.named("tile_histogram"))).collect::<Result<_>>()?;
         drop(slices);
         let word = |name: &str, count: u32| gpu.buffer(name, u64::from(count.max(1)) * 4, Memory::Device);
         let sort = |names: [&str; 4], plan: SortPlan, histograms| {

@@ -1,0 +1,247 @@
+//! What a model file holds, for `spgs inspect`.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::{Format, clean, model, ply};
+use crate::error::{Error, Result};
+use crate::gpu::mmap::map_file;
+use crate::scene::{Gaussians, Rejected, Scene};
+
+/// Range of a parameter over the valid Gaussians.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Statistics {
+    /// Tensor name.
+    pub name: String,
+    /// Smallest value.
+    pub min: f64,
+    /// Largest value.
+    pub max: f64,
+    /// Mean value.
+    pub mean: f64,
+}
+
+/// The key-time table.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MotionDescription {
+    /// T.
+    pub key_times: usize,
+    /// M.
+    pub superpoints: usize,
+    /// First and last key time.
+    pub time_range: [f32; 2],
+    /// Largest rotation angle of a pose, radians.
+    pub max_rotation: f64,
+    /// Largest translation of a pose, world units.
+    pub max_translation: f64,
+}
+
+/// What a model file holds.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Description {
+    /// Name of the file.
+    pub path: String,
+    /// Kind of file.
+    pub format: Format,
+    /// Size of the file.
+    pub bytes: u64,
+    /// N in the file.
+    pub gaussians: usize,
+    /// SH degree.
+    pub sh_degree: u32,
+    /// Gaussians that cannot be rendered.
+    pub rejected: Rejected,
+    /// Per parameter, over the valid Gaussians.
+    pub statistics: Vec<Statistics>,
+    /// Smallest and largest centre (canonical), world units; absent without a valid Gaussian.
+    pub bounds: Option<[[f32; 3]; 2]>,
+    /// Opacity (after the sigmoid) at the quantiles 0, 5, 25, 50, 75, 95 and 100 %; empty without a valid Gaussian.
+    pub opacity_quantiles: Vec<f64>,
+    /// M, where the scene has superpoints.
+    pub superpoints: Option<usize>,
+    /// The key-time table, where there is one.
+    pub motion: Option<MotionDescription>,
+    /// K' of the association, where there is one.
+    pub association_neighbors: Option<usize>,
+    /// Whether network F is there.
+    pub deform_network: bool,
+    /// Free metadata.
+    pub metadata: BTreeMap<String, String>,
+    /// Tensors of a `.safetensors`.
+    pub tensors: Vec<model::TensorInfo>,
+    /// Properties of a `.ply`'s vertices.
+    pub properties: Vec<String>,
+    /// Warnings of the load.
+    pub warnings: Vec<String>,
+}
+
+/// Reads and describes a model.
+///
+/// # Errors
+/// As [`super::load`].
+pub fn describe(path: &Path) -> Result<Description> {
+    let format = Format::of_file(path)?;
+    let (scene, warnings, tensors, properties, bytes);
+    match format {
+        Format::Ply => {
+            let content = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+            scene = Scene { gaussians: ply::parse(&content, path)?, ..Scene::default() };
+            (warnings, tensors, properties) = (Vec::new(), Vec::new(), ply::properties(&content, path)?);
+            bytes = content.len();
+        }
+        Format::Safetensors => {
+            let content = map_file(path)?;
+            (scene, warnings) = model::parse(&content, path)?;
+            (tensors, properties) = (model::tensors(&content, path)?, Vec::new());
+            bytes = content.len();
+        }
+    }
+    let gaussians = scene.gaussians.len();
+    let loaded = clean(scene, warnings, path);
+    let scene = loaded.scene;
+    Ok(Description {
+        path: path.display().to_string(),
+        format,
+        bytes: bytes as u64,
+        gaussians,
+        sh_degree: scene.gaussians.sh_degree,
+        rejected: loaded.rejected,
+        statistics: statistics(&scene.gaussians),
+        bounds: bounds(&scene.gaussians.mean),
+        opacity_quantiles: opacity_quantiles(&scene.gaussians.opacity_logit),
+        superpoints: scene.superpoints.as_ref().map(|s| s.position.len()),
+        motion: motion(&scene),
+        association_neighbors: scene.association.as_ref().map(|a| a.neighbors),
+        deform_network: scene.deform.is_some(),
+        metadata: scene.metadata,
+        tensors,
+        properties,
+        warnings: loaded.warnings,
+    })
+}
+
+fn statistics(g: &Gaussians) -> Vec<Statistics> {
+    if g.is_empty() {
+        return Vec::new();
+    }
+    let parameters = [
+        ("gaussians.mean", g.mean.as_flattened()),
+        ("gaussians.log_scale", g.log_scale.as_flattened()),
+        ("gaussians.rotation", g.rotation.as_flattened()),
+        ("gaussians.opacity_logit", &g.opacity_logit),
+        ("gaussians.sh", &g.sh),
+    ];
+    let of = |(name, values): (&str, &[f32])| {
+        let all = || values.iter().map(|&v| f64::from(v));
+        Statistics {
+            name: name.into(),
+            min: all().fold(f64::INFINITY, f64::min),
+            max: all().fold(f64::NEG_INFINITY, f64::max),
+            mean: all().sum::<f64>() / values.len() as f64,
+        }
+    };
+    parameters.into_iter().map(of).collect()
+}
+
+fn bounds(means: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {
+    let first = *means.first()?;
+    Some(means.iter().fold([first, first], |[mut low, mut high], mean| {
+        for axis in 0..3 {
+            low[axis] = low[axis].min(mean[axis]);
+            high[axis] = high[axis].max(mean[axis]);
+        }
+        [low, high]
+    }))
+}
+
+/// Quantiles that are reported, in percent.
+const QUANTILES: [usize; 7] = [0, 5, 25, 50, 75, 95, 100];
+
+fn opacity_quantiles(logits: &[f32]) -> Vec<f64> {
+    let mut sorted = logits.to_vec();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let Some(last) = sorted.len().checked_sub(1) else { return Vec::new() };
+    let sigmoid = |logit: f32| 1.0 / (1.0 + (-f64::from(logit)).exp());
+    QUANTILES.iter().map(|percent| sigmoid(sorted[last * percent / 100])).collect()
+}
+
+fn motion(scene: &Scene) -> Option<MotionDescription> {
+    let table = scene.motion.as_ref()?;
+    let longest = |vectors: &[[f32; 3]]| {
+        let length = |v: &[f32; 3]| v.iter().map(|&c| f64::from(c).powi(2)).sum::<f64>().sqrt();
+        vectors.iter().map(length).fold(0.0, f64::max)
+    };
+    Some(MotionDescription {
+        key_times: table.times.len(),
+        superpoints: table.superpoint_count(),
+        time_range: [*table.times.first()?, *table.times.last()?],
+        max_rotation: longest(&table.rotation),
+        max_translation: longest(&table.translation),
+    })
+}
+
+impl fmt::Display for Description {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let kind = match self.format {
+            Format::Ply => "3DGS .ply",
+            Format::Safetensors => "spgs .safetensors model",
+        };
+        writeln!(f, "{}: {kind}, {} bytes", self.path, self.bytes)?;
+        writeln!(f, "Gaussians       {} (SH degree {})", self.gaussians, self.sh_degree)?;
+        let r = &self.rejected;
+        if r.total() > 0 {
+            write!(
+                f,
+                "  not rendered  {}: {} not finite, {} zero rotation, ",
+                r.total(),
+                r.not_finite,
+                r.zero_rotation
+            )?;
+            writeln!(f, "{} absurd scale, {} out of range", r.absurd_scale, r.out_of_range)?;
+        }
+        for s in &self.statistics {
+            writeln!(f, "  {:<24} min {:<12.5} mean {:<12.5} max {:.5}", s.name, s.min, s.mean, s.max)?;
+        }
+        if let Some([low, high]) = self.bounds {
+            writeln!(f, "Bounds          {low:.4?} to {high:.4?}")?;
+        }
+        if !self.opacity_quantiles.is_empty() {
+            let pairs = QUANTILES.iter().zip(&self.opacity_quantiles);
+            let text: Vec<String> = pairs.map(|(percent, value)| format!("{percent} %: {value:.3}")).collect();
+            writeln!(f, "Opacity         {}", text.join("  "))?;
+        }
+        match (&self.motion, self.superpoints) {
+            (Some(m), _) => {
+                let [first, last] = m.time_range;
+                write!(
+                    f,
+                    "Motion          {} superpoints, {} key times from {first} to {last}, ",
+                    m.superpoints, m.key_times
+                )?;
+                writeln!(f, "rotations up to {:.4} rad, translations up to {:.4}", m.max_rotation, m.max_translation)?;
+            }
+            (None, Some(count)) => writeln!(f, "Superpoints     {count}, no key-time table")?,
+            (None, None) => writeln!(f, "Motion          none (static)")?,
+        }
+        if let Some(neighbors) = self.association_neighbors {
+            writeln!(f, "Association     {neighbors} neighbours per Gaussian")?;
+        }
+        if self.deform_network {
+            writeln!(f, "Network F       present")?;
+        }
+        for (key, value) in &self.metadata {
+            let short: String = value.chars().take(80).collect();
+            writeln!(f, "Metadata        {key} = {short}{}", if short.len() < value.len() { "…" } else { "" })?;
+        }
+        for t in &self.tensors {
+            writeln!(f, "Tensor          {:<32} {} {:?}, {} bytes", t.name, t.dtype, t.shape, t.bytes)?;
+        }
+        if !self.properties.is_empty() {
+            writeln!(f, "Properties      {}", self.properties.join(" "))?;
+        }
+        self.warnings.iter().try_for_each(|warning| writeln!(f, "Warning         {warning}"))
+    }
+}

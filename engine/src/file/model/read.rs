@@ -1,0 +1,213 @@
+//! Tensors by name to a [`Scene`].
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+
+use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorView};
+
+use super::{FORMAT, RESERVED, VERSION, checksum};
+use crate::error::{Error, Result};
+use crate::file::check;
+use crate::scene::network::{DeformNetwork, HIDDEN_LAYERS, HIDDEN_WIDTH, Linear};
+use crate::scene::{Association, Gaussians, Motion, Scene, Superpoints, Tensor};
+
+/// Parses the header; returns where the data begin.
+pub(super) fn header(bytes: &[u8], path: &Path) -> Result<(usize, Metadata)> {
+    let (length, header) = SafeTensors::read_metadata(bytes).map_err(|e| {
+        let length = bytes.first_chunk().map(|b| u64::from_le_bytes(*b));
+        let found = match length {
+            Some(length) => format!("{e} (header of {length} bytes in a file of {})", bytes.len()),
+            None => format!("{e} (a file of {} bytes)", bytes.len()),
+        };
+        Error::corrupt(path, "byte 0 (header)", found, "a safetensors header that covers the file exactly")
+    })?;
+    Ok((8 + length, header))
+}
+
+pub(super) fn model(bytes: &[u8], path: &Path) -> Result<(Scene, Vec<String>)> {
+    let (data_begin, header) = header(bytes, path)?;
+    let empty = HashMap::new();
+    let metadata = header.metadata().as_ref().unwrap_or(&empty);
+    check_format(metadata, path)?;
+    let mut warnings = Vec::new();
+    if !checksum::verify(metadata, &header, &bytes[data_begin..], path)? {
+        warnings.push(format!("{}: the file has no checksums: damage cannot be detected", path.display()));
+    }
+    let parsed = SafeTensors::deserialize(bytes)
+        .map_err(|e| Error::corrupt(path, "byte 0 (header)", e.to_string(), "a safetensors header"))?;
+    let mut tensors = Tensors { map: parsed.tensors().into_iter().collect(), path };
+    let gaussians = gaussians(&mut tensors)?;
+    let superpoints = superpoints(&mut tensors, gaussians.len())?;
+    let motion = motion(&mut tensors)?;
+    let association = association(&mut tensors, gaussians.len())?;
+    let deform = deform(&mut tensors)?;
+    let extra = tensors.rest(&mut warnings)?;
+    let metadata = metadata
+        .iter()
+        .filter(|(key, _)| !RESERVED.contains(&key.as_str()))
+        .map(|(key, value)| (key.clone(), value.clone()))
+        .collect();
+    let scene = Scene { gaussians, superpoints, motion, association, deform, extra, metadata };
+    check::scene(&scene).map_err(|problem| problem.corrupt(path))?;
+    Ok((scene, warnings))
+}
+
+fn check_format(metadata: &HashMap<String, String>, path: &Path) -> Result<()> {
+    for (key, expected) in [("format", FORMAT), ("version", VERSION)] {
+        let found = metadata.get(key);
+        if found.is_none_or(|f| f != expected) {
+            let found = found.map_or("nothing".into(), |f| format!("{key} `{f}`"));
+            let at = format!("metadata entry `{key}`");
+            return Err(Error::corrupt(path, at, found, format!("{key} `{expected}`")));
+        }
+    }
+    Ok(())
+}
+
+/// The tensors not taken yet.
+struct Tensors<'a> {
+    map: BTreeMap<String, TensorView<'a>>,
+    path: &'a Path,
+}
+
+/// A dimension that a tensor must have: `Some` a number, `None` any.
+type Shape<'a> = &'a [Option<usize>];
+
+impl Tensors<'_> {
+    /// Whether the tensors `names` are there; some but not all is an error.
+    fn group(&self, names: &[&str]) -> Result<bool> {
+        let present = names.iter().find(|name| self.map.contains_key(**name));
+        let absent = names.iter().find(|name| !self.map.contains_key(**name));
+        match (present, absent) {
+            (Some(present), Some(absent)) => {
+                let expected = format!("it beside `{present}`");
+                Err(Error::corrupt(self.path, format!("tensor `{absent}`"), "nothing", expected))
+            }
+            (present, _) => Ok(present.is_some()),
+        }
+    }
+
+    fn take(&mut self, name: &str, dtype: Dtype, shape: Shape<'_>) -> Result<(Vec<usize>, &[u8])> {
+        let at = || format!("tensor `{name}`");
+        let expected = || {
+            let sides: Vec<String> = shape.iter().map(|s| s.map_or("any".into(), |n| n.to_string())).collect();
+            format!("{dtype} [{}]", sides.join(", "))
+        };
+        let Some(view) = self.map.remove(name) else {
+            return Err(Error::corrupt(self.path, at(), "nothing", expected()));
+        };
+        let found = view.shape();
+        let fits = found.len() == shape.len() && found.iter().zip(shape).all(|(f, s)| s.is_none_or(|s| s == *f));
+        if view.dtype() != dtype || !fits {
+            return Err(Error::corrupt(self.path, at(), format!("{} {found:?}", view.dtype()), expected()));
+        }
+        Ok((found.to_vec(), view.data()))
+    }
+
+    fn f32s(&mut self, name: &str, shape: Shape<'_>) -> Result<(Vec<usize>, Vec<f32>)> {
+        let (shape, bytes) = self.take(name, Dtype::F32, shape)?;
+        Ok((shape, words(bytes).map(f32::from_bits).collect()))
+    }
+
+    fn u32s(&mut self, name: &str, shape: Shape<'_>) -> Result<(Vec<usize>, Vec<u32>)> {
+        let (shape, bytes) = self.take(name, Dtype::U32, shape)?;
+        Ok((shape, words(bytes).collect()))
+    }
+
+    /// Rows of `W` numbers; all dimensions but the last make up the row count.
+    fn rows<const W: usize>(&mut self, name: &str, outer: Shape<'_>) -> Result<(Vec<usize>, Vec<[f32; W]>)> {
+        let shape: Vec<Option<usize>> = outer.iter().copied().chain([Some(W)]).collect();
+        let (shape, bytes) = self.take(name, Dtype::F32, &shape)?;
+        let row = |bytes: &[u8]| {
+            let mut row = [0.0; W];
+            row.iter_mut().zip(words(bytes)).for_each(|(v, word)| *v = f32::from_bits(word));
+            row
+        };
+        Ok((shape, bytes.chunks_exact(4 * W).map(row).collect()))
+    }
+
+    /// What nobody took: f32 tensors are carried along, others cannot be.
+    fn rest(self, warnings: &mut Vec<String>) -> Result<BTreeMap<String, Tensor>> {
+        let mut extra = BTreeMap::new();
+        for (name, view) in self.map {
+            if view.dtype() == Dtype::F32 {
+                let data = words(view.data()).map(f32::from_bits).collect();
+                extra.insert(name, Tensor { shape: view.shape().to_vec(), data });
+            } else if check::NAMESPACES.iter().any(|space| name.starts_with(space)) {
+                let found = format!("{} {:?}", view.dtype(), view.shape());
+                return Err(Error::corrupt(self.path, format!("tensor `{name}`"), found, "F32"));
+            } else {
+                let (path, dtype) = (self.path.display(), view.dtype());
+                warnings.push(format!("{path}: tensor `{name}` ({dtype}) is not of this format and is skipped"));
+            }
+        }
+        Ok(extra)
+    }
+}
+
+fn words(bytes: &[u8]) -> impl Iterator<Item = u32> {
+    bytes.chunks_exact(4).map(|b| u32::from_le_bytes(b.first_chunk().copied().unwrap_or_default()))
+}
+
+fn gaussians(tensors: &mut Tensors<'_>) -> Result<Gaussians> {
+    let (shape, mean) = tensors.rows::<3>("gaussians.mean", &[None])?;
+    let n = Some(shape[0]);
+    let (_, log_scale) = tensors.rows::<3>("gaussians.log_scale", &[n])?;
+    let (_, rotation) = tensors.rows::<4>("gaussians.rotation", &[n])?;
+    let (_, opacity_logit) = tensors.f32s("gaussians.opacity_logit", &[n])?;
+    let (shape, sh) = tensors.f32s("gaussians.sh", &[n, None, Some(3)])?;
+    let Some(sh_degree) = (0..=3).find(|d| (d + 1) * (d + 1) == shape[1]) else {
+        let expected = "K = 1, 4, 9 or 16 (SH degree 0 to 3)";
+        return Err(Error::corrupt(tensors.path, "tensor `gaussians.sh`", format!("K = {}", shape[1]), expected));
+    };
+    Ok(Gaussians { mean, log_scale, rotation, opacity_logit, sh_degree: sh_degree as u32, sh })
+}
+
+fn superpoints(tensors: &mut Tensors<'_>, n: usize) -> Result<Option<Superpoints>> {
+    const NAMES: [&str; 2] = ["superpoints.of_gaussian", "superpoints.position"];
+    if !tensors.group(&NAMES)? {
+        return Ok(None);
+    }
+    let (_, of_gaussian) = tensors.u32s(NAMES[0], &[Some(n)])?;
+    let (_, position) = tensors.rows::<3>(NAMES[1], &[None])?;
+    Ok(Some(Superpoints { of_gaussian, position }))
+}
+
+fn motion(tensors: &mut Tensors<'_>) -> Result<Option<Motion>> {
+    const NAMES: [&str; 3] = ["motion.times", "motion.rotation", "motion.translation"];
+    if !tensors.group(&NAMES)? {
+        return Ok(None);
+    }
+    let (shape, times) = tensors.f32s(NAMES[0], &[None])?;
+    let t = Some(shape[0]);
+    let (shape, rotation) = tensors.rows::<3>(NAMES[1], &[t, None])?;
+    let (_, translation) = tensors.rows::<3>(NAMES[2], &[t, Some(shape[1])])?;
+    Ok(Some(Motion { times, rotation, translation }))
+}
+
+fn association(tensors: &mut Tensors<'_>, n: usize) -> Result<Option<Association>> {
+    const NAMES: [&str; 2] = ["association.neighbor", "association.logit"];
+    if !tensors.group(&NAMES)? {
+        return Ok(None);
+    }
+    let (shape, neighbor) = tensors.u32s(NAMES[0], &[Some(n), None])?;
+    let (_, logit) = tensors.f32s(NAMES[1], &[Some(n), Some(shape[1])])?;
+    Ok(Some(Association { neighbors: shape[1], neighbor, logit }))
+}
+
+fn deform(tensors: &mut Tensors<'_>) -> Result<Option<DeformNetwork>> {
+    if !tensors.map.keys().any(|name| name.starts_with("deform.")) {
+        return Ok(None);
+    }
+    let mut layer = |name: &str, inputs: usize, outputs: usize| -> Result<Linear> {
+        let (_, weight) = tensors.f32s(&format!("{name}.weight"), &[Some(outputs), Some(inputs)])?;
+        let (_, bias) = tensors.f32s(&format!("{name}.bias"), &[Some(outputs)])?;
+        Ok(Linear { inputs, outputs, weight, bias })
+    };
+    let linear = (0..HIDDEN_LAYERS)
+        .map(|i| layer(&format!("deform.linear.{i}"), DeformNetwork::layer_inputs(i), HIDDEN_WIDTH))
+        .collect::<Result<_>>()?;
+    let translation = layer("deform.translation", HIDDEN_WIDTH, 3)?;
+    let rotation = layer("deform.rotation", HIDDEN_WIDTH, 3)?;
+    Ok(Some(DeformNetwork { linear, translation, rotation }))
+}

@@ -1,0 +1,191 @@
+//! Inputs for the render kernels: random and nasty Gaussians as the kernels' buffers, and the tile lists that the sort
+//! would produce, made on the CPU.
+
+use engine::render::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectPush};
+use engine::render::ellipse::Ellipse;
+use engine::render::frame::{Frame, FrameOptions};
+use engine::render::twin::vec4_at;
+use engine::scene::Camera;
+use glam::DVec3;
+
+use crate::KernelCase;
+
+/// A small deterministic random generator (splitmix64).
+#[derive(Debug, Clone)]
+pub struct Random(pub u64);
+
+impl Random {
+    /// 64 random bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    /// Uniform in \[0, 1).
+    pub fn unit(&mut self) -> f32 {
+        (self.bits() >> 40) as f32 / (1_u64 << 24) as f32
+    }
+
+    /// Uniform in \[low, high).
+    pub fn range(&mut self, low: f32, high: f32) -> f32 {
+        low + (high - low) * self.unit()
+    }
+}
+
+/// Gaussians as the kernels' buffers (words of float, plane-major), with a pose table when moving.
+#[derive(Debug, Clone, Default)]
+pub struct RenderInput {
+    /// N.
+    pub count: usize,
+    /// SH degree.
+    pub degree: u32,
+    /// `[3][N]`.
+    pub mean: Vec<f32>,
+    /// `[3][N]`.
+    pub log_scale: Vec<f32>,
+    /// `[N][4]` w, x, y, z.
+    pub rotation: Vec<f32>,
+    /// `[N]`.
+    pub opacity_logit: Vec<f32>,
+    /// Bands 0–3, plane-major.
+    pub sh: [Vec<f32>; 4],
+    /// `[N]`.
+    pub superpoint_of_gaussian: Vec<u32>,
+    /// `[T][M][2][4]`; empty when static.
+    pub pose: Vec<f32>,
+    /// M.
+    pub superpoints: u32,
+}
+
+impl RenderInput {
+    /// N random Gaussians around the origin, of ordinary sizes, colours and opacities.
+    pub fn random(count: usize, degree: u32, seed: u64) -> Self {
+        let mut r = Random(seed);
+        let mut fill = |n: usize, low: f32, high: f32| (0..n).map(|_| r.range(low, high)).collect::<Vec<f32>>();
+        let band = |l: u32| if l <= degree { 3 * (2 * l as usize + 1) * count } else { 4 };
+        Self {
+            count,
+            degree,
+            mean: fill(3 * count, -1.5, 1.5),
+            log_scale: fill(3 * count, -5.0, -2.0),
+            rotation: fill(4 * count, -1.0, 1.0),
+            opacity_logit: fill(count, -4.0, 5.0),
+            sh: std::array::from_fn(|l| fill(band(l as u32), -0.6, 0.6)),
+            superpoint_of_gaussian: vec![0; count.max(1)],
+            pose: Vec::new(),
+            superpoints: 0,
+        }
+    }
+
+    /// Gives it `superpoints` random poses at two keys.
+    #[must_use]
+    pub fn moving(mut self, superpoints: u32, seed: u64) -> Self {
+        let mut r = Random(seed);
+        self.superpoints = superpoints;
+        self.superpoint_of_gaussian = (0..self.count).map(|_| (r.bits() % u64::from(superpoints)) as u32).collect();
+        self.pose = (0..2 * superpoints * 2)
+            .flat_map(|_| [r.range(-0.8, 0.8), r.range(-0.8, 0.8), r.range(-0.8, 0.8), 0.0])
+            .collect();
+        self
+    }
+
+    /// Puts a nasty value into about a third of the Gaussians: NaN, infinities, zero and huge quaternions, absurd scales,
+    /// huge and tiny numbers, superpoints that do not exist.
+    pub fn spoil(&mut self, seed: u64) {
+        let mut r = Random(seed);
+        let n = self.count;
+        let nasty = [f32::NAN, f32::INFINITY, -f32::INFINITY, 0.0, -0.0, 1e-42, 1e38, -1e38, 1e15, 29.9, -29.9, 31.0];
+        for g in 0..n {
+            let value = nasty[(r.bits() % nasty.len() as u64) as usize];
+            match r.bits() % 24 {
+                0 => self.mean[(r.bits() % 3) as usize * n + g] = value,
+                1 => self.log_scale[(r.bits() % 3) as usize * n + g] = value,
+                2 => self.rotation[4 * g + (r.bits() % 4) as usize] = value,
+                3 => self.rotation[4 * g..4 * g + 4].fill(value),
+                4 => self.opacity_logit[g] = value,
+                5 => self.sh[0][(r.bits() % 3) as usize * n + g] = value,
+                6 => self.superpoint_of_gaussian[g] = u32::MAX - (r.bits() % 3) as u32,
+                7 => (0..3).for_each(|c| self.log_scale[c * n + g] = r.range(-30.0, 30.0)),
+                _ => {}
+            }
+        }
+    }
+
+    /// Buffers of `deform_project` in binding order, and its other arguments.
+    pub fn deform_project(&self, frame: &Frame) -> KernelCase {
+        let words = |v: &[f32]| v.iter().map(|x| x.to_bits()).collect::<Vec<u32>>();
+        let groups = (self.count as u32).div_ceil(DEFORM_PROJECT_THREADS);
+        let blocks = groups.max(1);
+        let motion = u32::from(!self.pose.is_empty());
+        KernelCase {
+            kernel: &DEFORM_PROJECT,
+            spec: vec![self.degree, motion],
+            push: bytemuck::bytes_of(&DeformProjectPush { block_capacity: blocks }).to_vec(),
+            buffers: vec![
+                bytemuck::cast_slice(&[*frame]).to_vec(),
+                words(&self.mean),
+                words(&self.log_scale),
+                words(&self.rotation),
+                words(&self.opacity_logit),
+                self.superpoint_of_gaussian.clone(),
+                words(&self.pose),
+                words(&self.sh[0]),
+                words(&self.sh[1]),
+                words(&self.sh[2]),
+                words(&self.sh[3]),
+                vec![0; 12 * self.count],
+                vec![0; self.count],
+                vec![0; (blocks + blocks.div_ceil(256)) as usize],
+                vec![0; 8],
+            ],
+            groups: groups.max(1),
+        }
+    }
+
+    /// A frame of these Gaussians.
+    ///
+    /// # Panics
+    /// When the camera is refused.
+    pub fn frame(&self, camera: &Camera) -> Frame {
+        let options = FrameOptions {
+            background: [0.1, 0.2, 0.3],
+            gaussians: self.count as u32,
+            superpoints: self.superpoints,
+            sh_degree: self.degree,
+            interval: engine::scene::KeyInterval { first: 0, second: u32::from(self.superpoints > 0), weight: 0.3 },
+            ..FrameOptions::default()
+        };
+        Frame::new(camera, DVec3::ZERO, &options).unwrap()
+    }
+}
+
+/// A camera that looks at the origin from 4 units away.
+pub fn test_camera(width: u32, height: u32) -> Camera {
+    Camera::look_at(DVec3::new(1.2, -0.8, -3.7), DVec3::new(0.05, 0.02, 0.0), -DVec3::Y, 0.75, [width, height])
+}
+
+/// `ranges` and `values`: per tile the visible Gaussians by depth, ties by index.
+pub fn tile_lists(frame: &Frame, splats: &[u32], tile_count: &[u32]) -> (Vec<u32>, Vec<u32>) {
+    let size = [frame.size[0], frame.size[1]];
+    let mut visible: Vec<usize> = (0..tile_count.len()).filter(|&g| tile_count[g] > 0).collect();
+    visible.sort_by_key(|&g| splats[12 * g + 6]);
+    let mut lists = vec![Vec::new(); frame.limits[1] as usize];
+    for g in visible {
+        let e = Ellipse::of_splat(vec4_at(splats, 3 * g), vec4_at(splats, 3 * g + 1));
+        let rows = e.tile_row_range(size);
+        for row in rows[0]..rows[1] {
+            let columns = e.tile_columns_of_row(row, size);
+            (columns[0]..columns[1]).for_each(|c| lists[(row * frame.size[2] + c) as usize].push(g as u32));
+        }
+    }
+    let (mut ranges, mut values) = (Vec::new(), Vec::new());
+    for list in lists {
+        let start = values.len() as u32;
+        values.extend(list);
+        ranges.extend([start, values.len() as u32]);
+    }
+    (ranges, values)
+}
