@@ -22,7 +22,7 @@ use serde::Serialize;
 /// Near plane of the image files, world units.
 pub const NEAR: f64 = 0.01;
 /// An array dimension beyond this is taken for damage.
-const MAX_DIMENSION: u64 = 1 << 24;
+const MAX_DIMENSION: u64 = 1 << 22;
 
 /// One image file.
 #[derive(Debug, Clone, PartialEq)]

@@ -81,36 +81,30 @@ fn hard_cases_equal_brute_force_where_small() {
     for case in hard_cases() {
         let pixels = case.camera.width as usize * case.camera.height as usize;
         if pixels * case.scene.gaussians.len() <= 2_000_000 {
-            assert_same_as_brute_force(&case.scene, &case.camera, case.time, &case.reference_options());
+            assert_same_as_brute_force(&case.scene, &case.camera, case.time, &ReferenceOptions::from(&case));
             compared += 1;
         }
     }
     assert!(compared >= 20, "{compared}");
 }
 
-trait Options {
-    fn reference_options(&self) -> ReferenceOptions;
-}
-
-impl Options for crate::scene::synthetic::HardCase {
-    fn reference_options(&self) -> ReferenceOptions {
-        ReferenceOptions {
-            near: f64::from(self.near),
-            background: self.background.map(f64::from),
-            motion: MotionSource::Auto,
-        }
-    }
-}
-
 #[test]
 fn hard_cases_render_finite_images_with_the_expected_rejects() {
     for case in hard_cases() {
-        let image = render(&case.scene, &case.camera, case.time, &case.reference_options()).unwrap();
+        let image = render(&case.scene, &case.camera, case.time, &ReferenceOptions::from(&case)).unwrap();
         assert!(image.rgb.iter().chain(&image.alpha).chain(&image.depth).all(|x| x.is_finite()), "{}", case.name);
         assert_eq!(image.rejected.total(), case.rejected, "{}", case.name);
         let covered = image.alpha.iter().any(|&a| a > 0.0);
         assert_eq!(covered, !case.empty, "{}: anything to see", case.name);
     }
+}
+
+#[test]
+fn the_clamp_case_holds_pixels_exactly_at_the_stop_threshold() {
+    let case = hard_cases().into_iter().find(|case| case.name == "alpha_clamp").unwrap();
+    let image = render(&case.scene, &case.camera, case.time, &ReferenceOptions::from(&case)).unwrap();
+    let at_threshold = image.alpha.iter().filter(|&&a| (1.0 - a - 1.0e-4).abs() < 1.0e-12).count();
+    assert!(at_threshold >= 10, "{at_threshold}");
 }
 
 /// One pixel in front of which everything is known in closed form.
@@ -236,7 +230,6 @@ fn table_is_interpolated_inside_and_held_outside() {
 #[test]
 fn moving_the_scene_rigidly_equals_moving_the_camera() {
     let still = random_scene(300, 9, 0);
-    let pose = Pose { rotation: DVec3::new(0.3, -0.2, 0.9), translation: DVec3::new(0.2, 0.1, -0.3) };
     let moved = Scene {
         superpoints: Some(Superpoints { of_gaussian: vec![0; 300], position: vec![[0.0; 3]] }),
         motion: Some(Motion {
@@ -248,7 +241,7 @@ fn moving_the_scene_rigidly_equals_moving_the_camera() {
     };
     let f32_exact = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
     let motion = moved.motion.as_ref().unwrap();
-    let pose = Pose { rotation: f32_exact(motion.rotation[0]), translation: f32_exact(motion.translation[0]), ..pose };
+    let pose = Pose { rotation: f32_exact(motion.rotation[0]), translation: f32_exact(motion.translation[0]) };
     let camera = camera(40, 30);
     let turn = exp(pose.rotation);
     let other = Camera {

@@ -39,7 +39,7 @@ struct Surface {
     opacity: f64,
 }
 
-/// The demo scene: about 36,000 Gaussians of SH degree 2, 39 superpoints, 129 key times over [0, 1].
+/// The demo scene: about 43,000 Gaussians of SH degree 2, 40 superpoints, 129 key times over [0, 1].
 pub fn demo_scene() -> Scene {
     let mut random = Random::new(2024);
     let mut builder = Builder::default();

@@ -163,7 +163,7 @@ fn opacities() -> Vec<HardCase> {
     let depths = |n: usize| (0..n).map(|i| 1.0 + 0.01 * i as f32).collect::<Vec<_>>();
     let mut opaque = stack(&depths(12), 1.0, 0.4);
     for (i, mean) in opaque.mean.iter_mut().enumerate() {
-        mean[0] = 0.12 * i as f32 - 0.6;
+        mean[0] = 0.02 * i as f32 - 0.1;
     }
     let mut limits = cloud(200, 31);
     for (i, logit) in limits.opacity_logit.iter_mut().enumerate() {
