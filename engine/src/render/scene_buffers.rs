@@ -207,7 +207,7 @@ fn upload_motion(gpu: &Gpu, scene: &Scene, selected: Selected, origin: DVec3) ->
             Ok((gpu.buffer("pose", m * 32, Memory::Upload)?, Poses::Host(motion.clone())))
         }
         (Selected::Network, _, Some(network), Some(superpoints)) => {
-            let weights = gpu.buffer_with("weights", bytemuck::cast_slice(&pack_weights(network)?))?;
+            let weights = gpu.buffer_with("weights", bytemuck::cast_slice(&pack_weights(network, false)?))?;
             let superpoint_position =
                 gpu.buffer_with("superpoint_position", bytemuck::cast_slice(&superpoints.position))?;
             Ok((gpu.buffer("pose", m * 32, Memory::Device)?, Poses::Network { weights, superpoint_position }))
