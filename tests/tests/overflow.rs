@@ -124,7 +124,8 @@ fn every_lost_submission_is_an_error() {
     for k in 1..1000 {
         let gpu = tests_harness::gpu();
         gpu.inject_device_lost(k);
-        let result = Renderer::new(&gpu, &scene, &RenderOptions::default()).and_then(|mut r| r.render(&camera(64, 64), 0.0));
+        let result =
+            Renderer::new(&gpu, &scene, &RenderOptions::default()).and_then(|mut r| r.render(&camera(64, 64), 0.0));
         match result {
             Err(Error::DeviceLost { .. }) => {}
             Err(other) => panic!("submission {k}: {other}"),
