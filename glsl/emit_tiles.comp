@@ -24,7 +24,9 @@ layout(std430, set = 0, binding = 4) readonly buffer SplatsBlock { vec4 splats[]
 layout(std430, set = 0, binding = 5) readonly buffer InstanceBlockBlock { uint instance_block[]; };
 layout(std430, set = 0, binding = 6) writeonly buffer KeysBlock { uint keys[]; };
 layout(std430, set = 0, binding = 7) writeonly buffer ValuesBlock { uint values[]; };
-layout(std430, set = 0, binding = 8) buffer HistogramBlock { uint histogram[]; };
+layout(std430, set = 0, binding = 8) buffer NextHistogramBlock { uint next_histogram[]; };
+
+#include "lib/count_digit.glsl"
 
 layout(push_constant) uniform PushBlock {
     uint block_capacity; // where the super sums of instance_block start
@@ -73,19 +75,6 @@ uint tile_of(Ellipse e, uint k) {
     return tile;
 }
 
-// Adds one per lane with `valid` to histogram[slot]; one addition when the lanes agree.
-void count_digit(uint slot, bool valid) {
-    uvec4 lanes = subgroupBallot(valid);
-    if (valid) {
-        bool agree = subgroupAll(slot == subgroupBroadcastFirst(slot));
-        if (!agree) {
-            atomicAdd(histogram[slot], 1u);
-        } else if (count_lanes_below(lanes, gl_SubgroupInvocationID) == 0u) {
-            atomicAdd(histogram[slot], count_lanes(lanes));
-        }
-    }
-}
-
 void main() {
     uint group = workgroup_index();
     uint t = gl_LocalInvocationID.x;
@@ -114,6 +103,6 @@ void main() {
             keys[to] = tile;
             values[to] = g;
         }
-        count_digit(to / SORT_PARTITION * SORT_DIGITS + (tile & mask), valid);
+        count_digit(to, tile & mask, valid);
     }
 }

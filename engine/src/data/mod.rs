@@ -1,6 +1,8 @@
 //! Camera files: NeRF `transforms*.json` and COLMAP models.
 
 pub mod colmap;
+#[cfg(test)]
+mod tests;
 pub mod transforms;
 
 use std::path::{Path, PathBuf};

@@ -192,3 +192,6 @@ fn parse_exr(bytes: &[u8], path: &Path) -> Result<Image> {
     let rgba = (0..pixels).flat_map(|i| [r[i], g[i], b[i], a[i]]).collect();
     Ok(Image { width: width as u32, height: height as u32, rgba, depth: plane("Z")?.unwrap_or_default() })
 }
+
+#[cfg(test)]
+mod tests;

@@ -9,7 +9,7 @@ const TWO_OVER_PI: f32 = std::f32::consts::FRAC_2_PI;
 pub fn sin_cos(x: f32) -> [f32; 2] {
     let k = (x * TWO_OVER_PI + 0.5).floor();
     let r = ((x - k * HALF_PI_HIGH) - k * HALF_PI_MIDDLE) - k * HALF_PI_LOW;
-    let r = r.max(-0.8).min(0.8);
+    let r = r.clamp(-0.8, 0.8);
     let z = r * r;
     let s = r + r * z * (-1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362_880.0))));
     let c = 1.0 + z * (-0.5 + z * (1.0 / 24.0 + z * (-1.0 / 720.0 + z * (1.0 / 40_320.0 - z * (1.0 / 3_628_800.0)))));

@@ -1,24 +1,321 @@
-//! Network F live (under construction).
-use crate::error::*;
-use crate::gpu::kernel::*;
-/// Under construction.
+//! Kernel `deform_network`: network F for all M superpoints in one dispatch.
+//!
+//! Reads the frame's time, `superpoint_position float[M][3]` (world units) and `weights` ([`pack_weights`]); writes
+//! `pose vec4[M][2]`: (r, 0) radians and (τ, 0) world units, a one-key table for `deform_project`. Source: SP-GS appendix
+//! (8 layers of 256, skip before layer 5, encodings of 10 and 6 octaves). Sines of up to 2⁹ x are reduced accurately.
+
+use super::angle::sin_cos;
+use super::frame::Frame;
+use super::twin::{f32_at, group_count, set_vec4, spec, struct_at};
+use crate::error::{Error, Result};
+use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
+use crate::scene::network::{ENCODING_WIDTH, HIDDEN_LAYERS, HIDDEN_WIDTH, POSITION_FREQUENCIES, SKIP_LAYER};
+use crate::scene::{DeformNetwork, Linear};
+
+/// Superpoints per workgroup.
+pub const DEFORM_NETWORK_SUPERPOINTS: u32 = 8;
+/// Outputs of both heads: r, then τ.
+const HEADS: usize = 6;
+/// Slices of the hidden activations, for the heads.
+const SLICES: usize = 32;
+/// Inputs that encode the position.
+const POSITION_INPUTS: usize = 3 + 6 * POSITION_FREQUENCIES;
+
+/// Network F live: pose of every superpoint at the frame's time.
 pub static DEFORM_NETWORK: Kernel = Kernel {
     name: "deform_network",
-    doc: "",
-    local_size: 256,
+    doc: "network F: superpoint centre and time to so(3) vector and translation",
+    local_size: HIDDEN_WIDTH as u32,
     spec: &["SUBGROUP_SIZE", "FP16_WEIGHTS"],
     push: &[],
-    bindings: &[],
-    twin: |_| {},
-    tolerance: Tolerance::EXACT,
-    bytes: |_| 0,
-    spirv: &[],
+    bindings: &[
+        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
+        Binding::new("superpoint_position", Access::Read, Element::F32),
+        Binding::new("weights", Access::Read, Element::U32),
+        Binding::new("pose", Access::Write, Element::F32),
+    ],
+    twin: deform_network_twin,
+    // Sums of up to 332 products, contracted to fused multiply-adds or not.
+    tolerance: Tolerance { absolute: 2e-5, relative: 2e-5, flips: 0.0 },
+    bytes: deform_network_bytes,
+    spirv: include_bytes!("../../../spirv_cache/deform_network.spv"),
 };
-/// Under construction.
-pub fn groups(n: u32) -> u64 {
-    n.into()
+
+/// The weights once, each centre and pose once.
+fn deform_network_bytes(work: &Workload) -> u64 {
+    4 * weight_words(work.get("fp16_weights") > 0) as u64 + work.get("superpoints") * (12 + 32)
 }
-/// Under construction.
-pub fn pack_weights(_: &crate::scene::DeformNetwork) -> Result<Vec<u32>> {
-    Err(Error::usage("network", "", ""))
+
+/// 32-bit words of the packed weights.
+pub fn weight_words(fp16: bool) -> usize {
+    let layer = |i: usize| DeformNetwork::layer_inputs(i) * HIDDEN_WIDTH / if fp16 { 2 } else { 1 } + HIDDEN_WIDTH;
+    (0..HIDDEN_LAYERS).map(layer).sum::<usize>() + HEADS * (HIDDEN_WIDTH + 1)
+}
+
+/// The `weights` buffer: for each hidden layer the transposed matrix `[inputs][256]` and its bias `[256]`, then the heads
+/// `[256][6]` (r, τ) and their bias `[6]`. With `fp16`, two successive inputs of a hidden matrix share a word (the first in
+/// the low half, rounded to nearest even); the rest stays f32.
+pub fn pack_weights(network: &DeformNetwork, fp16: bool) -> Result<Vec<u32>> {
+    check_shapes(network)?;
+    let mut words = Vec::with_capacity(weight_words(fp16));
+    for (i, layer) in network.linear.iter().enumerate() {
+        let at = |input: usize, output: usize| layer.weight[output * layer.inputs + input];
+        for input in (0..layer.inputs).step_by(2) {
+            let rows = [input, input + 1].map(|k| (0..HIDDEN_WIDTH).map(move |o| at(k, o)));
+            let [low, high] = rows;
+            if fp16 {
+                for (a, b) in low.zip(high) {
+                    words.push(u32::from(half(a, i)?) | u32::from(half(b, i)?) << 16);
+                }
+            } else {
+                words.extend(low.chain(high).map(f32::to_bits));
+            }
+        }
+        words.extend(layer.bias.iter().map(|b| b.to_bits()));
+    }
+    let heads = [&network.rotation, &network.translation];
+    for input in 0..HIDDEN_WIDTH {
+        for head in heads {
+            words.extend((0..3).map(|o| head.weight[o * HIDDEN_WIDTH + input].to_bits()));
+        }
+    }
+    heads.iter().for_each(|head| words.extend(head.bias.iter().map(|b| b.to_bits())));
+    Ok(words)
+}
+
+fn check_shapes(network: &DeformNetwork) -> Result<()> {
+    if network.linear.len() != HIDDEN_LAYERS {
+        return Err(Error::usage(
+            "network F, hidden layers",
+            network.linear.len().to_string(),
+            HIDDEN_LAYERS.to_string(),
+        ));
+    }
+    let hidden = network
+        .linear
+        .iter()
+        .enumerate()
+        .map(|(i, l)| (format!("deform.linear.{i}"), l, DeformNetwork::layer_inputs(i), HIDDEN_WIDTH));
+    let heads = [("deform.translation", &network.translation), ("deform.rotation", &network.rotation)];
+    for (name, layer, inputs, outputs) in
+        hidden.chain(heads.map(|(name, layer)| (name.to_owned(), layer, HIDDEN_WIDTH, 3)))
+    {
+        let Linear { weight, bias, .. } = layer;
+        let found = [layer.outputs, layer.inputs, weight.len(), bias.len()];
+        if found != [outputs, inputs, outputs * inputs, outputs] {
+            let expected = format!("{outputs} x {inputs}, {} weights, {outputs} biases", outputs * inputs);
+            let [o, i, w, b] = found;
+            return Err(Error::usage(name, format!("{o} x {i}, {w} weights, {b} biases"), expected));
+        }
+        if let Some(index) = weight.iter().chain(bias).position(|w| !w.is_finite()) {
+            let value = weight.iter().chain(bias).nth(index).map(f32::to_string).unwrap_or_default();
+            return Err(Error::NonFinite { what: name, index, value });
+        }
+    }
+    Ok(())
+}
+
+/// Bits of the IEEE half nearest to `x`, ties to even.
+fn half(x: f32, layer: usize) -> Result<u16> {
+    let magnitude = x.abs();
+    if magnitude >= 65_520.0 {
+        let what = format!("deform.linear.{layer}.weight in half precision");
+        return Err(Error::usage(what, x.to_string(), "a magnitude below 65520"));
+    }
+    let bits = if magnitude < 6.103_515_6e-5 {
+        // Subnormal: a multiple of 2^-24.
+        (magnitude * 16_777_216.0).round_ties_even() as u32
+    } else {
+        let b = magnitude.to_bits();
+        ((b + 0xFFF + (b >> 13 & 1)) >> 13) - (112 << 10)
+    };
+    Ok(bits as u16 | if x.is_sign_negative() { 0x8000 } else { 0 })
+}
+
+/// Value of the half with these bits (`unpackHalf2x16`).
+fn unpack_half(bits: u32) -> f32 {
+    let (exponent, mantissa) = (bits >> 10 & 31, bits & 0x3FF);
+    let magnitude = match exponent {
+        0 => mantissa as f32 / 16_777_216.0,
+        31 => f32::from_bits(0x7F80_0000 | mantissa << 13),
+        _ => f32::from_bits((exponent + 112) << 23 | mantissa << 13),
+    };
+    if bits & 0x8000 == 0 { magnitude } else { -magnitude }
+}
+
+/// Element `e` of the encoded input.
+fn encoded_input(position: [f32; 3], time: f32, e: usize) -> f32 {
+    let (x, k, part) = match e {
+        0..3 => (position[e], 0, 0),
+        3..POSITION_INPUTS => (position[(e - 3) % 3], (e - 3) / 6, 1 + (e - 3) % 6 / 3),
+        POSITION_INPUTS => (time, 0, 0),
+        _ => (time, (e - POSITION_INPUTS - 1) / 2, 1 + (e - POSITION_INPUTS - 1) % 2),
+    };
+    if part == 0 { x } else { sin_cos(x * (1_u32 << k) as f32)[part - 1] }
+}
+
+/// Weights of inputs `pair` and `pair + 1` to output `o`, of a matrix that starts at word `at` with input `first`.
+fn weight_pair(words: &[u32], at: usize, fp16: bool, offset: usize, o: usize) -> [f32; 2] {
+    if fp16 {
+        let word = words[at + offset / 2 * HIDDEN_WIDTH + o];
+        [unpack_half(word & 0xFFFF), unpack_half(word >> 16)]
+    } else {
+        [f32_at(words, at + offset * HIDDEN_WIDTH + o), f32_at(words, at + (offset + 1) * HIDDEN_WIDTH + o)]
+    }
+}
+
+/// (r, τ) of one superpoint.
+fn evaluate(weights: &[u32], fp16: bool, position: [f32; 3], time: f32) -> [f32; HEADS] {
+    let mut activations = [0.0_f32; ENCODING_WIDTH + HIDDEN_WIDTH];
+    for e in 0..ENCODING_WIDTH {
+        activations[e] = encoded_input(position, time, e);
+    }
+    let mut base = 0;
+    for layer in 0..HIDDEN_LAYERS {
+        let first = if layer == 0 || layer == SKIP_LAYER { 0 } else { ENCODING_WIDTH };
+        let end = if layer == 0 { ENCODING_WIDTH } else { ENCODING_WIDTH + HIDDEN_WIDTH };
+        let words = (end - first) * HIDDEN_WIDTH / if fp16 { 2 } else { 1 };
+        let mut sums: [f32; HIDDEN_WIDTH] = std::array::from_fn(|o| f32_at(weights, base + words + o));
+        for i in (first..end).step_by(2) {
+            for (o, sum) in sums.iter_mut().enumerate() {
+                let w = weight_pair(weights, base, fp16, i - first, o);
+                *sum += w[0] * activations[i];
+                *sum += w[1] * activations[i + 1];
+            }
+        }
+        base += words + HIDDEN_WIDTH;
+        (0..HIDDEN_WIDTH).for_each(|o| activations[ENCODING_WIDTH + o] = sums[o].max(0.0));
+    }
+    std::array::from_fn(|o| {
+        let slice = |k: usize| {
+            (k * HIDDEN_WIDTH / SLICES..(k + 1) * HIDDEN_WIDTH / SLICES)
+                .fold(0.0, |sum, i| sum + activations[ENCODING_WIDTH + i] * f32_at(weights, base + HEADS * i + o))
+        };
+        (0..SLICES).fold(f32_at(weights, base + HEADS * HIDDEN_WIDTH + o), |total, k| total + slice(k))
+    })
+}
+
+fn deform_network_twin(call: &mut TwinCall<'_>) {
+    let frame: Frame = struct_at(&call.buffers[0], 0);
+    let fp16 = spec(call, 1) == 1;
+    let reached = group_count(call) * DEFORM_NETWORK_SUPERPOINTS;
+    for m in 0..frame.counts[1].min(reached) as usize {
+        let position = std::array::from_fn(|c| f32_at(&call.buffers[1], 3 * m + c));
+        let [r0, r1, r2, t0, t1, t2] = evaluate(&call.buffers[2], fp16, position, frame.background[3]);
+        set_vec4(&mut call.buffers[3], 2 * m, [r0, r1, r2, 0.0]);
+        set_vec4(&mut call.buffers[3], 2 * m + 1, [t0, t1, t2, 0.0]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+    use super::*;
+
+    fn linear(inputs: usize, outputs: usize, seed: &mut u32) -> Linear {
+        let mut next = || {
+            *seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (*seed >> 8) as f32 / (1 << 24) as f32 - 0.5
+        };
+        let scale = 2.0 * (3.0 / inputs as f32).sqrt();
+        Linear {
+            inputs,
+            outputs,
+            weight: (0..inputs * outputs).map(|_| scale * next()).collect(),
+            bias: (0..outputs).map(|_| 0.2 * next()).collect(),
+        }
+    }
+
+    fn network() -> DeformNetwork {
+        let mut seed = 7;
+        DeformNetwork {
+            linear: (0..HIDDEN_LAYERS)
+                .map(|i| linear(DeformNetwork::layer_inputs(i), HIDDEN_WIDTH, &mut seed))
+                .collect(),
+            translation: linear(HIDDEN_WIDTH, 3, &mut seed),
+            rotation: linear(HIDDEN_WIDTH, 3, &mut seed),
+        }
+    }
+
+    /// F as the paper writes it, in f64.
+    fn truth(network: &DeformNetwork, position: [f32; 3], time: f32) -> [f64; 6] {
+        let mut encoding: Vec<f64> = position.iter().map(|&x| x.into()).collect();
+        for k in 0..10 {
+            encoding.extend(position.map(|x| (f64::from(x) * f64::from(1 << k)).sin()));
+            encoding.extend(position.map(|x| (f64::from(x) * f64::from(1 << k)).cos()));
+        }
+        encoding.push(time.into());
+        for k in 0..6 {
+            encoding.push((f64::from(time) * f64::from(1 << k)).sin());
+            encoding.push((f64::from(time) * f64::from(1 << k)).cos());
+        }
+        let apply = |l: &Linear, x: &[f64]| -> Vec<f64> {
+            (0..l.outputs)
+                .map(|o| {
+                    let row = &l.weight[o * l.inputs..(o + 1) * l.inputs];
+                    f64::from(l.bias[o]) + row.iter().zip(x).map(|(&w, x)| f64::from(w) * x).sum::<f64>()
+                })
+                .collect()
+        };
+        let mut h = encoding.clone();
+        for (i, layer) in network.linear.iter().enumerate() {
+            if i == SKIP_LAYER {
+                h = [encoding.clone(), h].concat();
+            }
+            h = apply(layer, &h).into_iter().map(|v| v.max(0.0)).collect();
+        }
+        [apply(&network.rotation, &h), apply(&network.translation, &h)].concat().try_into().unwrap()
+    }
+
+    #[test]
+    fn twin_agrees_with_f64() {
+        let network = network();
+        let weights = pack_weights(&network, false).unwrap();
+        assert_eq!(weights.len(), weight_words(false));
+        let half_weights = pack_weights(&network, true).unwrap();
+        assert_eq!(half_weights.len(), weight_words(true));
+        for (position, time) in [([0.1, -0.7, 1.3], 0.0), ([9.7, -8.1, 3.3], 0.613), ([0.0; 3], 1.0)] {
+            let truth = truth(&network, position, time);
+            let norm: f64 = truth.iter().map(|v| v * v).sum::<f64>().sqrt();
+            for (words, fp16, bound) in [(&weights, false, 5e-6), (&half_weights, true, 5e-3)] {
+                let ours = evaluate(words, fp16, position, time);
+                let error = ours.iter().zip(truth).map(|(&a, b)| (f64::from(a) - b).powi(2)).sum::<f64>().sqrt();
+                assert!(error <= bound * norm, "fp16 {fp16}: {error:e} of {norm}");
+            }
+        }
+    }
+
+    #[test]
+    fn halves_round_to_nearest_even() {
+        for (x, bits) in [
+            (0.0, 0),
+            (-0.0, 0x8000),
+            (1.0, 0x3C00),
+            (-2.0, 0xC000),
+            (65_504.0, 0x7BFF),
+            (1.0 + 1.0 / 2048.0, 0x3C00),
+            (1.0 + 3.0 / 2048.0, 0x3C02),
+            (5.960_464_5e-8, 1),
+            (2.980_232_2e-8, 0),
+            (6.1e-5, 0x03FF),
+        ] {
+            assert_eq!(half(x, 0).unwrap(), bits, "{x}");
+        }
+        for bits in 0..0x7C00_u32 {
+            assert_eq!(u32::from(half(unpack_half(bits), 0).unwrap()), bits);
+        }
+        assert!(half(65_520.0, 3).unwrap_err().to_string().contains("linear.3"));
+    }
+
+    #[test]
+    fn wrong_shapes_and_values_are_named() {
+        let mut n = network();
+        n.linear[5].inputs = 256;
+        assert!(pack_weights(&n, false).unwrap_err().to_string().contains("deform.linear.5"));
+        let mut n = network();
+        n.rotation.weight[9] = f32::NAN;
+        assert!(pack_weights(&n, false).unwrap_err().to_string().contains("deform.rotation"));
+        n.linear.pop();
+        assert!(pack_weights(&n, true).is_err());
+    }
 }

@@ -55,7 +55,7 @@ mod tests {
     use glam::{DQuat, DVec3};
 
     fn angles() -> impl Iterator<Item = f32> {
-        [0.0, 1e-20, 1e-7, 1e-6, 1e-4, 1e-2, 0.5, 3.0, 3.141_592_7, 6.283, 7.0, 50.0, 1000.0].into_iter()
+        [0.0, 1e-20, 1e-7, 1e-6, 1e-4, 1e-2, 0.5, 3.0, 3.1416, 6.28, 7.0, 50.0, 1000.0].into_iter()
     }
 
     #[test]
