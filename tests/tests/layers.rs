@@ -310,8 +310,8 @@ fn every_shader_include_is_used() {
     let mut used: BTreeMap<String, usize> = BTreeMap::new();
     for file in files(&root.join("glsl"), "comp").into_iter().chain(files(&root.join("glsl"), "glsl")) {
         for line in std::fs::read_to_string(&file).unwrap().lines() {
-            if let Some(name) = line.trim().strip_prefix("#include \"lib/").and_then(|r| r.split(".glsl\"").next()) {
-                *used.entry(name.to_owned()).or_default() += 1;
+            if let Some(name) = line.trim().strip_prefix("#include \"").and_then(|r| r.split(".glsl\"").next()) {
+                *used.entry(name.trim_start_matches("lib/").to_owned()).or_default() += 1;
             }
         }
     }

@@ -86,6 +86,12 @@ pub fn is_superpoint_file(path: &Path) -> Result<bool> {
     Ok(Archive::open(path)?.archive.index_for_name("superpoint_position.npy").is_some())
 }
 
+/// Whether the file is an image file: Gaussians, camera and image.
+pub fn is_image_file(path: &Path) -> Result<bool> {
+    let file = Archive::open(path)?;
+    Ok(["means", "viewmat", "image"].iter().all(|name| file.archive.index_for_name(&format!("{name}.npy")).is_some()))
+}
+
 /// Reads an image file.
 pub fn load(path: &Path) -> Result<OracleCase> {
     let mut file = Archive::open(path)?;

@@ -2,7 +2,7 @@
 
 use std::io::Write as _;
 use std::process::ExitCode;
-use std::sync::Mutex;
+use std::sync::{Mutex, OnceLock};
 
 use engine::error::{Error, Result};
 
@@ -31,6 +31,7 @@ pub fn to_json(value: &impl serde::Serialize) -> Result<String> {
 
 /// Runs a program's body: an error becomes one line and its exit code, a panic one line and exit code 1.
 pub fn run_main(program: &str, body: impl FnOnce() -> Result<ExitCode> + std::panic::UnwindSafe) -> ExitCode {
+    PROGRAM.get_or_init(|| program.to_owned());
     let _ = log::set_logger(&LOGGER).map(|()| log::set_max_level(log::LevelFilter::Warn));
     std::panic::set_hook(Box::new(|info| {
         let text = one_line(&info.to_string());
@@ -51,6 +52,7 @@ pub fn run_main(program: &str, body: impl FnOnce() -> Result<ExitCode> + std::pa
 }
 
 static PANIC: Mutex<String> = Mutex::new(String::new());
+static PROGRAM: OnceLock<String> = OnceLock::new();
 
 /// Collapses line breaks and runs of blanks.
 pub fn one_line(text: &str) -> String {
@@ -83,13 +85,16 @@ static LOGGER: Logger = Logger;
 
 impl log::Log for Logger {
     fn enabled(&self, metadata: &log::Metadata<'_>) -> bool {
-        metadata.level() <= log::Level::Warn
+        // Only our own: naga, for one, warns of every decoration that it does not use.
+        let ours = ["engine", "tools", "spgs"].iter().any(|name| metadata.target().starts_with(name));
+        ours && metadata.level() <= log::Level::Warn
     }
 
     fn log(&self, record: &log::Record<'_>) {
         if self.enabled(record.metadata()) {
             let level = if record.level() == log::Level::Error { "error" } else { "warning" };
-            error_line(&format!("spgs: {level}: {}", one_line(&record.args().to_string())));
+            let program = PROGRAM.get().map_or("spgs", String::as_str);
+            error_line(&format!("{program}: {level}: {}", one_line(&record.args().to_string())));
         }
     }
 

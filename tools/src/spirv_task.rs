@@ -168,7 +168,8 @@ fn stems(folder: &Path, extension: &str) -> Result<Vec<(String, PathBuf)>> {
     Ok(found)
 }
 
-/// The source with `#include "…"` replaced by the file (relative to `glsl/`), recursively.
+/// The source with `#include "…"` replaced by the file, recursively. As the compiler does, looks beside the including
+/// file first and then in `glsl/`.
 fn expand(path: &Path, root: &Path, depth: usize) -> Result<String> {
     let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
     if depth > MAX_INCLUDE_DEPTH {
@@ -177,7 +178,11 @@ fn expand(path: &Path, root: &Path, depth: usize) -> Result<String> {
     let mut out = String::with_capacity(text.len());
     for line in text.lines() {
         match included(line) {
-            Some(file) => out.push_str(&expand(&root.join("glsl").join(file), root, depth + 1)?),
+            Some(file) => {
+                let beside = path.with_file_name(file);
+                let target = if beside.is_file() { beside } else { root.join("glsl").join(file) };
+                out.push_str(&expand(&target, root, depth + 1)?);
+            }
             None => {
                 out.push_str(line);
                 out.push('\n');
@@ -248,7 +253,7 @@ mod tests {
             std::fs::create_dir_all(folder.path().join(sub)).unwrap();
         }
         std::fs::write(folder.path().join("glsl/lib/b.glsl"), "const uint B = 2u;\n").unwrap();
-        std::fs::write(folder.path().join("glsl/lib/a.glsl"), "#include \"lib/b.glsl\"\n").unwrap();
+        std::fs::write(folder.path().join("glsl/lib/a.glsl"), "#include \"b.glsl\"\n").unwrap();
         std::fs::write(folder.path().join("glsl/k.comp"), "#version 460\n#include \"lib/a.glsl\"\nvoid main() {}\n")
             .unwrap();
         std::fs::write(folder.path().join("spirv_cache/k.spv"), b"module").unwrap();
