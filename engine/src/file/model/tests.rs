@@ -196,7 +196,7 @@ fn wrong_shapes_types_and_groups_name_the_tensor() {
 fn indices_and_numbers_are_checked_in_both_directions() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("m.safetensors");
-    let edits: [(&str, fn(&mut Scene)); 11] = [
+    let edits: [(&str, SceneEdit); 11] = [
         ("`superpoints.of_gaussian`: found 3 at element 1", |s| superpoints(s).of_gaussian[1] = 3),
         ("`superpoints.position`: found NaN at element 4", |s| superpoints(s).position[1][1] = f32::NAN),
         ("`motion.times`: found inf", |s| motion(s).times[1] = f32::INFINITY),
@@ -231,6 +231,8 @@ fn indices_and_numbers_are_checked_in_both_directions() {
         "{message}"
     );
 }
+
+type SceneEdit = fn(&mut Scene);
 
 fn superpoints(scene: &mut Scene) -> &mut Superpoints {
     scene.superpoints.as_mut().unwrap()

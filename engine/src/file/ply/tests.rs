@@ -80,13 +80,16 @@ fn encoding(form: Form) -> &'static str {
     }
 }
 
-/// A list property: count type, item type, the row's items.
+/// A list property: name and the row's items.
 type List = (&'static str, Vec<Value>);
 
-/// An element for the test writer: name, its scalar rows, and per row lists that follow the scalars.
+/// A row: its numbers by name, then its lists.
+type Row = (Vec<(String, Value)>, Vec<List>);
+
+/// An element for the test writer.
 struct Part {
     name: &'static str,
-    rows: Vec<(Vec<(String, Value)>, Vec<List>)>,
+    rows: Vec<Row>,
 }
 
 fn file(form: Form, parts: &[Part]) -> Vec<u8> {
