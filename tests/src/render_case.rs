@@ -5,7 +5,7 @@ use engine::render::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, Def
 use engine::render::ellipse::Ellipse;
 use engine::render::frame::{Frame, FrameOptions};
 use engine::render::twin::vec4_at;
-use engine::scene::Camera;
+use engine::scene::{Camera, Gaussians, Motion, Scene, Superpoints};
 use glam::DVec3;
 
 use crate::KernelCase;
@@ -112,6 +112,35 @@ impl RenderInput {
                 _ => {}
             }
         }
+    }
+
+    /// The same as a scene, key times 0 and 1.
+    pub fn scene(&self) -> Scene {
+        let n = self.count;
+        let triple =
+            |v: &[f32], g: usize, first: usize| -> [f32; 3] { std::array::from_fn(|c| v[(first + c) * n + g]) };
+        let sh = (0..n).flat_map(|g| {
+            (0..=self.degree as usize)
+                .flat_map(move |l| (0..2 * l + 1).flat_map(move |k| triple(&self.sh[l], g, 3 * k)))
+        });
+        let gaussians = Gaussians {
+            mean: (0..n).map(|g| triple(&self.mean, g, 0)).collect(),
+            log_scale: (0..n).map(|g| triple(&self.log_scale, g, 0)).collect(),
+            rotation: (0..n).map(|g| std::array::from_fn(|c| self.rotation[4 * g + c])).collect(),
+            opacity_logit: self.opacity_logit.clone(),
+            sh_degree: self.degree,
+            sh: sh.collect(),
+        };
+        if self.pose.is_empty() {
+            return Scene { gaussians, ..Scene::default() };
+        }
+        let part = |j: usize| self.pose.chunks_exact(8).map(move |p| [p[4 * j], p[4 * j + 1], p[4 * j + 2]]);
+        let motion = Motion { times: vec![0.0, 1.0], rotation: part(0).collect(), translation: part(1).collect() };
+        let superpoints = Superpoints {
+            of_gaussian: self.superpoint_of_gaussian.clone(),
+            position: vec![[0.0; 3]; self.superpoints as usize],
+        };
+        Scene { gaussians, motion: Some(motion), superpoints: Some(superpoints), ..Scene::default() }
     }
 
     /// Buffers of `deform_project` in binding order, and its other arguments.

@@ -1,10 +1,17 @@
 //! `deform_project`, `blend` and `deform_network` on the device against their twins.
 
-use engine::gpu::Kernel;
+use engine::gpu::kernel::TwinCall;
+use engine::gpu::{Gpu, Kernel};
+use engine::image::difference;
+use engine::reference::{self, ReferenceOptions};
 use engine::render::blend::{self, BLEND, Stage};
+use engine::render::deform_network::{self, DEFORM_NETWORK};
 use engine::render::deform_project::DEFORM_PROJECT;
 use engine::render::frame::Frame;
-use tests_harness::render_case::{RenderInput, test_camera, tile_lists};
+use engine::scene::network::{HIDDEN_LAYERS, HIDDEN_WIDTH};
+use engine::scene::{Camera, DeformNetwork, Linear};
+use glam::DVec3;
+use tests_harness::render_case::{Random, RenderInput, test_camera, tile_lists};
 use tests_harness::{KernelCase, KernelResult};
 
 const SIZES: [usize; 11] = [0, 1, 7, 8, 31, 32, 33, 255, 256, 257, 65_537];
@@ -101,7 +108,7 @@ fn blend_case(frame: &Frame, splats: &[u32], tile_count: &[u32], spec: [u32; 3],
 
 fn twin_splats(input: &RenderInput, frame: &Frame) -> (Vec<u32>, Vec<u32>) {
     let mut case = input.deform_project(frame);
-    let mut call = engine::gpu::kernel::TwinCall {
+    let mut call = TwinCall {
         groups: [case.groups, 1, 1],
         spec: &[8, input.degree, u32::from(!input.pose.is_empty())],
         push: &case.push,
@@ -150,6 +157,142 @@ fn blend_matches_its_twin() {
                     }
                 }
             }
+        }
+    }
+}
+
+/// The image of the chain deform_project -> tile lists -> blend, by the twins or on the device.
+fn chain(gpu: Option<&Gpu>, input: &RenderInput, camera: &Camera) -> Vec<f32> {
+    let frame = input.frame(camera);
+    let (splats, tile_count) = match gpu {
+        None => twin_splats(input, &frame),
+        Some(gpu) => {
+            let mut buffers = input.deform_project(&frame).run(gpu).gpu;
+            (buffers.swap_remove(11), buffers.swap_remove(12))
+        }
+    };
+    let size = gpu.map_or(32, Gpu::subgroup_size);
+    let spec = [0, Stage::Shuffle as u32, blend::pixels_per_lane(size)];
+    let mut case = blend_case(&frame, &splats, &tile_count, spec, size);
+    let words = match gpu {
+        Some(gpu) => case.run(gpu).gpu.swap_remove(4),
+        None => {
+            let groups = [case.groups, 1, 1];
+            let spec = [size, spec[0], spec[1], spec[2]];
+            (BLEND.twin)(&mut TwinCall { groups, spec: &spec, push: &[], buffers: &mut case.buffers });
+            case.buffers.swap_remove(4)
+        }
+    };
+    words.into_iter().map(f32::from_bits).collect()
+}
+
+fn assert_close_to_reference(gpu: Option<&Gpu>, input: &RenderInput, camera: &Camera, context: &str) {
+    let options =
+        ReferenceOptions { background: [0.1, 0.2, 0.3].map(|c: f32| c.into()), ..ReferenceOptions::default() };
+    let truth = reference::render(&input.scene(), camera, f64::from(0.3_f32), &options).unwrap();
+    let image = chain(gpu, input, camera);
+    let rgb = image.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).map(f64::from);
+    let d = difference(truth.rgb.iter().copied(), rgb);
+    let alpha = difference(truth.alpha.iter().copied(), image.chunks_exact(4).map(|p| f64::from(p[3])));
+    let side = if gpu.is_some() { "device" } else { "twins" };
+    println!("{context}, {side}: {d:?}, alpha max {:.1e}", alpha.max);
+    assert!(d.psnr >= 85.0 && d.q999 <= 1e-4 && alpha.q999 <= 1e-4, "{context}, {side}: {d:?}");
+}
+
+#[test]
+fn images_agree_with_the_reference() {
+    let gpu = tests_harness::gpu();
+    for gpu in [None, Some(&gpu.0)] {
+        for degree in 0..4 {
+            let input = RenderInput::random(800, degree, 40 + u64::from(degree));
+            assert_close_to_reference(gpu, &input, &test_camera(160, 121), &format!("static, degree {degree}"));
+        }
+        let moving = RenderInput::random(1500, 2, 3).moving(9, 4);
+        assert_close_to_reference(gpu, &moving, &test_camera(97, 160), "moving");
+        let mut off_centre = test_camera(120, 90);
+        (off_centre.cx, off_centre.cy, off_centre.fy) = (20.0, 100.0, 1.3 * off_centre.fy);
+        assert_close_to_reference(gpu, &moving, &off_centre, "principal point off centre");
+        let inside = Camera::look_at(DVec3::ZERO, DVec3::new(0.3, 0.2, 1.0), -DVec3::Y, 1.4, [128, 128]);
+        assert_close_to_reference(gpu, &moving, &inside, "camera inside");
+
+        let mut needles = RenderInput::random(400, 0, 8);
+        for g in 0..400 {
+            needles.log_scale[g] = 1.5;
+            needles.log_scale[400 + g] = -9.0;
+            needles.log_scale[800 + g] = if g % 2 == 0 { -9.0 } else { -1.0 };
+        }
+        assert_close_to_reference(gpu, &needles, &test_camera(200, 200), "needles and plates");
+        let mut huge = RenderInput::random(60, 1, 9);
+        for g in 0..60 {
+            huge.opacity_logit[g] = -3.5;
+            (0..3).for_each(|c| huge.log_scale[60 * c + g] += 5.0 + 0.3 * g as f32);
+        }
+        assert_close_to_reference(gpu, &huge, &test_camera(90, 70), "up to e^20");
+        let mut far = RenderInput::random(500, 1, 10);
+        let offset = [1.0e6_f32, -2.0e6, 5.0e5];
+        (0..3).for_each(|c| far.mean[500 * c..500 * (c + 1)].iter_mut().for_each(|v| *v += offset[c]));
+        let mut camera = test_camera(150, 150);
+        camera.position += DVec3::from_array(offset.map(f64::from)) + DVec3::new(0.01, 0.02, 0.03);
+        assert_close_to_reference(gpu, &far, &camera, "a million units from the origin");
+    }
+}
+
+fn network(seed: u64) -> DeformNetwork {
+    let mut r = Random(seed);
+    let mut linear = |inputs: usize, outputs: usize| {
+        let bound = (6.0 / inputs as f32).sqrt();
+        Linear {
+            inputs,
+            outputs,
+            weight: (0..inputs * outputs).map(|_| r.range(-bound, bound)).collect(),
+            bias: (0..outputs).map(|_| r.range(-0.1, 0.1)).collect(),
+        }
+    };
+    DeformNetwork {
+        linear: (0..HIDDEN_LAYERS).map(|i| linear(DeformNetwork::layer_inputs(i), HIDDEN_WIDTH)).collect(),
+        translation: linear(HIDDEN_WIDTH, 3),
+        rotation: linear(HIDDEN_WIDTH, 3),
+    }
+}
+
+#[test]
+fn deform_network_matches_twin_and_reference() {
+    let gpu = tests_harness::gpu();
+    let network = network(11);
+    for count in [1_u32, 7, 8, 9, 33, 300] {
+        for fp16 in [false, true] {
+            let mut r = Random(u64::from(count));
+            let position: Vec<[f32; 3]> = (0..count).map(|_| std::array::from_fn(|_| r.range(-10.0, 10.0))).collect();
+            let mut frame = RenderInput::random(0, 0, 0).frame(&test_camera(8, 8));
+            frame.counts[1] = count;
+            frame.background[3] = 0.617;
+            let weights = deform_network::pack_weights(&network, fp16).unwrap();
+            let case = KernelCase {
+                kernel: &DEFORM_NETWORK,
+                spec: vec![u32::from(fp16)],
+                push: Vec::new(),
+                buffers: vec![
+                    bytemuck::cast_slice(&[frame]).to_vec(),
+                    bytemuck::cast_slice(&position).to_vec(),
+                    weights,
+                    vec![0; 8 * count as usize],
+                ],
+                groups: deform_network::groups(count) as u32,
+            };
+            let result = case.run(&gpu);
+            result.assert_equal(&DEFORM_NETWORK, &format!("M = {count}, fp16 {fp16}"));
+            let truth = reference::network_poses(&network, &position, f64::from(0.617_f32));
+            let (mut error, mut norm) = (0.0, 0.0);
+            for (pose, words) in truth.iter().zip(result.gpu[3].chunks_exact(8)) {
+                let ours: Vec<f64> = words.iter().map(|w| f64::from(f32::from_bits(*w))).collect();
+                for c in 0..3 {
+                    error += (ours[c] - pose.rotation[c]).powi(2) + (ours[4 + c] - pose.translation[c]).powi(2);
+                    norm += pose.rotation[c].powi(2) + pose.translation[c].powi(2);
+                }
+            }
+            let relative = (error / norm).sqrt();
+            println!("network F, M = {count}, fp16 {fp16}: relative L2 error {relative:.2e}");
+            assert!(relative < if fp16 { 5e-3 } else { 5e-6 }, "M = {count}, fp16 {fp16}: {relative:e}");
         }
     }
 }

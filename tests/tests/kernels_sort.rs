@@ -3,7 +3,7 @@
 use engine::gpu::kernel::Kernel;
 use engine::gpu::{Buffer, Groups, Memory, Slice};
 use engine::render::radix_sort::*;
-use tests_harness::{KernelCase, TestGpu};
+use tests_harness::{KernelCase, TestGpu, widths};
 
 /// Element counts around every boundary of subgroup, workgroup, block and partition.
 const COUNTS: [u32; 15] = [0, 1, 7, 8, 31, 32, 33, 255, 256, 257, 4095, 4096, 4097, 65_535, 65_537];
@@ -69,6 +69,7 @@ fn sort_and_check(gpu: &TestGpu, keys: &[u32], key_bits: u32, has_values: bool, 
 #[test]
 fn sort_every_count() {
     let gpu = tests_harness::gpu();
+    widths::assert_lanes(&gpu);
     let mut rng = Rng(1);
     for n in COUNTS {
         let keys: Vec<u32> = (0..n).map(|_| rng.next()).collect();
@@ -116,33 +117,9 @@ fn spine_over_many_partitions() {
     sort_and_check(&gpu, &keys, 12, true, true, "many partitions");
 }
 
-/// The same tests in processes whose lavapipe has 4 and 16 lanes: the width is read when the driver starts.
 #[test]
 fn other_subgroup_sizes() {
-    const GUARD: &str = "SPGS_TEST_WIDTH_CHILD";
-    if std::env::var_os(GUARD).is_some() {
-        return;
-    }
-    if !tests_harness::gpu().info().is_cpu() {
-        return;
-    }
-    for (width, lanes) in [("128", 4), ("256", 8), ("512", 16)] {
-        let output = std::process::Command::new(std::env::current_exe().unwrap())
-            .args(["--skip", "other_subgroup_sizes", "--skip", "sort_every_key_width"])
-            .env("LP_NATIVE_VECTOR_WIDTH", width)
-            .env(GUARD, lanes.to_string())
-            .output()
-            .unwrap();
-        let text = String::from_utf8_lossy(&output.stdout);
-        assert!(output.status.success(), "{lanes} lanes: {text}{}", String::from_utf8_lossy(&output.stderr));
-    }
-}
-
-#[test]
-fn subgroup_size_is_the_one_asked_for() {
-    if let Ok(lanes) = std::env::var("SPGS_TEST_WIDTH_CHILD") {
-        assert_eq!(tests_harness::gpu().subgroup_size().to_string(), lanes);
-    }
+    widths::repeat_with_other_widths(&["sort_every_count", "sort_every_distribution"]);
 }
 
 /// Cost of a whole sort; run with `--ignored --nocapture`.

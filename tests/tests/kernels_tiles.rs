@@ -5,7 +5,7 @@ use engine::render::compact::*;
 use engine::render::ellipse::Ellipse;
 use engine::render::radix_sort::*;
 use engine::render::tiles::*;
-use tests_harness::{KernelCase, TestGpu};
+use tests_harness::{KernelCase, TestGpu, widths};
 
 struct Rng(u64);
 
@@ -177,6 +177,7 @@ fn sort(
 #[test]
 fn chain_equals_twins() {
     let gpu = tests_harness::gpu();
+    widths::assert_lanes(&gpu);
     for (n, size) in [
         (1, [64, 64]),
         (31, [1, 1]),
@@ -247,4 +248,9 @@ fn more_than_one_super_block() {
     }
     let (_, _, ranges) = scene.check(&gpu, 80_000);
     assert_eq!(ranges, [0, 70_001]);
+}
+
+#[test]
+fn other_subgroup_sizes() {
+    widths::repeat_with_other_widths(&["chain_equals_twins", "more_than_one_super_block"]);
 }

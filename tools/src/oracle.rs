@@ -1,9 +1,9 @@
 //! Truth from outside: float64 inputs and results of independent implementations, in NumPy `.npz` files.
 //!
-//! An image file holds the inputs `means` [N,3], `quats` [N,4] (w,x,y,z), `log_scales` [N,3], `logit_opac` [N], `sh`
-//! [N,K,3], `viewmat` [4,4] (world to camera), `K` [3,3] (intrinsics), `bg` [3], `width`, `height`, `sh_degree`, and the
-//! float64 `image` [H,W,3]; the near plane is at 0.01. A superpoint file holds network F, superpoints, Gaussians and a
-//! time, and the poses and moved Gaussians at that time.
+//! An image file holds the inputs `means` `[N,3]`, `quats` `[N,4]` (w,x,y,z), `log_scales` `[N,3]`, `logit_opac` `[N]`, `sh`
+//! `[N,K,3]`, `viewmat` `[4,4]` (world to camera), `K` `[3,3]` (intrinsics), `bg` `[3]`, `width`, `height`, `sh_degree`,
+//! and the float64 `image` `[H,W,3]`; the near plane is at 0.01. A superpoint file holds network F, superpoints, Gaussians
+//! and a time, and the poses and moved Gaussians at that time.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -22,7 +22,7 @@ use zip::ZipArchive;
 /// Near plane of the image files, world units.
 pub const NEAR: f64 = 0.01;
 /// An array dimension beyond this is taken for damage.
-const MAX_DIMENSION: u64 = 1 << 24;
+const MAX_DIMENSION: u64 = 1 << 22;
 
 /// One image file.
 #[derive(Debug, Clone, PartialEq)]

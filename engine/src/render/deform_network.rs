@@ -46,6 +46,11 @@ fn deform_network_bytes(work: &Workload) -> u64 {
     4 * weight_words(work.get("fp16_weights") > 0) as u64 + work.get("superpoints") * (12 + 32)
 }
 
+/// Workgroups for that many superpoints.
+pub fn groups(superpoints: u32) -> u64 {
+    superpoints.div_ceil(DEFORM_NETWORK_SUPERPOINTS).into()
+}
+
 /// 32-bit words of the packed weights.
 pub fn weight_words(fp16: bool) -> usize {
     let layer = |i: usize| DeformNetwork::layer_inputs(i) * HIDDEN_WIDTH / if fp16 { 2 } else { 1 } + HIDDEN_WIDTH;

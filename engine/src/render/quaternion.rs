@@ -53,9 +53,10 @@ pub fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
 mod tests {
     use super::*;
     use glam::{DQuat, DVec3};
+    use std::f32::consts::{PI, TAU};
 
     fn angles() -> impl Iterator<Item = f32> {
-        [0.0, 1e-20, 1e-7, 1e-6, 1e-4, 1e-2, 0.5, 3.0, 3.1416, 6.28, 7.0, 50.0, 1000.0].into_iter()
+        [0.0, 1e-20, 1e-7, 1e-6, 1e-4, 1e-2, 0.5, 3.0, PI, TAU - 1e-3, 7.0, 50.0, 1000.0].into_iter()
     }
 
     #[test]
