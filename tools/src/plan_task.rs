@@ -74,6 +74,8 @@ pub fn difference(root: &Path, plan: &NamedPlan) -> Result<Option<String>> {
 
 /// Replaces the golden file.
 pub fn write(root: &Path, plan: &NamedPlan) -> Result<()> {
+    let folder = root.join(GOLDEN);
+    std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, "make folder", e))?;
     write_atomic(&golden(root, plan), |out| out.write_all(plan.text.as_bytes()))
 }
 
