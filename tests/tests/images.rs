@@ -144,7 +144,8 @@ fn trained_models() {
         let g = &loaded.scene.gaussians;
         let n = g.len() as f64;
         let centre = g.mean.iter().fold(DVec3::ZERO, |s, m| s + DVec3::from(m.map(f64::from))) / n;
-        let spread = (g.mean.iter().map(|m| (DVec3::from(m.map(f64::from)) - centre).length_squared()).sum::<f64>() / n).sqrt();
+        let spread =
+            (g.mean.iter().map(|m| (DVec3::from(m.map(f64::from)) - centre).length_squared()).sum::<f64>() / n).sqrt();
         let eye = centre + DVec3::new(0.6, -0.4, -2.2) * spread;
         let view = Camera::look_at(eye, centre, DVec3::NEG_Y, 0.9, [320, 240]);
         compare(&gpu, &loaded.scene, &view, 0.0, MotionSource::Auto).assert_within_bounds(name);

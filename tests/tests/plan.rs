@@ -11,7 +11,12 @@ fn frame_plan_equals_the_golden_file() {
     let commands = renderer.commands().unwrap();
     let golden = include_str!("../golden/frame.plan.txt");
     assert_eq!(commands.plan(), golden, "run `spgs-dev plan --write` and review the difference");
-    assert!(commands.dispatches() <= 18 && commands.barriers() <= 18, "{} dispatches, {} barriers", commands.dispatches(), commands.barriers());
+    assert!(
+        commands.dispatches() <= 18 && commands.barriers() <= 18,
+        "{} dispatches, {} barriers",
+        commands.dispatches(),
+        commands.barriers()
+    );
 }
 
 #[test]
