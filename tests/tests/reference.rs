@@ -1,5 +1,6 @@
 //! The f64 reference against results computed by independent implementations (`$SPGS_DATA/oracle`).
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use engine::Error;
@@ -7,7 +8,6 @@ use engine::reference::{Gaussians64, ReferenceOptions, render_gaussians};
 use engine::scene::Camera;
 use engine::scene::synthetic::random_gaussians;
 use npyz::WriterBuilder;
-use npyz::npz::NpzWriter;
 
 use tools::oracle;
 
@@ -54,17 +54,27 @@ fn network_and_motion_agree_with_the_oracle() {
 
 /// Writes `arrays` (name, shape, values), plus the three integers, as an `.npz` file.
 fn write_npz(path: &Path, integers: [(&str, i64); 3], arrays: &[(&str, Vec<u64>, Vec<f64>)]) {
-    let mut file = NpzWriter::create(path).unwrap();
+    let mut file = zip::ZipWriter::new(std::fs::File::create(path).unwrap());
     for (name, value) in integers {
-        let mut writer = file.array(name, Default::default()).unwrap().default_dtype().shape(&[]).begin_nd().unwrap();
-        writer.push(&value).unwrap();
-        writer.finish().unwrap();
+        write_entry(&mut file, name, &npy(&[], &[value]));
     }
     for (name, shape, values) in arrays {
-        let mut writer = file.array(name, Default::default()).unwrap().default_dtype().shape(shape).begin_nd().unwrap();
-        writer.extend(values.iter().copied()).unwrap();
-        writer.finish().unwrap();
+        write_entry(&mut file, name, &npy(shape, values));
     }
+    file.finish().unwrap();
+}
+
+fn write_entry(file: &mut zip::ZipWriter<std::fs::File>, name: &str, bytes: &[u8]) {
+    file.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
+    file.write_all(bytes).unwrap();
+}
+
+fn npy<T: npyz::AutoSerialize + Copy>(shape: &[u64], values: &[T]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd().unwrap();
+    writer.extend(values.iter().copied()).unwrap();
+    writer.finish().unwrap();
+    bytes
 }
 
 fn widen<const W: usize>(rows: &[[f32; W]]) -> Vec<f64> {
