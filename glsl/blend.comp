@@ -48,7 +48,8 @@ float transmittance[16];
 vec3 sum_colour[16];
 float sum_depth[16];
 
-// Blends one splat into the lane's pixels. pixel: centre of the first one; row_step: distance to the next, px.
+// Blends one splat into the lane's pixels. pixel: centre of the first one; row_step: distance to the next, px. Selects, not
+// branches: with several pixels per lane some lane nearly always needs the exponential, and lavapipe runs both sides anyway.
 void blend(vec4 first, vec4 second, vec3 colour, vec2 pixel, float row_step) {
     uint with_depth = WITH_DEPTH;
     float u_x = first.z * (pixel.x - first.x);
@@ -58,19 +59,16 @@ void blend(vec4 first, vec4 second, vec3 colour, vec2 pixel, float row_step) {
         float u = u_x + first.w * dy;
         float v = second.x * dy;
         float log2_alpha = second.y - u * u - v * v;
-        if (log2_alpha >= -LOG2_255 && transmittance[j] > 0.0) {
-            float alpha = min(MAX_ALPHA, exp2(log2_alpha));
-            float after = transmittance[j] * (1.0 - alpha);
-            if (after < MIN_TRANSMITTANCE) {
-                transmittance[j] = -transmittance[j];
-            } else {
-                float weight = alpha * transmittance[j];
-                sum_colour[j] += weight * colour;
-                if (with_depth == 1u) {
-                    sum_depth[j] += weight * second.z;
-                }
-                transmittance[j] = after;
-            }
+        bool live = log2_alpha >= -LOG2_255 && transmittance[j] > 0.0;
+        float alpha = live ? min(MAX_ALPHA, exp2(log2_alpha)) : 0.0;
+        float weight = alpha * transmittance[j];
+        float after = transmittance[j] - weight;
+        bool stop = live && after < MIN_TRANSMITTANCE;
+        weight = stop ? 0.0 : weight;
+        transmittance[j] = stop ? -transmittance[j] : after;
+        sum_colour[j] += weight * colour;
+        if (with_depth == 1u) {
+            sum_depth[j] += weight * second.z;
         }
     }
 }
@@ -151,17 +149,21 @@ void main() {
         } else {
             for (uint word = 0u; word < (size + 31u) / 32u; word++) {
                 uint mask = survivors[word];
-                while (mask != 0u) {
-                    uint source = 32u * word + uint(findLSB(mask));
-                    mask &= mask - 1u;
-                    if (stage == 0u) {
-                        vec4 a = subgroupShuffle(first, source);
-                        vec3 b = subgroupShuffle(second.xyz, source);
-                        blend(a, vec4(b, 0.0), subgroupShuffle(third.xyz, source), pixel, row_step);
-                    } else {
-                        uint splat = 3u * subgroupShuffle(index, source);
-                        blend(splats[splat], splats[splat + 1u], splats[splat + 2u].xyz, pixel, row_step);
-                    }
+                // A loop that tests at its end: a device that runs both sides of a branch under a mask (lavapipe) does not pay
+                // for a last empty round.
+                if (mask != 0u) {
+                    do {
+                        uint source = 32u * word + uint(findLSB(mask));
+                        mask &= mask - 1u;
+                        if (stage == 0u) {
+                            vec4 a = subgroupShuffle(first, source);
+                            vec3 b = subgroupShuffle(second.xyz, source);
+                            blend(a, vec4(b, 0.0), subgroupShuffle(third.xyz, source), pixel, row_step);
+                        } else {
+                            uint splat = 3u * subgroupShuffle(index, source);
+                            blend(splats[splat], splats[splat + 1u], splats[splat + 2u].xyz, pixel, row_step);
+                        }
+                    } while (mask != 0u);
                 }
             }
         }

@@ -99,18 +99,15 @@ fn blend_splat(pixel: &mut Pixel, [first, second, third]: [[f32; 4]; 3], x: f32,
     let u = first[2] * dx + first[3] * dy;
     let v = second[0] * dy;
     let log2_alpha = second[1] - u * u - v * v;
-    if log2_alpha >= -LOG2_255 && pixel.transmittance > 0.0 {
-        let alpha = log2_alpha.exp2().min(MAX_ALPHA);
-        let after = pixel.transmittance * (1.0 - alpha);
-        if after < MIN_TRANSMITTANCE {
-            pixel.transmittance = -pixel.transmittance;
-        } else {
-            let weight = alpha * pixel.transmittance;
-            (0..3).for_each(|c| pixel.colour[c] += weight * third[c]);
-            pixel.depth += weight * second[2];
-            pixel.transmittance = after;
-        }
-    }
+    let live = log2_alpha >= -LOG2_255 && pixel.transmittance > 0.0;
+    let alpha = if live { log2_alpha.exp2().min(MAX_ALPHA) } else { 0.0 };
+    let weight = alpha * pixel.transmittance;
+    let after = pixel.transmittance - weight;
+    let stop = live && after < MIN_TRANSMITTANCE;
+    let weight = if stop { 0.0 } else { weight };
+    pixel.transmittance = if stop { -pixel.transmittance } else { after };
+    (0..3).for_each(|c| pixel.colour[c] += weight * third[c]);
+    pixel.depth += weight * second[2];
 }
 
 fn blend_twin(call: &mut TwinCall<'_>) {
