@@ -1,5 +1,6 @@
 //! The f64 reference against results computed by independent implementations (`$SPGS_DATA/oracle`).
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use engine::Error;
@@ -7,17 +8,12 @@ use engine::reference::{Gaussians64, ReferenceOptions, render_gaussians};
 use engine::scene::Camera;
 use engine::scene::synthetic::random_gaussians;
 use npyz::WriterBuilder;
-use npyz::npz::NpzWriter;
 
 use tools::oracle;
 
 /// Files of the oracle folder whose name starts with `prefix`; `None`, said loudly, when `SPGS_DATA` is not set.
 fn oracle_files(prefix: &str) -> Option<Vec<PathBuf>> {
-    let Some(data) = std::env::var_os("SPGS_DATA") else {
-        eprintln!("SKIPPED: SPGS_DATA is not set, so the reference is NOT compared with outside truth");
-        return None;
-    };
-    let folder = PathBuf::from(data).join("oracle");
+    let folder = tests_harness::data("oracle")?;
     let mut files: Vec<PathBuf> = std::fs::read_dir(&folder)
         .unwrap_or_else(|e| panic!("{}: {e}", folder.display()))
         .map(|entry| entry.unwrap().path())
@@ -54,17 +50,28 @@ fn network_and_motion_agree_with_the_oracle() {
 
 /// Writes `arrays` (name, shape, values), plus the three integers, as an `.npz` file.
 fn write_npz(path: &Path, integers: [(&str, i64); 3], arrays: &[(&str, Vec<u64>, Vec<f64>)]) {
-    let mut file = NpzWriter::create(path).unwrap();
+    let mut file = zip::ZipWriter::new(std::fs::File::create(path).unwrap());
+    let mut array = |name: &str, write: &dyn Fn(&mut Vec<u8>)| {
+        let mut bytes = Vec::new();
+        write(&mut bytes);
+        file.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
+        file.write_all(&bytes).unwrap();
+    };
     for (name, value) in integers {
-        let mut writer = file.array(name, Default::default()).unwrap().default_dtype().shape(&[]).begin_nd().unwrap();
-        writer.push(&value).unwrap();
-        writer.finish().unwrap();
+        array(name, &|bytes| {
+            let mut writer = npyz::WriteOptions::new().default_dtype().shape(&[]).writer(bytes).begin_nd().unwrap();
+            writer.push(&value).unwrap();
+            writer.finish().unwrap();
+        });
     }
     for (name, shape, values) in arrays {
-        let mut writer = file.array(name, Default::default()).unwrap().default_dtype().shape(shape).begin_nd().unwrap();
-        writer.extend(values.iter().copied()).unwrap();
-        writer.finish().unwrap();
+        array(name, &|bytes| {
+            let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(bytes).begin_nd().unwrap();
+            writer.extend(values.iter().copied()).unwrap();
+            writer.finish().unwrap();
+        });
     }
+    file.finish().unwrap();
 }
 
 fn widen<const W: usize>(rows: &[[f32; W]]) -> Vec<f64> {
