@@ -24,7 +24,9 @@ layout(std430, set = 0, binding = 4) buffer CountersBlock { uint counters[]; };
 layout(std430, set = 0, binding = 5) writeonly buffer IndirectBlock { uint indirect[]; };
 layout(std430, set = 0, binding = 6) writeonly buffer KeysBlock { uint keys[]; };
 layout(std430, set = 0, binding = 7) writeonly buffer ValuesBlock { uint values[]; };
-layout(std430, set = 0, binding = 8) buffer HistogramBlock { uint histogram[]; };
+layout(std430, set = 0, binding = 8) buffer NextHistogramBlock { uint next_histogram[]; };
+
+#include "lib/count_digit.glsl"
 
 layout(push_constant) uniform PushBlock {
     uint block_capacity; // where the super sums of visible_block start
@@ -45,19 +47,6 @@ uint visible_before(uint first_block) {
     uint total;
     workgroup_exclusive_add(sum, total);
     return total;
-}
-
-// Adds one per lane with `valid` to histogram[slot]; one addition when the lanes agree.
-void count_digit(uint slot, bool valid) {
-    uvec4 lanes = subgroupBallot(valid);
-    if (valid) {
-        bool agree = subgroupAll(slot == subgroupBroadcastFirst(slot));
-        if (!agree) {
-            atomicAdd(histogram[slot], 1u);
-        } else if (count_lanes_below(lanes, gl_SubgroupInvocationID) == 0u) {
-            atomicAdd(histogram[slot], count_lanes(lanes));
-        }
-    }
 }
 
 // Group counts of dispatch d: depth sort, emit, tile sort, tile ranges; nothing runs in a failed frame.
@@ -105,7 +94,7 @@ void main() {
             keys[to] = key;
             values[to] = i;
         }
-        count_digit(to / SORT_PARTITION * SORT_DIGITS + (key & ((1u << push.digit_bits) - 1u)), visible);
+        count_digit(to, key & ((1u << push.digit_bits) - 1u), visible);
     }
 
     if (group == 0u && gl_LocalInvocationID.x < 4u) {

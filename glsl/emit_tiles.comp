@@ -6,8 +6,9 @@
 #extension GL_KHR_shader_subgroup_vote : require
 
 // Writes one (tile, Gaussian) pair for each tile that a visible Gaussian reaches, in depth order, and counts the first
-// digit of the tile ids. A workgroup has 256 depth-sorted Gaussians and runs over their instances, not over the
-// Gaussians, so one that covers the whole image is spread over all threads. Twin: engine/src/render/tiles.rs.
+// digit of the tile ids. A workgroup has 256 depth-sorted Gaussians. Those that reach few tiles are written by a thread
+// each; for the others the threads run over instances, not Gaussians, so that one that covers the whole image is spread
+// over all threads. Twin: engine/src/render/tiles.rs.
 
 #include "lib/frame.glsl"
 #include "lib/limits.glsl"
@@ -24,14 +25,19 @@ layout(std430, set = 0, binding = 4) readonly buffer SplatsBlock { vec4 splats[]
 layout(std430, set = 0, binding = 5) readonly buffer InstanceBlockBlock { uint instance_block[]; };
 layout(std430, set = 0, binding = 6) writeonly buffer KeysBlock { uint keys[]; };
 layout(std430, set = 0, binding = 7) writeonly buffer ValuesBlock { uint values[]; };
-layout(std430, set = 0, binding = 8) buffer HistogramBlock { uint histogram[]; };
+layout(std430, set = 0, binding = 8) buffer NextHistogramBlock { uint next_histogram[]; };
+
+#include "lib/count_digit.glsl"
 
 layout(push_constant) uniform PushBlock {
     uint block_capacity; // where the super sums of instance_block start
     uint digit_bits;     // width of the first tile digit
 } push;
 
-shared uint first_instance[SCAN_BLOCK]; // of each Gaussian, relative to the block
+const uint SERIAL_TILES = 16u; // most instances that one thread writes
+
+shared uint first_instance[SCAN_BLOCK]; // of each Gaussian, where it goes
+shared uint first_shared[SCAN_BLOCK];   // of each Gaussian, among the instances that all threads share
 shared uint block_order[SCAN_BLOCK];
 
 // Instances of the blocks before this one, summed by the workgroup.
@@ -48,13 +54,46 @@ uint instances_before(uint group) {
     return total;
 }
 
-// Last Gaussian of the block whose first instance is at or before `instance`.
+// Gaussian of the block that has shared instance `instance`: the last one that starts at or before it, because those
+// without shared instances start where the next one does.
 uint owner(uint instance) {
     uint low = 0u;
     for (uint step = SCAN_BLOCK / 2u; step != 0u; step /= 2u) {
-        low += first_instance[low + step] <= instance ? step : 0u;
+        low += first_shared[low + step] <= instance ? step : 0u;
     }
     return low;
+}
+
+void emit(uint to, uint tile, uint gaussian, bool valid) {
+    if (valid) {
+        keys[to] = tile;
+        values[to] = gaussian;
+    }
+    count_digit(to, tile & ((1u << push.digit_bits) - 1u), valid);
+}
+
+// The `count` instances of one Gaussian for each thread, row by row and padded where the count promised more than there
+// are. Every lane of the subgroup must call it: the loops have the length of the longest lane, so that digits can be
+// counted together.
+void emit_serially(uint to, uint gaussian, uint count, uint capacity) {
+    Ellipse e = ellipse_of_splat(splats[3u * gaussian], splats[3u * gaussian + 1u]);
+    uvec2 rows = count == 0u ? uvec2(0u) : tile_row_range(e, frame.size.xy);
+    uint end = min(to + count, capacity);
+    uint most_rows = subgroupMax(rows.y - rows.x);
+    for (uint r = 0u; r < most_rows; r++) {
+        uint row = rows.x + r;
+        uvec2 columns = row < rows.y ? tile_columns_of_row(e, row, frame.size.xy) : uvec2(0u);
+        uint most_columns = subgroupMax(columns.y - columns.x);
+        for (uint c = 0u; c < most_columns; c++) {
+            bool valid = columns.x + c < columns.y && to < end;
+            emit(to, row * frame.size.z + columns.x + c, gaussian, valid);
+            to += valid ? 1u : 0u;
+        }
+    }
+    uint most_left = subgroupMax(max(end, to) - to);
+    for (uint k = 0u; k < most_left; k++) {
+        emit(to + k, frame.limits.y, gaussian, to + k < end);
+    }
 }
 
 // Tile number k of an ellipse in row-major order; one past the last tile when the count promised more than there are.
@@ -73,19 +112,6 @@ uint tile_of(Ellipse e, uint k) {
     return tile;
 }
 
-// Adds one per lane with `valid` to histogram[slot]; one addition when the lanes agree.
-void count_digit(uint slot, bool valid) {
-    uvec4 lanes = subgroupBallot(valid);
-    if (valid) {
-        bool agree = subgroupAll(slot == subgroupBroadcastFirst(slot));
-        if (!agree) {
-            atomicAdd(histogram[slot], 1u);
-        } else if (count_lanes_below(lanes, gl_SubgroupInvocationID) == 0u) {
-            atomicAdd(histogram[slot], count_lanes(lanes));
-        }
-    }
-}
-
 void main() {
     uint group = workgroup_index();
     uint t = gl_LocalInvocationID.x;
@@ -94,26 +120,29 @@ void main() {
     uint i = group * SCAN_BLOCK + t;
     uint gaussian = i < visible ? order[i] : 0u;
     uint base = instances_before(group);
+    uint count = i < visible ? tile_count[gaussian] : 0u;
+    bool serial = count <= SERIAL_TILES;
     uint total;
-    first_instance[t] = workgroup_exclusive_add(i < visible ? tile_count[gaussian] : 0u, total);
+    uint to = base + workgroup_exclusive_add(count, total);
+    uint shared_total;
+    first_instance[t] = to;
+    first_shared[t] = workgroup_exclusive_add(serial ? 0u : count, shared_total);
     block_order[t] = gaussian;
     barrier();
 
-    uint mask = (1u << push.digit_bits) - 1u;
-    uint rounds = total / SCAN_BLOCK + (total % SCAN_BLOCK == 0u ? 0u : 1u);
+    emit_serially(to, gaussian, serial ? count : 0u, capacity);
+    uint rounds = shared_total / SCAN_BLOCK + (shared_total % SCAN_BLOCK == 0u ? 0u : 1u);
     for (uint r = 0u; r < rounds; r++) {
         uint k = r * SCAN_BLOCK + t;
-        uint to = base + k;
-        bool valid = k < total && to < capacity;
+        uint from = k < shared_total ? owner(k) : 0u;
+        uint local = k - first_shared[from];
+        to = first_instance[from] + local;
+        bool valid = k < shared_total && to < capacity;
         uint tile = 0u;
+        uint g = block_order[from];
         if (valid) {
-            uint from = owner(k);
-            uint g = block_order[from];
-            Ellipse e = ellipse_of_splat(splats[3u * g], splats[3u * g + 1u]);
-            tile = tile_of(e, k - first_instance[from]);
-            keys[to] = tile;
-            values[to] = g;
+            tile = tile_of(ellipse_of_splat(splats[3u * g], splats[3u * g + 1u]), local);
         }
-        count_digit(to / SORT_PARTITION * SORT_DIGITS + (tile & mask), valid);
+        emit(to, tile, g, valid);
     }
 }

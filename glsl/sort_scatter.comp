@@ -4,6 +4,7 @@
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #extension GL_KHR_shader_subgroup_vote : require
+#extension GL_KHR_shader_subgroup_shuffle : require
 #extension GL_EXT_control_flow_attributes : require
 
 // One stable pass of a least-significant-digit radix sort: 256 threads scatter 4,096 keys (and values) to their places
@@ -28,6 +29,8 @@ layout(std430, set = 0, binding = 4) writeonly buffer KeysOutBlock { uint keys_o
 layout(std430, set = 0, binding = 5) writeonly buffer ValuesOutBlock { uint values_out[]; };
 layout(std430, set = 0, binding = 6) buffer NextHistogramBlock { uint next_histogram[]; };
 
+#include "lib/count_digit.glsl"
+
 layout(push_constant) uniform PushBlock {
     uint shift;           // first bit of this digit
     uint digit_bits;      // 1..8
@@ -40,15 +43,40 @@ layout(push_constant) uniform PushBlock {
 const uint MAX_ROWS = 16u; // 16 KiB of counters: subgroups of fewer than 16 lanes share a row, taking turns
 shared uint rank_rows[MAX_ROWS * SORT_DIGITS];
 
-// Lanes that hold the same digit as this one, out of `lanes`.
-uvec4 lanes_with_digit(uint digit, uvec4 lanes) {
-    uvec4 peers = lanes;
+// A digit that no key has, for lanes without a key.
+const uint NO_DIGIT = 0xffffffffu;
+
+// Number of lanes with the same digit as this one, below it and in all, from one ballot per bit of the digit.
+uvec2 count_peers_by_ballot(uint digit, uint lane) {
+    uvec4 peers = subgroupBallot(digit != NO_DIGIT);
     for (uint b = 0u; b < push.digit_bits; b++) {
         bool bit = ((digit >> b) & 1u) != 0u;
         uvec4 vote = subgroupBallot(bit);
         peers &= bit ? vote : ~vote;
     }
-    return peers;
+    return uvec2(count_lanes_below(peers, lane), count_lanes(peers));
+}
+
+// The same for small subgroups, by comparing with each lane: on a CPU device a ballot is a loop over lanes, a broadcast
+// of a fixed lane is one instruction.
+uvec2 count_peers_by_broadcast(uint digit, uint lane) {
+    uint size = SUBGROUP_SIZE;
+    uvec2 count = uvec2(0u);
+#define COUNT_PEER(j)                                   \
+    {                                                   \
+        bool same = subgroupShuffle(digit, j) == digit; \
+        count.x += same && j < lane ? 1u : 0u;          \
+        count.y += same ? 1u : 0u;                      \
+    }
+    COUNT_PEER(0u) COUNT_PEER(1u) COUNT_PEER(2u) COUNT_PEER(3u)
+    if (size > 4u) {
+        COUNT_PEER(4u) COUNT_PEER(5u) COUNT_PEER(6u) COUNT_PEER(7u)
+    }
+    if (size > 8u) {
+        COUNT_PEER(8u) COUNT_PEER(9u) COUNT_PEER(10u) COUNT_PEER(11u)
+        COUNT_PEER(12u) COUNT_PEER(13u) COUNT_PEER(14u) COUNT_PEER(15u)
+    }
+    return count;
 }
 
 // First output position of digit d in partition `group`, for thread d: all smaller digits, then the same digit in
@@ -70,19 +98,6 @@ uint digit_base(uint group, uint partitions) {
     }
     uint total;
     return workgroup_exclusive_add(all, total) + before;
-}
-
-// Adds one per lane with `valid` to next_histogram[slot]; one addition when the lanes agree.
-void count_next(uint slot, bool valid) {
-    uvec4 lanes = subgroupBallot(valid);
-    if (valid) {
-        bool agree = subgroupAll(slot == subgroupBroadcastFirst(slot));
-        if (!agree) {
-            atomicAdd(next_histogram[slot], 1u);
-        } else if (count_lanes_below(lanes, gl_SubgroupInvocationID) == 0u) {
-            atomicAdd(next_histogram[slot], count_lanes(lanes));
-        }
-    }
 }
 
 void main() {
@@ -123,13 +138,13 @@ void main() {
             [[unroll]] for (uint r = 0u; r < SORT_ROUNDS; r++) {
                 bool valid = first + r * size < present;
                 uint digit = (key[r] >> push.shift) & mask;
-                uvec4 peers = lanes_with_digit(digit, subgroupBallot(valid));
-                uint below = count_lanes_below(peers, lane);
+                uint own = valid ? digit : NO_DIGIT;
+                uvec2 peers = size > 16u ? count_peers_by_ballot(own, lane) : count_peers_by_broadcast(own, lane);
                 uint seen = rank_rows[row + digit];
-                rank[r] = seen + below;
+                rank[r] = seen + peers.x;
                 subgroupBarrier(); // every lane has read before one lane per digit writes
-                if (valid && below == 0u) {
-                    rank_rows[row + digit] = seen + count_lanes(peers);
+                if (valid && peers.x == 0u) {
+                    rank_rows[row + digit] = seen + peers.y;
                 }
                 subgroupBarrier();
             }
@@ -154,7 +169,7 @@ void main() {
             }
         }
         if (has_next != 0u) {
-            count_next(to / SORT_PARTITION * SORT_DIGITS + ((key[r] >> push.next_shift) & next_mask), valid);
+            count_digit(to, (key[r] >> push.next_shift) & next_mask, valid);
         }
     }
 }

@@ -30,13 +30,25 @@ pub struct Comparison {
 /// When either side fails, or when a value from the device is not finite.
 pub fn compare(gpu: &Gpu, scene: &Scene, camera: &Camera, time: f64, motion: MotionSource) -> Comparison {
     let background = [0.25, 0.5, 0.125];
-    let options = RenderOptions { background, depth: true, motion, ..RenderOptions::default() };
+    compare_with(gpu, scene, camera, time, &RenderOptions { background, motion, ..RenderOptions::default() })
+}
+
+/// [`compare`] with the near plane, background and motion of `options`.
+///
+/// # Panics
+/// As [`compare`].
+pub fn compare_with(gpu: &Gpu, scene: &Scene, camera: &Camera, time: f64, options: &RenderOptions) -> Comparison {
+    let options = RenderOptions { depth: true, ..options.clone() };
     let mut renderer = Renderer::new(gpu, scene, &options).unwrap();
     let start = std::time::Instant::now();
     let image = renderer.render(camera, time).unwrap();
     let gpu_ms = start.elapsed().as_secs_f64() * 1e3;
     assert!(image.rgba.iter().chain(&image.depth).all(|v| v.is_finite()), "the device image holds NaN or Inf");
-    let options = ReferenceOptions { background: background.map(f64::from), motion, ..ReferenceOptions::default() };
+    let options = ReferenceOptions {
+        background: options.background.map(f64::from),
+        motion: options.motion,
+        near: f64::from(options.near),
+    };
     let truth = reference::render(scene, camera, time, &options).unwrap();
     let channel = |c: usize| image.rgba.chunks_exact(4).map(move |p| f64::from(p[c]));
     let rgb = image.rgba.chunks_exact(4).flat_map(|p| [f64::from(p[0]), f64::from(p[1]), f64::from(p[2])]);

@@ -3,6 +3,7 @@
 pub mod compare;
 pub mod kernel_case;
 pub mod render_case;
+pub mod widths;
 
 use engine::gpu::{Gpu, GpuOptions};
 pub use kernel_case::{KernelCase, KernelResult};

@@ -1,9 +1,9 @@
 //! Truth from outside: float64 inputs and results of independent implementations, in NumPy `.npz` files.
 //!
-//! An image file holds the inputs `means` [N,3], `quats` [N,4] (w,x,y,z), `log_scales` [N,3], `logit_opac` [N], `sh`
-//! [N,K,3], `viewmat` [4,4] (world to camera), `K` [3,3] (intrinsics), `bg` [3], `width`, `height`, `sh_degree`, and the
-//! float64 `image` [H,W,3]; the near plane is at 0.01. A superpoint file holds network F, superpoints, Gaussians and a
-//! time, and the poses and moved Gaussians at that time.
+//! An image file holds the inputs `means` `[N,3]`, `quats` `[N,4]` (w,x,y,z), `log_scales` `[N,3]`, `logit_opac` `[N]`, `sh`
+//! `[N,K,3]`, `viewmat` `[4,4]` (world to camera), `K` `[3,3]` (intrinsics), `bg` `[3]`, `width`, `height`, `sh_degree`,
+//! and the float64 `image` `[H,W,3]`; the near plane is at 0.01. A superpoint file holds network F, superpoints, Gaussians
+//! and a time, and the poses and moved Gaussians at that time.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -15,14 +15,14 @@ use engine::scene::network::{HIDDEN_LAYERS, HIDDEN_WIDTH};
 use engine::scene::{Camera, DeformNetwork, Gaussians, Linear, MotionSource, Scene, Superpoints};
 use engine::{Error, Result};
 use glam::{DMat3, DMat4, DVec3};
-use npyz::npz::NpzArchive;
 use npyz::{Order, TypeChar};
 use serde::Serialize;
+use zip::ZipArchive;
 
 /// Near plane of the image files, world units.
 pub const NEAR: f64 = 0.01;
 /// An array dimension beyond this is taken for damage.
-const MAX_DIMENSION: u64 = 1 << 24;
+const MAX_DIMENSION: u64 = 1 << 22;
 
 /// One image file.
 #[derive(Debug, Clone, PartialEq)]
@@ -83,7 +83,13 @@ pub fn relative_l2(truth: &[f64], test: &[f64]) -> f64 {
 
 /// Whether the file is a superpoint file (it has `superpoint_position`) and not an image file.
 pub fn is_superpoint_file(path: &Path) -> Result<bool> {
-    Ok(Archive::open(path)?.archive.array_names().any(|name| name == "superpoint_position"))
+    Ok(Archive::open(path)?.archive.index_for_name("superpoint_position.npy").is_some())
+}
+
+/// Whether the file is an image file: Gaussians, camera and image.
+pub fn is_image_file(path: &Path) -> Result<bool> {
+    let file = Archive::open(path)?;
+    Ok(["means", "viewmat", "image"].iter().all(|name| file.archive.index_for_name(&format!("{name}.npy")).is_some()))
 }
 
 /// Reads an image file.
@@ -195,7 +201,7 @@ fn rows<T: Copy, const W: usize>(values: &[T]) -> Vec<[T; W]> {
 /// An open `.npz` file; every problem becomes [`Error::Corrupt`] at the array's name.
 struct Archive<'a> {
     path: &'a Path,
-    archive: NpzArchive<BufReader<File>>,
+    archive: ZipArchive<BufReader<File>>,
 }
 
 /// An array in C order, by element kind.
@@ -207,7 +213,7 @@ enum Array {
 impl<'a> Archive<'a> {
     fn open(path: &'a Path) -> Result<Self> {
         let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-        match NpzArchive::new(BufReader::new(file)) {
+        match ZipArchive::new(BufReader::new(file)) {
             Ok(archive) => Ok(Self { path, archive }),
             Err(e) => Err(Error::corrupt(path, "zip directory", e.to_string(), "an .npz file")),
         }
@@ -217,9 +223,14 @@ impl<'a> Archive<'a> {
     fn array(&mut self, name: &str, shape: &[Option<usize>]) -> Result<Array> {
         let path = self.path;
         let broken = |e: std::io::Error| Error::corrupt(path, name, e.to_string(), "a readable array");
-        let Some(npy) = self.archive.by_name(name).map_err(broken)? else {
-            return Err(Error::corrupt(path, name, "no such array", "an array"));
+        let entry = match self.archive.by_name(&format!("{name}.npy")) {
+            Ok(entry) => entry,
+            Err(zip::result::ZipError::FileNotFound) => {
+                return Err(Error::corrupt(path, name, "no such array", "an array"));
+            }
+            Err(e) => return Err(broken(e.into())),
         };
+        let npy = npyz::NpyFile::new(entry).map_err(broken)?;
         let found = npy.shape().to_vec();
         let fits = found.len() == shape.len()
             && found.iter().zip(shape).all(|(&f, e)| f <= MAX_DIMENSION && e.is_none_or(|e| e as u64 == f));

@@ -1,6 +1,8 @@
 //! Camera files: NeRF `transforms*.json` and COLMAP models.
 
 pub mod colmap;
+#[cfg(test)]
+mod tests;
 pub mod transforms;
 
 use std::path::{Path, PathBuf};
@@ -29,7 +31,8 @@ pub struct CameraSet {
 ///
 /// - `split`: `None` means `test` for a folder of `transforms_*.json` (falling back to `transforms.json`, then to
 ///   `transforms_train.json`, with a warning) and all images for COLMAP. A split that is named must exist. For COLMAP,
-///   `test` is every 8th image by name, `train` the others, `all` all; times are given before the split.
+///   `test` is every 8th image by name, `train` the others, `all` all; times are given before the split. A single file is
+///   read whole, whatever the split.
 /// - `size_override`: the image size to render at. Focal lengths and principal points in pixels are scaled with it; a
 ///   `camera_angle_x` keeps its meaning (square pixels). It also serves where the file gives no size.
 ///

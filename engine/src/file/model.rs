@@ -81,10 +81,12 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<(Scene, Vec<String>)> {
 /// [`crate::Error::Corrupt`].
 pub fn tensors(bytes: &[u8], path: &Path) -> Result<Vec<TensorInfo>> {
     let (_, header) = read::header(bytes, path)?;
-    let infos = header.offset_keys().into_iter().filter_map(|name| {
-        let info = header.info(&name)?;
+    let mut infos: Vec<_> = header.tensors().into_iter().collect();
+    // Empty tensors share an offset.
+    infos.sort_by(|(a, x), (b, y)| x.data_offsets.cmp(&y.data_offsets).then_with(|| a.cmp(b)));
+    let described = infos.into_iter().map(|(name, info)| {
         let (begin, end) = info.data_offsets;
-        Some(TensorInfo { dtype: info.dtype.to_string(), shape: info.shape.clone(), bytes: end - begin, name })
+        TensorInfo { name, dtype: info.dtype.to_string(), shape: info.shape.clone(), bytes: end - begin }
     });
-    Ok(infos.collect())
+    Ok(described.collect())
 }

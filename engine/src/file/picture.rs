@@ -57,8 +57,9 @@ pub fn write_png(path: &Path, image: &Image, alpha: Alpha) -> Result<()> {
     write_atomic(path, |out| out.write_all(&encoded))
 }
 
-/// Writes a 32-bit float EXR, durably: channels A, B, G, R and, where the image has depth, Z (Σ z·α·T). Scan lines, ZIP
-/// compression over 16 lines: lossless, and read by every EXR program.
+/// Writes a 32-bit float EXR, durably: channels A, B, G, R and, where the image has depth, Z (Σ z·α·T). Scan lines,
+/// run-length encoded: lossless, and read by every EXR program. (ZIP makes float renderings some 5 % smaller and takes
+/// about 15 times as long, longer than rendering them.)
 ///
 /// # Errors
 /// As [`write_png`].
@@ -73,7 +74,7 @@ pub fn write_exr(path: &Path, image: &Image) -> Result<()> {
         channels.push(e::AnyChannel::new("Z", e::FlatSamples::F32(image.depth.clone())));
     }
     let encoding = e::Encoding {
-        compression: e::Compression::ZIP16,
+        compression: e::Compression::RLE,
         blocks: e::Blocks::ScanLines,
         line_order: e::LineOrder::Increasing,
     };
@@ -192,3 +193,6 @@ fn parse_exr(bytes: &[u8], path: &Path) -> Result<Image> {
     let rgba = (0..pixels).flat_map(|i| [r[i], g[i], b[i], a[i]]).collect();
     Ok(Image { width: width as u32, height: height as u32, rgba, depth: plane("Z")?.unwrap_or_default() })
 }
+
+#[cfg(test)]
+mod tests;

@@ -111,7 +111,7 @@ impl Gpu {
     /// Opens a device.
     pub fn new(options: &GpuOptions) -> Result<Self> {
         let (entry, instance, debug, messages) = create_instance(options)?;
-        let result = Self::open(entry, &instance, debug.clone(), messages, options);
+        let result = Self::open(entry.clone(), &instance, debug.clone(), messages, options);
         if result.is_err() {
             if let Some((loader, messenger)) = debug {
                 // SAFETY: made from this instance, not used afterwards.

@@ -29,6 +29,7 @@ pub use sh::color_of;
 
 use crate::error::{Error, Result};
 use crate::image::Image;
+use crate::scene::synthetic::HardCase;
 use crate::scene::{Camera, Gaussians, MotionSource, Rejected, Scene};
 
 /// Smallest α that contributes.
@@ -54,6 +55,13 @@ pub struct ReferenceOptions {
 impl Default for ReferenceOptions {
     fn default() -> Self {
         Self { near: 0.2, background: [0.0; 3], motion: MotionSource::Auto }
+    }
+}
+
+impl From<&HardCase> for ReferenceOptions {
+    fn from(case: &HardCase) -> Self {
+        let background = case.background.map(f64::from);
+        Self { near: f64::from(case.near), background, motion: MotionSource::Auto }
     }
 }
 

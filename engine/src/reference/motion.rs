@@ -33,7 +33,7 @@ fn sinc(x: f64) -> f64 {
     if x2 < 1.0e-4 { 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0 * (1.0 - x2 / 42.0)) } else { x.sin() / x }
 }
 
-/// Exponential map of so(3) (Rodrigues): I + sinθ/θ·[r]ₓ + (1 − cosθ)/θ²·[r]ₓ², θ = |r|.
+/// Exponential map of so(3) (Rodrigues): I + sinθ/θ·K + (1 − cosθ)/θ²·K², θ = |r|, K·x = r × x.
 ///
 /// (1 − cosθ)/θ² is taken as ½·sinc²(θ/2), which does not cancel for small θ.
 pub fn exp(r: DVec3) -> DMat3 {

@@ -83,8 +83,8 @@ impl<T: Copy + Into<f64>> Parameters<'_, T> {
 pub struct Splat {
     /// Centre, px.
     pub mean: DVec2,
-    /// Upper Cholesky factor of the conic Σ₂⁻¹: u = l[0]·dx + l[1]·dy, v = l[2]·dy, dᵀΣ₂⁻¹d = u² + v². A sum of squares
-    /// stays ≥ 0 where the expanded form of a needle would not.
+    /// Upper Cholesky factor of the conic Σ₂⁻¹, `[l₁₁, l₁₂, l₂₂]`: u = l₁₁dx + l₁₂dy, v = l₂₂dy, dᵀΣ₂⁻¹d = u² + v².
+    /// A sum of squares stays ≥ 0 where the expanded form of a needle would not.
     pub factor: [f64; 3],
     /// Σ₂ = [[a, b], [b, c]] with dilation, px².
     pub covariance: [f64; 3],

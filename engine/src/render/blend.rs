@@ -17,8 +17,9 @@ use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, 
 pub const BLEND_THREADS: u32 = 128;
 /// Largest α.
 pub const MAX_ALPHA: f32 = 0.99;
-/// The splat that would take the transmittance below this ends the pixel, undrawn.
-pub const MIN_TRANSMITTANCE: f32 = 1e-4;
+/// The splat that would take the transmittance below this ends the pixel, undrawn. The definition says 1e-4; two splats at
+/// the largest α leave exactly that, which is not below it, but (1 − 0.99f)² rounds to 9.99998e-5: hence a hair less.
+pub const MIN_TRANSMITTANCE: f32 = 9.9999e-5;
 
 /// How a surviving splat's parameters reach all lanes of a subgroup (spec constant `STAGE`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

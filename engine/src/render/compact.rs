@@ -1,6 +1,7 @@
 //! `compact`: the visible Gaussians, in index order, as (depth key, index) pairs for the depth sort, and the arguments
 //! of the indirect dispatches that follow.
 
+use super::frame::Frame;
 use super::limits::*;
 use super::twin;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
@@ -29,7 +30,7 @@ pub const INDIRECT_RANGES: u32 = 12;
 /// Words of `indirect`.
 pub const INDIRECT_WORDS: u32 = 16;
 
-/// Stable compaction. Dispatch ceil(gaussians / 1024) workgroups; `histogram` must be zero.
+/// Stable compaction. Dispatch ceil(gaussians / 1024) workgroups; `next_histogram` must be zero.
 pub static COMPACT: Kernel = Kernel {
     name: "compact",
     doc: "packs the visible Gaussians into (depth key, index) pairs in index order, counts the first depth digit, \
@@ -38,7 +39,7 @@ pub static COMPACT: Kernel = Kernel {
     spec: &["SUBGROUP_SIZE"],
     push: CompactPush::FIELDS,
     bindings: &[
-        Binding::new("frame", Access::Read, Element::Struct),
+        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
         Binding::new("tile_count", Access::Read, Element::U32),
         Binding::new("splats", Access::Read, Element::F32),
         Binding::new("visible_block", Access::Read, Element::U32),
@@ -46,7 +47,7 @@ pub static COMPACT: Kernel = Kernel {
         Binding::new("indirect", Access::Write, Element::U32),
         Binding::new("keys", Access::Write, Element::U32),
         Binding::new("values", Access::Write, Element::U32),
-        Binding::new("histogram", Access::Atomic, Element::U32),
+        Binding::new("next_histogram", Access::Atomic, Element::U32),
     ],
     twin: compact_twin,
     tolerance: Tolerance::EXACT,
@@ -60,7 +61,8 @@ fn compact_twin(call: &mut TwinCall<'_>) {
     let [frame, tile_count, splats, visible_block, counters, indirect, keys, values, histogram] = call.buffers else {
         return;
     };
-    let gaussians = frame[twin::FRAME_COUNTS];
+    let frame: Frame = twin::struct_at(frame, 0);
+    let gaussians = frame.counts[0];
     let mask = (1 << push.digit_bits) - 1;
     for group in 0..groups {
         let mut to = sum_before(visible_block, group * (COMPACT_GAUSSIANS / SCAN_BLOCK), push.block_capacity);
@@ -75,7 +77,7 @@ fn compact_twin(call: &mut TwinCall<'_>) {
             }
         }
         if group == 0 {
-            write_arguments(frame[twin::FRAME_LIMITS], counters, indirect);
+            write_arguments(frame.limits[0], counters, indirect);
         }
     }
 }

@@ -22,6 +22,10 @@ pub mod quaternion;
 pub mod radix_sort;
 mod renderer;
 mod scene_buffers;
+#[cfg(test)]
+mod sort_tests;
+#[cfg(test)]
+mod tile_tests;
 pub mod tiles;
 pub mod twin;
 mod work_buffers;

@@ -8,7 +8,7 @@ use super::blend::{self, BLEND};
 use super::compact::{
     COMPACT, COMPACT_GAUSSIANS, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT, INDIRECT_RANGES, INDIRECT_TILE_SORT,
 };
-use super::deform_network::{self, DEFORM_NETWORK};
+use super::deform_network::{DEFORM_NETWORK, DEFORM_NETWORK_SUPERPOINTS};
 use super::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectPush, MOTION_STATIC, MOTION_TABLE};
 use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
 use super::radix_sort::{SORT_SCATTER, SORT_SPINE, SPINE_GROUPS};
@@ -51,8 +51,8 @@ pub(super) fn record(
     r.fill(&work.zeroed, 0)?;
     if let Poses::Network { weights, superpoint_position } = &scene.poses {
         let buffers = slices(&[&frame.frame, superpoint_position, weights, &scene.pose]);
-        let groups = deform_network::groups(scene.superpoints);
-        r.dispatch(&DEFORM_NETWORK, &[0], &[], &buffers, Groups::Direct(groups))?;
+        let groups = u64::from(scene.superpoints.div_ceil(DEFORM_NETWORK_SUPERPOINTS));
+        r.dispatch(&DEFORM_NETWORK, &[u32::from(scene.fp16_weights)], &[], &buffers, Groups::Direct(groups))?;
     }
     deform_project(&mut r, scene, work, frame)?;
     compact(&mut r, scene, work, frame)?;

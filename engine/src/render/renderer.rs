@@ -32,6 +32,8 @@ pub struct RenderOptions {
     pub depth: bool,
     /// Where the poses of a moving scene come from.
     pub motion: MotionSource,
+    /// Whether network F's hidden matrices are kept in half precision: half the traffic, poses off by about 1e-3.
+    pub fp16_weights: bool,
     /// Largest number of tile instances; `None`: what the device's buffers can hold.
     pub max_instances: Option<u64>,
     /// Whether timestamps are taken around every operation.
@@ -45,6 +47,7 @@ impl Default for RenderOptions {
             near: 0.2,
             depth: false,
             motion: MotionSource::Auto,
+            fp16_weights: false,
             max_instances: None,
             profile: false,
         }
@@ -115,7 +118,7 @@ impl Renderer {
     /// # Errors
     /// `Usage` for an inconsistent scene or a motion source that it lacks, `Limit` and `OutOfMemory` when it does not fit.
     pub fn new(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<Self> {
-        let scene = SceneBuffers::new(gpu, scene, options.motion)?;
+        let scene = SceneBuffers::new(gpu, scene, options.motion, options.fp16_weights)?;
         let capacity = (u64::from(scene.gaussians) * FIRST_INSTANCES_PER_GAUSSIAN).max(4096);
         let mut renderer =
             Self { gpu: gpu.clone(), options: options.clone(), scene, targets: None, capacity, frames: 0 };
@@ -248,6 +251,7 @@ impl Renderer {
                 ("sh_coefficients", u64::from((self.scene.sh_degree + 1) * (self.scene.sh_degree + 1))),
                 ("moving", u64::from(self.scene.moves())),
                 ("depth", u64::from(self.options.depth)),
+                ("fp16_weights", u64::from(self.options.fp16_weights)),
             ]
             .into_iter()
             .collect(),

@@ -39,6 +39,8 @@ pub(super) struct SceneBuffers {
     /// World position of the coordinates' origin.
     pub(super) origin: DVec3,
     pub(super) poses: Poses,
+    /// Network F's hidden matrices are stored in half precision.
+    pub(super) fp16_weights: bool,
     pub(super) rejected: Rejected,
     pub(super) mean: Buffer,
     pub(super) log_scale: Buffer,
@@ -51,7 +53,7 @@ pub(super) struct SceneBuffers {
 }
 
 impl SceneBuffers {
-    pub(super) fn new(gpu: &Gpu, scene: &Scene, source: MotionSource) -> Result<Self> {
+    pub(super) fn new(gpu: &Gpu, scene: &Scene, source: MotionSource, fp16_weights: bool) -> Result<Self> {
         let g = &scene.gaussians;
         check_lengths(g)?;
         let motion = select_motion(scene, source)?;
@@ -72,7 +74,7 @@ impl SceneBuffers {
             .collect();
         let of_gaussian = scene.superpoints.as_ref().map_or(&[][..], |s| &s.of_gaussian);
         let superpoints = motion.superpoints(scene) as u32;
-        let (pose, poses) = upload_motion(gpu, scene, motion, origin)?;
+        let (pose, poses) = upload_motion(gpu, scene, motion, origin, fp16_weights)?;
         let band = |b: u32| gpu.buffer_with(&format!("sh_{b}"), bytemuck::cast_slice(&sh_band(g, b)));
         Ok(Self {
             gaussians: g.len() as u32,
@@ -80,6 +82,7 @@ impl SceneBuffers {
             sh_degree: g.sh_degree,
             origin,
             poses,
+            fp16_weights,
             rejected,
             mean: gpu.buffer_with("mean", bytemuck::cast_slice(&planes(&mean)))?,
             log_scale: gpu.buffer_with("log_scale", bytemuck::cast_slice(&planes(&g.log_scale)))?,
@@ -194,7 +197,7 @@ fn select_motion(scene: &Scene, source: MotionSource) -> Result<Selected> {
     Ok(selected)
 }
 
-fn upload_motion(gpu: &Gpu, scene: &Scene, selected: Selected, origin: DVec3) -> Result<(Buffer, Poses)> {
+fn upload_motion(gpu: &Gpu, scene: &Scene, selected: Selected, origin: DVec3, fp16: bool) -> Result<(Buffer, Poses)> {
     let m = selected.superpoints(scene) as u64;
     match (selected, &scene.motion, &scene.deform, &scene.superpoints) {
         (Selected::Table, Some(motion), _, _) if origin == DVec3::ZERO => {
@@ -207,7 +210,7 @@ fn upload_motion(gpu: &Gpu, scene: &Scene, selected: Selected, origin: DVec3) ->
             Ok((gpu.buffer("pose", m * 32, Memory::Upload)?, Poses::Host(motion.clone())))
         }
         (Selected::Network, _, Some(network), Some(superpoints)) => {
-            let weights = gpu.buffer_with("weights", bytemuck::cast_slice(&pack_weights(network, false)?))?;
+            let weights = gpu.buffer_with("weights", bytemuck::cast_slice(&pack_weights(network, fp16)?))?;
             let superpoint_position =
                 gpu.buffer_with("superpoint_position", bytemuck::cast_slice(&superpoints.position))?;
             Ok((gpu.buffer("pose", m * 32, Memory::Device)?, Poses::Network { weights, superpoint_position }))

@@ -2,6 +2,7 @@
 
 use super::compact::sum_before;
 use super::ellipse::Ellipse;
+use super::frame::Frame;
 use super::limits::*;
 use super::twin;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
@@ -72,7 +73,7 @@ fn sum_tile_counts_twin(call: &mut TwinCall<'_>) {
     }
 }
 
-/// Tile instances in depth order. Dispatch ceil(visible / 256) workgroups; `histogram` must be zero.
+/// Tile instances in depth order. Dispatch ceil(visible / 256) workgroups; `next_histogram` must be zero.
 pub static EMIT_TILES: Kernel = Kernel {
     name: "emit_tiles",
     doc: "writes one (tile, Gaussian) pair for each tile a visible Gaussian reaches, in depth order, and counts the \
@@ -81,7 +82,7 @@ pub static EMIT_TILES: Kernel = Kernel {
     spec: &["SUBGROUP_SIZE"],
     push: EmitTilesPush::FIELDS,
     bindings: &[
-        Binding::new("frame", Access::Read, Element::Struct),
+        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
         Binding::new("counters", Access::Read, Element::U32),
         Binding::new("tile_count", Access::Read, Element::U32),
         Binding::new("order", Access::Read, Element::U32),
@@ -89,7 +90,7 @@ pub static EMIT_TILES: Kernel = Kernel {
         Binding::new("instance_block", Access::Read, Element::U32),
         Binding::new("keys", Access::Write, Element::U32),
         Binding::new("values", Access::Write, Element::U32),
-        Binding::new("histogram", Access::Atomic, Element::U32),
+        Binding::new("next_histogram", Access::Atomic, Element::U32),
     ],
     twin: emit_tiles_twin,
     tolerance: Tolerance::EXACT,
@@ -104,7 +105,8 @@ fn emit_tiles_twin(call: &mut TwinCall<'_>) {
         return;
     };
     let visible = visible_of(counters);
-    let capacity = counters[COUNT_INSTANCES as usize].min(frame[twin::FRAME_LIMITS]);
+    let frame: Frame = twin::struct_at(frame, 0);
+    let capacity = counters[COUNT_INSTANCES as usize].min(frame.limits[0]);
     let mask = (1 << push.digit_bits) - 1;
     for group in 0..groups.min(visible.div_ceil(SCAN_BLOCK)) {
         let mut to = sum_before(instance_block, group, push.block_capacity);
@@ -112,7 +114,7 @@ fn emit_tiles_twin(call: &mut TwinCall<'_>) {
             let gaussian = order[i as usize];
             let g = gaussian as usize;
             let e = Ellipse::of_splat(twin::vec4_at(splats, 3 * g), twin::vec4_at(splats, 3 * g + 1));
-            for tile in tiles_of(&e, tile_count[g], &frame[twin::FRAME_SIZE..], frame[twin::FRAME_LIMITS + 1]) {
+            for tile in tiles_of(&e, tile_count[g], frame.size, frame.limits[1]) {
                 if to < capacity {
                     keys[to as usize] = tile;
                     values[to as usize] = gaussian;
@@ -125,7 +127,7 @@ fn emit_tiles_twin(call: &mut TwinCall<'_>) {
 }
 
 /// Exactly `count` tiles of an ellipse, row-major; `sentinel` stands for those that do not exist.
-fn tiles_of(e: &Ellipse, count: u32, size: &[u32], sentinel: u32) -> Vec<u32> {
+fn tiles_of(e: &Ellipse, count: u32, size: [u32; 4], sentinel: u32) -> Vec<u32> {
     let pixels = [size[0], size[1]];
     let mut tiles = Vec::new();
     let rows = e.tile_row_range(pixels);
@@ -145,7 +147,7 @@ pub static TILE_RANGES: Kernel = Kernel {
     spec: &["SUBGROUP_SIZE"],
     push: &[],
     bindings: &[
-        Binding::new("frame", Access::Read, Element::Struct),
+        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
         Binding::new("counters", Access::Read, Element::U32),
         Binding::new("keys", Access::Read, Element::U32),
         Binding::new("ranges", Access::Write, Element::U32),
@@ -159,10 +161,11 @@ pub static TILE_RANGES: Kernel = Kernel {
 fn tile_ranges_twin(call: &mut TwinCall<'_>) {
     let threads = u64::from(twin::group_count(call)) * u64::from(SCAN_BLOCK);
     let [frame, counters, keys, ranges] = call.buffers else { return };
+    let frame: Frame = twin::struct_at(frame, 0);
     let n = counters[COUNT_INSTANCES as usize] as usize;
     for i in 0..n.min(threads as usize) {
         let tile = keys[i];
-        if tile >= frame[twin::FRAME_LIMITS + 1] {
+        if tile >= frame.limits[1] {
             continue;
         }
         if i == 0 || keys[i - 1] != tile {

@@ -54,10 +54,3 @@ pub fn folded_groups(n: u32) -> [u32; 3] {
     let x = n.min(65_535);
     [x, if x == 0 { 0 } else { n.div_ceil(x) }, 1]
 }
-
-/// Word of `frame.size` (width, height, tiles_x, tiles_y) in the `frame` buffer (`glsl/lib/frame.glsl`).
-pub const FRAME_SIZE: usize = 32;
-/// Word of `frame.counts` (gaussians, superpoints, key_first, key_second).
-pub const FRAME_COUNTS: usize = 36;
-/// Word of `frame.limits` (instance_capacity, tile_count, tile_passes, sh_degree).
-pub const FRAME_LIMITS: usize = 40;

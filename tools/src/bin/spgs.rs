@@ -1,2 +1,24 @@
-//! The `spgs` command.
-fn main() {}
+//! `spgs`: renders and measures dynamic 3D Gaussian scenes.
+
+use std::process::ExitCode;
+
+use engine::error::Result;
+use tools::args::{Cli, Command};
+use tools::{bench, demo, devices, inspect, output, render};
+
+fn main() -> ExitCode {
+    match output::parse::<Cli>("spgs") {
+        Ok(cli) => output::run_main("spgs", move || run(&cli).map(|()| ExitCode::SUCCESS)),
+        Err(code) => code,
+    }
+}
+
+fn run(cli: &Cli) -> Result<()> {
+    match &cli.command {
+        Command::Demo(args) => demo::run(args, &cli.global),
+        Command::Render(args) => render::run(args, &cli.global),
+        Command::Bench(args) => bench::run(args, &cli.global),
+        Command::Inspect(args) => inspect::run(args),
+        Command::Devices(args) => devices::run(args),
+    }
+}

@@ -1,2 +1,120 @@
 //! `spgs-dev`: the project's own tasks.
-fn main() {}
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use engine::error::{Error, Result};
+use engine::gpu::{Gpu, GpuOptions};
+use tools::{kernel_docs, oracle_task, output, plan_task, spirv_task};
+
+/// The project's own tasks: shaders, barrier plan, checks against the oracle.
+#[derive(Parser)]
+#[command(name = "spgs-dev", version)]
+struct Cli {
+    /// Folder of the workspace
+    #[arg(long, global = true, default_value = ".", value_name = "DIR")]
+    root: PathBuf,
+    #[command(subcommand)]
+    task: Task,
+}
+
+#[derive(Subcommand)]
+enum Task {
+    /// Compile glsl/ to spirv_cache/ and write its manifest
+    Spirv {
+        /// Change nothing; fail when spirv_cache/ is not what glsl/ compiles to
+        #[arg(long)]
+        check: bool,
+    },
+    /// Print the barrier plan of every kind of frame
+    Plan {
+        /// Fail when one is not that in tests/golden
+        #[arg(long)]
+        check: bool,
+        /// Replace those in tests/golden
+        #[arg(long, conflicts_with = "check")]
+        write: bool,
+    },
+    /// Compare the f64 reference and the GPU with images of an independent float64 implementation
+    OracleCheck {
+        /// NumPy archives: image files and superpoint files
+        #[arg(required = true, value_name = "FILE.npz")]
+        files: Vec<PathBuf>,
+        /// One JSON object per file and line
+        #[arg(long)]
+        json: bool,
+    },
+    /// Print the kernels as a table, from their declarations
+    Docs,
+}
+
+fn main() -> ExitCode {
+    match output::parse::<Cli>("spgs-dev") {
+        Ok(cli) => output::run_main("spgs-dev", move || run(&cli)),
+        Err(code) => code,
+    }
+}
+
+fn run(cli: &Cli) -> Result<ExitCode> {
+    match &cli.task {
+        Task::Spirv { check } => spirv(cli, *check),
+        Task::Plan { check, write } => plan(cli, *check, *write),
+        Task::OracleCheck { files, json } => oracle_check(files, *json),
+        Task::Docs => {
+            output::line(kernel_docs::table().trim_end());
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}
+
+fn spirv(cli: &Cli, check: bool) -> Result<ExitCode> {
+    let outcome = if check { spirv_task::check(&cli.root)? } else { spirv_task::write(&cli.root)? };
+    for line in &outcome.lines {
+        output::line(line);
+    }
+    let verdict = if outcome.stale { "stale" } else { "fresh" };
+    output::line(&format!("spirv_cache: {} kernels, {verdict}", outcome.kernels));
+    Ok(status(!outcome.stale))
+}
+
+fn plan(cli: &Cli, check: bool, write: bool) -> Result<ExitCode> {
+    let mut same = true;
+    for plan in plan_task::plans(&Gpu::new(&GpuOptions::default())?)? {
+        output::line(&format!("== {}: {} dispatches, {} barriers", plan.name, plan.dispatches, plan.barriers));
+        output::line(&plan.text);
+        if write {
+            plan_task::write(&cli.root, &plan)?;
+        }
+        if check && let Some(text) = plan_task::difference(&cli.root, &plan)? {
+            output::error_line(&format!("spgs-dev: {text}"));
+            same = false;
+        }
+    }
+    Ok(status(same))
+}
+
+fn oracle_check(files: &[PathBuf], json: bool) -> Result<ExitCode> {
+    let gpu = Gpu::new(&GpuOptions::default())?;
+    let (mut checked, mut passed) = (0, true);
+    for file in files {
+        let Some(check) = oracle_task::check(&gpu, file)? else {
+            log::warn!("{}: holds neither an image with its Gaussians nor superpoint motion; skipped", file.display());
+            continue;
+        };
+        checked += 1;
+        passed &= check.passes();
+        if json {
+            let line = serde_json::to_string(&check)
+                .map_err(|e| Error::usage("JSON output", e.to_string(), "serialisable values"))?;
+            output::line(&line);
+        } else {
+            output::line(&check.describe());
+        }
+    }
+    Ok(status(passed && checked > 0))
+}
+
+fn status(ok: bool) -> ExitCode {
+    ExitCode::from(u8::from(!ok))
+}

@@ -1,0 +1,316 @@
+//! Tile coverage by brute force over pixels, and compaction, emission and ranges against plain Rust.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+use super::compact::*;
+use super::ellipse::Ellipse;
+use super::limits::*;
+use super::radix_sort::SortPlan;
+use super::sort_tests::{Rng, call, sort_by_twins};
+use super::tiles::*;
+
+const POISON: u32 = 0x7FC0_DEAD;
+
+/// An ellipse with the given standard deviations (px, before the 0.3 px² dilation) and angle.
+fn ellipse(mean: [f64; 2], sigma: [f64; 2], angle: f64, opacity: f64) -> Ellipse {
+    let (sin, cos) = angle.sin_cos();
+    let [p, q] = sigma.map(|s| s * s);
+    let b = (p - q) * sin * cos;
+    let c = p * sin * sin + q * cos * cos + 0.3;
+    let det = p * q + 0.3 * (p + q) + 0.09;
+    let s = (std::f64::consts::LOG2_E / 2.0).sqrt();
+    Ellipse {
+        mean: mean.map(|m| m as f32),
+        l11: (s * (c / det).sqrt()) as f32,
+        l12: (-s * b / (c * det).sqrt()) as f32,
+        l22: (s / c.sqrt()) as f32,
+        log2_opacity: opacity.log2() as f32,
+    }
+}
+
+/// α ≥ 1/255 at a pixel, in f64 from the f32 coefficients.
+fn reaches(e: &Ellipse, x: u32, y: u32) -> bool {
+    let dx = f64::from(x) + 0.5 - f64::from(e.mean[0]);
+    let dy = f64::from(y) + 0.5 - f64::from(e.mean[1]);
+    let u = f64::from(e.l11) * dx + f64::from(e.l12) * dy;
+    let v = f64::from(e.l22) * dy;
+    f64::from(e.log2_opacity) - u * u - v * v >= -(255_f64.log2())
+}
+
+/// Tiles with a pixel that the ellipse reaches.
+fn tiles_by_pixels(e: &Ellipse, size: [u32; 2]) -> Vec<u32> {
+    let columns = size[0].div_ceil(TILE_SIZE);
+    let mut tiles = Vec::new();
+    for tile in 0..columns * size[1].div_ceil(TILE_SIZE) {
+        let (x, y) = (tile % columns * TILE_SIZE, tile / columns * TILE_SIZE);
+        let hit = (y..size[1].min(y + TILE_SIZE)).any(|y| (x..size[0].min(x + TILE_SIZE)).any(|x| reaches(e, x, y)));
+        if hit {
+            tiles.push(tile);
+        }
+    }
+    tiles
+}
+
+fn tiles_by_rows(e: &Ellipse, size: [u32; 2]) -> Vec<u32> {
+    let rows = e.tile_row_range(size);
+    let mut tiles = Vec::new();
+    for row in rows[0]..rows[1] {
+        let columns = e.tile_columns_of_row(row, size);
+        tiles.extend((columns[0]..columns[1]).map(|c| row * size[0].div_ceil(TILE_SIZE) + c));
+    }
+    assert_eq!(tiles.len() as u32, e.tile_count(size));
+    tiles
+}
+
+/// Checks cover and returns (tiles counted, tiles needed).
+fn check_cover(e: &Ellipse, size: [u32; 2]) -> (usize, usize) {
+    let (counted, needed) = (tiles_by_rows(e, size), tiles_by_pixels(e, size));
+    for tile in &needed {
+        assert!(counted.contains(tile), "{e:?} in {size:?}: tile {tile} is not counted");
+    }
+    (counted.len(), needed.len())
+}
+
+#[test]
+fn every_reached_pixel_lies_in_a_counted_tile() {
+    let mut rng = Rng(11);
+    let mut over = |name: &str, n: usize, size: [u32; 2], range: [f64; 2], needle: bool, limit: f64| {
+        let (mut counted, mut needed) = (0, 0);
+        for _ in 0..n {
+            let spread = 1.4;
+            let mean = [0, 1].map(|i| (rng.unit() * spread - (spread - 1.0) / 2.0) * f64::from(size[i]));
+            let draw = |u: f64| range[0] * (range[1] / range[0]).powf(u);
+            let long = draw(rng.unit());
+            let short = if needle { 1e-3 } else { draw(rng.unit()) };
+            let opacity = 10_f64.powf(-2.6 * rng.unit());
+            let e = ellipse(mean, [long, short], rng.unit() * 7.0, opacity);
+            let (c, d) = check_cover(&e, size);
+            counted += c;
+            needed += d;
+        }
+        let excess = counted as f64 / needed as f64 - 1.0;
+        assert!(excess < limit, "{name}: {excess} more tiles than needed");
+    };
+    over("small", 3000, [200, 140], [0.01, 2.0], false, 0.03);
+    over("medium", 500, [200, 140], [1.0, 40.0], false, 0.01);
+    over("huge", 200, [200, 140], [40.0, 1e7], false, 0.01);
+    over("needles", 500, [200, 140], [1.0, 1e5], true, 0.03);
+    over("one pixel", 300, [1, 1], [0.01, 10.0], false, 0.05);
+    over("narrow", 300, [3, 333], [0.1, 100.0], true, 0.05);
+}
+
+#[test]
+fn alpha_at_the_threshold_is_counted() {
+    for ulps in -40_i32..=40 {
+        let threshold = -(255_f64.log2()) as f32;
+        let log2_opacity = f32::from_bits(threshold.to_bits().wrapping_add_signed(ulps));
+        let e = Ellipse { mean: [20.5, 3.5], l11: 1.0, l12: 0.3, l22: 1.1, log2_opacity };
+        check_cover(&e, [64, 64]);
+    }
+    let faint = Ellipse { mean: [20.5, 3.5], l11: 1.0, l12: 0.3, l22: 1.1, log2_opacity: -8.1 };
+    assert_eq!(faint.tile_count([64, 64]), 0);
+}
+
+#[test]
+fn not_finite_is_empty() {
+    let good = ellipse([30.0, 30.0], [3.0, 5.0], 0.4, 0.9);
+    assert!(good.tile_count([64, 64]) > 0);
+    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        for field in 0..6 {
+            let mut f = [good.mean[0], good.mean[1], good.l11, good.l12, good.l22, good.log2_opacity];
+            f[field] = bad;
+            let e = Ellipse::of_splat([f[0], f[1], f[2], f[3]], [f[4], f[5], 0.0, 0.0]);
+            assert_eq!(e.tile_count([64, 64]), 0, "field {field} = {bad}");
+            let [low, high] = e.row_interval(0.5, 15.5);
+            assert!(low > high, "field {field} = {bad}");
+        }
+    }
+    for zero in [Ellipse { l11: 0.0, ..good }, Ellipse { l22: 0.0, ..good }, Ellipse { l11: -1.0, ..good }] {
+        assert_eq!(zero.tile_count([64, 64]), 0);
+    }
+}
+
+// ---- the chain compact -> depth sort -> sum -> emit -> tile sort -> ranges, on the twins ----
+
+struct Chain {
+    size: [u32; 2],
+    ellipses: Vec<Ellipse>,
+    depth: Vec<f32>,
+    capacity: u32,
+    /// Added to the true tile counts, to emulate a count pass that disagrees with the emit pass.
+    count_error: i32,
+}
+
+struct Lists {
+    counters: Vec<u32>,
+    indirect: Vec<u32>,
+    /// For each tile, the Gaussians front to back.
+    tiles: Vec<Vec<u32>>,
+    sentinels: usize,
+}
+
+impl Chain {
+    fn random(n: usize, size: [u32; 2], seed: u64) -> Self {
+        let mut rng = Rng(seed);
+        let ellipses = (0..n)
+            .map(|_| {
+                let mean = [0, 1].map(|i| (rng.unit() * 1.6 - 0.3) * f64::from(size[i]));
+                let sigma = [10_f64.powf(rng.unit() * 2.5 - 1.0), 10_f64.powf(rng.unit() * 2.0 - 1.0)];
+                ellipse(mean, sigma, rng.unit() * 7.0, rng.unit())
+            })
+            .collect();
+        // Few depths, so that ties are common.
+        let depth = (0..n).map(|_| 0.25 + (rng.next() % 97) as f32 * 0.37).collect();
+        Self { size, ellipses, depth, capacity: u32::MAX, count_error: 0 }
+    }
+
+    fn tile_count(&self) -> Vec<u32> {
+        let error = |c: u32| if c == 0 { 0 } else { (c as i32 + self.count_error).max(1) as u32 };
+        self.ellipses.iter().map(|e| error(e.tile_count(self.size))).collect()
+    }
+
+    fn run(&self) -> Lists {
+        let n = self.ellipses.len() as u32;
+        let [tiles_x, tiles_y] = self.size.map(|s| s.div_ceil(TILE_SIZE));
+        let tile_count = self.tile_count();
+        let mut splats = vec![0_u32; 12 * n as usize];
+        for (i, (e, z)) in self.ellipses.iter().zip(&self.depth).enumerate() {
+            for (j, v) in [e.mean[0], e.mean[1], e.l11, e.l12, e.l22, e.log2_opacity, *z].into_iter().enumerate() {
+                splats[12 * i + j] = v.to_bits();
+            }
+        }
+        let total: u64 = tile_count.iter().map(|c| u64::from(*c)).sum();
+        let visible = tile_count.iter().filter(|c| **c != 0).count() as u32;
+        let capacity = self.capacity.min(total as u32 + 100);
+        let mut frame = vec![0; 44];
+        frame[32..36].copy_from_slice(&[self.size[0], self.size[1], tiles_x, tiles_y]);
+        frame[36] = n;
+        frame[40..42].copy_from_slice(&[capacity, tiles_x * tiles_y]);
+        let (words, block_capacity) = block_words(n);
+        let mut visible_block = vec![0; words as usize];
+        for (i, count) in tile_count.iter().enumerate() {
+            visible_block[i / 256] += u32::from(*count != 0);
+            visible_block[block_capacity as usize + i / 65_536] += u32::from(*count != 0);
+        }
+        let counters = vec![visible, total as u32, (total >> 32) as u32, 0, 0, POISON, 0, 0];
+
+        let depth = SortPlan::new(n, 32).unwrap();
+        let tile = SortPlan::new(capacity, tile_key_bits(tiles_x * tiles_y)).unwrap();
+        let rows = |plan: &SortPlan| vec![0; plan.histogram_rows() as usize * 256];
+        let push = CompactPush { block_capacity, digit_bits: depth.digits[0].bits };
+        let keys = vec![POISON; n as usize];
+        let mut buffers = [
+            frame.clone(),
+            tile_count.clone(),
+            splats.clone(),
+            visible_block,
+            counters,
+            vec![POISON; 16],
+            keys.clone(),
+            keys,
+            rows(&depth),
+        ];
+        call(&COMPACT, &[], bytemuck::bytes_of(&push), n.div_ceil(1024), &mut buffers);
+        let [_, _, _, _, counters, indirect, keys, values, histogram] = buffers;
+        let mut lists = Lists { counters, indirect, tiles: vec![vec![]; (tiles_x * tiles_y) as usize], sentinels: 0 };
+        if n == 0 || lists.counters[3] != 0 {
+            return lists;
+        }
+        let v = visible as usize;
+        let (_, order) = sort_by_twins(&depth, &keys[..v], Some(&values[..v]), Some(histogram));
+
+        let mut buffers = [lists.counters.clone(), tile_count, order, vec![0; words as usize]];
+        let push = SumTileCountsPush { block_capacity };
+        let emit_groups = lists.indirect[4] * lists.indirect[5];
+        call(&SUM_TILE_COUNTS, &[], bytemuck::bytes_of(&push), emit_groups, &mut buffers);
+        let [counters, tile_count, order, blocks] = buffers;
+        let out = vec![POISON; capacity as usize];
+        let mut buffers = [frame.clone(), counters, tile_count, order, splats, blocks, out.clone(), out, rows(&tile)];
+        let push = EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits };
+        call(&EMIT_TILES, &[], bytemuck::bytes_of(&push), emit_groups, &mut buffers);
+        let [_, counters, _, _, _, _, keys, values, histogram] = buffers;
+        let instances = counters[5] as usize;
+        assert!(keys[instances..].iter().all(|k| *k == POISON), "written past the instances");
+        let (keys, values) = sort_by_twins(&tile, &keys[..instances], Some(&values[..instances]), Some(histogram));
+        let mut buffers = [frame, counters, keys.clone(), vec![0; 2 * lists.tiles.len()]];
+        call(&TILE_RANGES, &[], &[], lists.indirect[12] * lists.indirect[13], &mut buffers);
+        for (t, list) in lists.tiles.iter_mut().enumerate() {
+            let (first, end) = (buffers[3][2 * t] as usize, buffers[3][2 * t + 1] as usize);
+            assert!(keys[first..end].iter().all(|k| *k == t as u32));
+            list.extend(&values[first..end]);
+        }
+        lists.sentinels = keys.iter().filter(|k| **k == tiles_x * tiles_y).count();
+        lists
+    }
+
+    /// The lists by definition: Gaussians by (depth, index), each in the tiles it is counted in.
+    fn expected(&self) -> Vec<Vec<u32>> {
+        let [tiles_x, tiles_y] = self.size.map(|s| s.div_ceil(TILE_SIZE));
+        let mut tiles = vec![vec![]; (tiles_x * tiles_y) as usize];
+        let mut order: Vec<usize> = (0..self.ellipses.len()).collect();
+        order.sort_by(|a, b| self.depth[*a].total_cmp(&self.depth[*b]).then(a.cmp(b)));
+        let counts = self.tile_count();
+        for i in order {
+            for tile in tiles_by_rows(&self.ellipses[i], self.size).into_iter().take(counts[i] as usize) {
+                tiles[tile as usize].push(i as u32);
+            }
+        }
+        tiles
+    }
+}
+
+#[test]
+fn chain_gives_the_tile_lists_by_definition() {
+    for (n, size) in
+        [(0, [64, 64]), (1, [64, 64]), (255, [100, 90]), (257, [33, 17]), (1025, [400, 300]), (5000, [200, 200])]
+    {
+        let chain = Chain::random(n, size, 21 + n as u64);
+        let lists = chain.run();
+        assert_eq!(lists.tiles, chain.expected(), "{n} Gaussians, {size:?}");
+        assert_eq!(lists.sentinels, 0);
+    }
+}
+
+#[test]
+fn counts_that_disagree_become_sentinels_or_are_cut() {
+    let mut chain = Chain::random(600, [200, 200], 31);
+    chain.count_error = 3;
+    let lists = chain.run();
+    assert_eq!(lists.tiles, chain.expected());
+    assert_eq!(lists.sentinels, 3 * lists.counters[0] as usize);
+    chain.count_error = -2;
+    let lists = chain.run();
+    assert_eq!(lists.tiles, chain.expected());
+    assert_eq!(lists.sentinels, 0);
+}
+
+#[test]
+fn capacity_is_exact() {
+    let mut chain = Chain::random(600, [200, 200], 41);
+    let total: u32 = chain.tile_count().iter().sum();
+    chain.capacity = total;
+    let lists = chain.run();
+    assert_eq!((lists.counters[3], lists.counters[5]), (0, total));
+    assert_eq!(lists.tiles, chain.expected());
+    chain.capacity = total - 1;
+    let lists = chain.run();
+    assert_eq!((lists.counters[3], lists.counters[5]), (FAILED_INSTANCES, 0));
+    assert_eq!(lists.indirect, [0, 0, 1, 0].repeat(4));
+}
+
+#[test]
+fn one_splat_over_the_whole_screen() {
+    let mut chain = Chain::random(300, [320, 200], 51);
+    chain.ellipses[123] = ellipse([100.0, 100.0], [1e4, 1e4], 0.0, 1.0);
+    let lists = chain.run();
+    assert_eq!(lists.tiles, chain.expected());
+    assert!(lists.tiles.iter().all(|list| list.contains(&123)));
+}
+
+#[test]
+fn tile_key_bits_hold_the_sentinel() {
+    for tiles in [0, 1, 2, 3, 4, 255, 256, 8160, 32_400] {
+        let bits = tile_key_bits(tiles);
+        assert!(u64::from(tiles) < 1 << bits);
+        assert!(bits == 1 || u64::from(tiles) >= 1 << (bits - 1));
+    }
+}

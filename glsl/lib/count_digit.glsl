@@ -1,0 +1,32 @@
+// Counting the digits of keys while they are written, for the next pass of the sort. Include after the declaration of
+// the buffer `next_histogram`, one row of SORT_DIGITS counts for each SORT_PARTITION keys.
+#ifndef SPGS_COUNT_DIGIT
+#define SPGS_COUNT_DIGIT
+
+#include "limits.glsl"
+#include "subgroup.glsl"
+
+// Counts digit `digit` of the key written at position `at`, for lanes with `valid`. Every lane of the subgroup must call
+// it. Where the lanes agree, as in a run of equal keys, one lane adds for all, so that they do not queue at one address;
+// small subgroups would gain less than the agreement costs.
+void count_digit(uint at, uint digit, bool valid) {
+    uint slot = at / SORT_PARTITION * SORT_DIGITS + digit;
+    uint size = SUBGROUP_SIZE;
+    if (size < 16u) {
+        if (valid) {
+            atomicAdd(next_histogram[slot], 1u);
+        }
+    } else {
+        uvec4 lanes = subgroupBallot(valid);
+        if (valid) {
+            bool agree = subgroupAll(slot == subgroupBroadcastFirst(slot));
+            if (!agree) {
+                atomicAdd(next_histogram[slot], 1u);
+            } else if (count_lanes_below(lanes, gl_SubgroupInvocationID) == 0u) {
+                atomicAdd(next_histogram[slot], count_lanes(lanes));
+            }
+        }
+    }
+}
+
+#endif

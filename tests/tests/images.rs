@@ -1,0 +1,153 @@
+//! Whole frames against the f64 reference: synthetic scenes, the hard cases, the oracle and trained models.
+
+use engine::image::difference;
+use engine::render::{RenderOptions, Renderer};
+use engine::scene::synthetic::{demo_camera, demo_scene, hard_cases, moving_scene, random_scene};
+use engine::scene::{Camera, MotionSource};
+use glam::DVec3;
+use tests_harness::compare::{MIN_PSNR, compare, compare_with};
+
+fn camera(width: u32, height: u32) -> Camera {
+    Camera::look_at(DVec3::new(0.3, -1.0, -4.5), DVec3::ZERO, DVec3::NEG_Y, 0.8, [width, height])
+}
+
+#[test]
+fn random_scenes_of_every_sh_degree() {
+    let gpu = tests_harness::gpu();
+    for degree in 0..=3 {
+        let scene = random_scene(4000, u64::from(degree) + 1, degree);
+        let c = compare(&gpu, &scene, &camera(200, 150), 0.0, MotionSource::Auto);
+        c.assert_within_bounds(&format!("random SH {degree}"));
+    }
+}
+
+#[test]
+fn moving_scenes_by_table_and_by_network() {
+    let gpu = tests_harness::gpu();
+    let scene = moving_scene(3000, 40, 6, 5, true);
+    for (name, motion) in [("table", MotionSource::Table), ("network", MotionSource::Network)] {
+        for time in [0.0, 0.37, 1.0] {
+            let c = compare(&gpu, &scene, &camera(160, 120), time, motion);
+            c.assert_within_bounds(&format!("moving by {name} at {time}"));
+        }
+    }
+}
+
+#[test]
+fn demo_scene_within_bounds() {
+    let gpu = tests_harness::gpu();
+    for time in [0.0, 0.4] {
+        let c = compare(&gpu, &demo_scene(), &demo_camera(time, 320, 240), time, MotionSource::Auto);
+        c.assert_within_bounds(&format!("demo at {time}"));
+    }
+}
+
+#[test]
+fn hard_cases_within_bounds() {
+    let gpu = tests_harness::gpu();
+    let cases = hard_cases();
+    assert!(cases.len() >= 20, "only {} hard cases", cases.len());
+    for case in cases {
+        let options = RenderOptions { near: case.near, background: case.background, ..RenderOptions::default() };
+        compare_with(&gpu, &case.scene, &case.camera, case.time, &options).assert_within_bounds(case.name);
+    }
+}
+
+#[test]
+fn permuting_gaussians_and_adding_hidden_ones_changes_nothing() {
+    let gpu = tests_harness::gpu();
+    let scene = random_scene(2000, 11, 1);
+    let view = camera(128, 96);
+    let plain = compare(&gpu, &scene, &view, 0.0, MotionSource::Auto).image;
+    let mut shuffled = scene.clone();
+    let (g, source) = (&mut shuffled.gaussians, &scene.gaussians);
+    let (n, k3) = (source.len(), source.sh_coefficients() * 3);
+    for i in 0..n {
+        // 7 and 2000 have no common factor: a permutation. Depths differ, so no tie depends on the index.
+        let j = (i * 7 + 3) % n;
+        (g.mean[i], g.log_scale[i], g.rotation[i]) = (source.mean[j], source.log_scale[j], source.rotation[j]);
+        g.opacity_logit[i] = source.opacity_logit[j];
+        g.sh[i * k3..(i + 1) * k3].copy_from_slice(&source.sh[j * k3..(j + 1) * k3]);
+    }
+    for i in 0..20_000 {
+        g.mean.push([0.0, 0.0, -10.0 - i as f32 * 0.01]);
+        g.log_scale.push([-3.0; 3]);
+        g.rotation.push([1.0, 0.0, 0.0, 0.0]);
+        g.opacity_logit.push(2.0);
+        g.sh.extend(std::iter::repeat_n(0.5, k3));
+    }
+    let changed = compare(&gpu, &shuffled, &view, 0.0, MotionSource::Auto).image;
+    assert!(plain == changed, "the image depends on the order of Gaussians or on hidden ones");
+}
+
+#[test]
+fn crops_equal_the_whole() {
+    let gpu = tests_harness::gpu();
+    // Small splats: a large one beyond the edge of a crop meets the tangent clamp there, but not in the whole image.
+    let mut scene = random_scene(2000, 13, 2);
+    for scale in scene.gaussians.log_scale.iter_mut().flatten() {
+        *scale = scale.min(-4.5);
+    }
+    let whole_camera = camera(96, 64);
+    let whole = compare(&gpu, &scene, &whole_camera, 0.0, MotionSource::Auto).image;
+    for (x0, y0) in [(0, 0), (48, 0), (0, 32), (48, 32)] {
+        let crop = Camera {
+            width: 48,
+            height: 32,
+            cx: whole_camera.cx - f64::from(x0),
+            cy: whole_camera.cy - f64::from(y0),
+            ..whole_camera.clone()
+        };
+        let part = compare(&gpu, &scene, &crop, 0.0, MotionSource::Auto).image;
+        let mut worst = 0.0_f32;
+        for y in 0..32_usize {
+            for x in 0..48 * 4_usize {
+                let full = whole.rgba[(y + y0 as usize) * 96 * 4 + x0 as usize * 4 + x];
+                worst = worst.max((full - part.rgba[y * 48 * 4 + x]).abs());
+            }
+        }
+        assert!(worst < 1e-3, "crop at {x0},{y0} differs by {worst}");
+    }
+}
+
+#[test]
+fn oracle_files() {
+    let Some(folder) = tests_harness::data("oracle") else { return };
+    let gpu = tests_harness::gpu();
+    let mut seen = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if !path.file_name().unwrap().to_string_lossy().starts_with("gaussians") {
+            continue;
+        }
+        let case = tools::oracle::load(&path).unwrap();
+        let truth = tools::oracle::reference_difference(&case).unwrap();
+        let (scene, view, background, near) = tools::oracle::as_scene(&case);
+        let options = RenderOptions { background, near, ..RenderOptions::default() };
+        let image = Renderer::new(&gpu, &scene, &options).unwrap().render(&view, 0.0).unwrap();
+        let rgb = image.rgba.chunks_exact(4).flat_map(|p| [f64::from(p[0]), f64::from(p[1]), f64::from(p[2])]);
+        let device = difference(case.image.iter().copied(), rgb);
+        println!("{}: reference {truth:?}, device {device:?}", path.display());
+        assert!(truth.psnr >= 90.0 && truth.max <= 1e-12, "{truth:?}");
+        assert!(device.psnr >= MIN_PSNR, "{device:?}");
+        seen += 1;
+    }
+    assert!(seen >= 3, "only {seen} oracle files");
+}
+
+#[test]
+fn trained_models() {
+    let Some(folder) = tests_harness::data("splats") else { return };
+    let gpu = tests_harness::gpu();
+    for name in ["inria_sh3_9k.ply", "fruit_drops_sh3_5k.ply"] {
+        let loaded = engine::file::load(&folder.join(name)).unwrap();
+        let g = &loaded.scene.gaussians;
+        let n = g.len() as f64;
+        let centre = g.mean.iter().fold(DVec3::ZERO, |s, m| s + DVec3::from(m.map(f64::from))) / n;
+        let spread =
+            (g.mean.iter().map(|m| (DVec3::from(m.map(f64::from)) - centre).length_squared()).sum::<f64>() / n).sqrt();
+        let eye = centre + DVec3::new(0.6, -0.4, -2.2) * spread;
+        let view = Camera::look_at(eye, centre, DVec3::NEG_Y, 0.9, [320, 240]);
+        compare(&gpu, &loaded.scene, &view, 0.0, MotionSource::Auto).assert_within_bounds(name);
+    }
+}

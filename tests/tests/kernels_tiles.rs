@@ -1,0 +1,256 @@
+//! Compaction, emission and ranges on the device against their twins, bit for bit, chained as in a frame.
+
+use engine::gpu::kernel::Kernel;
+use engine::render::compact::*;
+use engine::render::ellipse::Ellipse;
+use engine::render::radix_sort::*;
+use engine::render::tiles::*;
+use tests_harness::{KernelCase, TestGpu, widths};
+
+struct Rng(u64);
+
+impl Rng {
+    fn next(&mut self) -> u32 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 33) as u32 ^ (self.0 >> 12) as u32
+    }
+
+    fn unit(&mut self) -> f32 {
+        (self.next() >> 8) as f32 / 16_777_216.0
+    }
+}
+
+fn run(
+    gpu: &TestGpu,
+    kernel: &'static Kernel,
+    spec: &[u32],
+    push: &[u8],
+    buffers: Vec<Vec<u32>>,
+    groups: u32,
+) -> Vec<Vec<u32>> {
+    let case = KernelCase { kernel, spec: spec.to_vec(), push: push.to_vec(), buffers, groups };
+    let result = case.run(gpu);
+    result.assert_equal(kernel, &format!("{groups} groups"));
+    result.gpu
+}
+
+/// Projected Gaussians as `deform_project` leaves them, in words.
+struct Scene {
+    frame: Vec<u32>,
+    tile_count: Vec<u32>,
+    splats: Vec<u32>,
+    depths: u32,
+}
+
+impl Scene {
+    fn random(n: u32, size: [u32; 2], seed: u64) -> Self {
+        let mut rng = Rng(seed);
+        let tiles = size.map(|s| s.div_ceil(16));
+        let mut frame = vec![0; 44];
+        frame[32..36].copy_from_slice(&[size[0], size[1], tiles[0], tiles[1]]);
+        frame[36] = n;
+        frame[41] = tiles[0] * tiles[1];
+        let mut scene = Self { frame, tile_count: vec![], splats: vec![], depths: 97 };
+        for _ in 0..n {
+            let l = 10_f32.powf(rng.unit() * 3.0 - 2.9);
+            let first = [
+                (rng.unit() * 1.6 - 0.3) * size[0] as f32,
+                (rng.unit() * 1.6 - 0.3) * size[1] as f32,
+                l,
+                (rng.unit() - 0.5) * 2.0 * l,
+            ];
+            let z = 0.25 + (rng.next() % scene.depths) as f32 * 0.37;
+            scene.push(first, [l * (0.3 + 2.0 * rng.unit()), (rng.unit() + 1e-3).log2(), z, 0.0]);
+        }
+        scene
+    }
+
+    fn push(&mut self, first: [f32; 4], second: [f32; 4]) {
+        let e = Ellipse::of_splat(first, second);
+        self.tile_count.push(e.tile_count([self.frame[32], self.frame[33]]));
+        self.splats.extend(first.iter().chain(&second).chain(&[0.0; 4]).map(|v| v.to_bits()));
+        self.frame[36] = self.tile_count.len() as u32;
+    }
+
+    fn total(&self) -> u64 {
+        self.tile_count.iter().map(|c| u64::from(*c)).sum()
+    }
+
+    /// The chain of a frame on the device; every kernel is compared with its twin. Returns counters, indirect
+    /// arguments and ranges.
+    fn check(&self, gpu: &TestGpu, capacity: u32) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
+        let n = self.tile_count.len() as u32;
+        let mut frame = self.frame.clone();
+        frame[40] = capacity;
+        let (words, block_capacity) = block_words(n);
+        let mut visible_block = vec![0; words as usize];
+        for (i, count) in self.tile_count.iter().enumerate() {
+            visible_block[i / 256] += u32::from(*count != 0);
+            visible_block[block_capacity as usize + i / 65_536] += u32::from(*count != 0);
+        }
+        let visible: u32 = self.tile_count.iter().map(|c| u32::from(*c != 0)).sum();
+        let counters = vec![visible, self.total() as u32, (self.total() >> 32) as u32, 0, 0, 0, 0, 0];
+        let depth = SortPlan::new(n, 32).unwrap();
+        let tile = SortPlan::new(capacity, tile_key_bits(frame[41])).unwrap();
+        let out = vec![0; n as usize];
+        let buffers = vec![
+            frame.clone(),
+            self.tile_count.clone(),
+            self.splats.clone(),
+            visible_block,
+            counters,
+            vec![0; 16],
+            out.clone(),
+            out,
+            vec![0; depth.histogram_rows() as usize * 256],
+        ];
+        let push = CompactPush { block_capacity, digit_bits: 8 };
+        let mut done = run(gpu, &COMPACT, &[], bytemuck::bytes_of(&push), buffers, n.div_ceil(1024) + 1);
+        let histogram = done.pop().unwrap();
+        let (values, keys) = (done.pop().unwrap(), done.pop().unwrap());
+        let (indirect, counters) = (done.pop().unwrap(), done.pop().unwrap());
+        let groups = |at: u32| indirect[at as usize] * indirect[at as usize + 1];
+        let order = sort(gpu, &depth, keys, values, histogram, &counters, 0, groups(INDIRECT_DEPTH_SORT)).1;
+
+        let push = SumTileCountsPush { block_capacity };
+        let buffers = vec![counters.clone(), self.tile_count.clone(), order.clone(), vec![0; words as usize]];
+        let emit_groups = groups(INDIRECT_EMIT) + 1;
+        let done = run(gpu, &SUM_TILE_COUNTS, &[], bytemuck::bytes_of(&push), buffers, emit_groups);
+        let push = EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits };
+        let out = vec![0; capacity as usize];
+        let buffers = vec![
+            frame.clone(),
+            counters.clone(),
+            self.tile_count.clone(),
+            order,
+            self.splats.clone(),
+            done[3].clone(),
+            out.clone(),
+            out,
+            vec![0; tile.histogram_rows() as usize * 256],
+        ];
+        let mut done = run(gpu, &EMIT_TILES, &[], bytemuck::bytes_of(&push), buffers, emit_groups);
+        let histogram = done.pop().unwrap();
+        let (values, keys) = (done.pop().unwrap(), done.pop().unwrap());
+        let keys = sort(gpu, &tile, keys, values, histogram, &counters, 5, groups(INDIRECT_TILE_SORT)).0;
+        let buffers = vec![frame, counters.clone(), keys, vec![0; 2 * self.frame[41] as usize]];
+        let case = run_ranges(gpu, buffers, groups(INDIRECT_RANGES) + 1);
+        (counters, indirect, case)
+    }
+}
+
+/// `ranges` is zeroed each frame and only partly written, so it is not poisoned but compared where it was written.
+fn run_ranges(gpu: &TestGpu, buffers: Vec<Vec<u32>>, groups: u32) -> Vec<u32> {
+    run(gpu, &TILE_RANGES, &[], &[], buffers, groups).swap_remove(3)
+}
+
+fn sort(
+    gpu: &TestGpu,
+    plan: &SortPlan,
+    mut keys: Vec<u32>,
+    mut values: Vec<u32>,
+    mut histogram: Vec<u32>,
+    counters: &[u32],
+    count_word: u32,
+    groups: u32,
+) -> (Vec<u32>, Vec<u32>) {
+    for pass in 0..plan.digits.len() {
+        if plan.prescanned {
+            let buffers = vec![counters.to_vec(), histogram];
+            let push = plan.spine_push(count_word);
+            histogram = run(gpu, &SORT_SPINE, &[], bytemuck::bytes_of(&push), buffers, SPINE_GROUPS).swap_remove(1);
+        }
+        let push = plan.scatter_push(pass, count_word);
+        let (out, next) = (vec![0; keys.len()], vec![0; histogram.len()]);
+        let buffers = vec![counters.to_vec(), histogram, keys, values, out.clone(), out, next];
+        let spec = plan.scatter_spec(pass, true);
+        let mut done = run(gpu, &SORT_SCATTER, &spec, bytemuck::bytes_of(&push), buffers, groups.max(1));
+        histogram = done.swap_remove(6);
+        values = done.swap_remove(5);
+        keys = done.swap_remove(4);
+    }
+    let count = counters[count_word as usize] as usize;
+    assert!(counters[3] != 0 || keys[..count].is_sorted());
+    (keys, values)
+}
+
+#[test]
+fn chain_equals_twins() {
+    let gpu = tests_harness::gpu();
+    widths::assert_lanes(&gpu);
+    for (n, size) in [
+        (1, [64, 64]),
+        (31, [1, 1]),
+        (255, [100, 90]),
+        (256, [16, 16]),
+        (257, [33, 17]),
+        (1025, [400, 300]),
+        (5000, [200, 200]),
+        (70_000, [100, 60]),
+    ] {
+        let scene = Scene::random(n, size, 21 + u64::from(n));
+        let (counters, _, _) = scene.check(&gpu, scene.total() as u32 + 100);
+        assert_eq!((counters[3], u64::from(counters[5])), (0, scene.total()));
+    }
+}
+
+#[test]
+fn nothing_visible() {
+    let gpu = tests_harness::gpu();
+    let mut scene = Scene::random(300, [64, 64], 5);
+    scene.tile_count.fill(0);
+    let (counters, indirect, _) = scene.check(&gpu, 100);
+    assert_eq!((counters[3], counters[5]), (0, 0));
+    assert_eq!(indirect, [0, 0, 1, 0].repeat(4));
+}
+
+#[test]
+fn capacity_is_exact() {
+    let gpu = tests_harness::gpu();
+    let scene = Scene::random(600, [200, 200], 41);
+    let total = scene.total() as u32;
+    assert_eq!(scene.check(&gpu, total).0[3], 0);
+    let (counters, indirect, _) = scene.check(&gpu, total - 1);
+    assert_eq!((counters[3], counters[5]), (1, 0));
+    assert_eq!(indirect, [0, 0, 1, 0].repeat(4));
+}
+
+#[test]
+fn counts_that_disagree() {
+    let gpu = tests_harness::gpu();
+    for error in [3_i32, -2] {
+        let mut scene = Scene::random(600, [200, 200], 31);
+        for count in scene.tile_count.iter_mut().filter(|c| **c != 0) {
+            *count = (*count as i32 + error).max(1) as u32;
+        }
+        scene.check(&gpu, scene.total() as u32);
+    }
+}
+
+#[test]
+fn splats_over_the_whole_screen() {
+    let gpu = tests_harness::gpu();
+    let mut scene = Scene::random(300, [1920, 1080], 51);
+    for i in 0..4 {
+        scene.push([900.0, 500.0, 1e-5, 0.0], [1e-5, -0.1, 3.0 + i as f32, 0.0]);
+    }
+    assert_eq!(*scene.tile_count.last().unwrap(), 8160);
+    scene.check(&gpu, scene.total() as u32);
+}
+
+#[test]
+fn more_than_one_super_block() {
+    // 70,001 visible Gaussians: 274 blocks, two super sums; and every instance in one tile.
+    let gpu = tests_harness::gpu();
+    let mut scene = Scene::random(0, [16, 16], 1);
+    for i in 0..70_001_u32 {
+        scene.push([8.0, 8.0, 0.5, 0.1], [0.4, -0.1, 1.0 + (i % 13) as f32, 0.0]);
+    }
+    let (_, _, ranges) = scene.check(&gpu, 80_000);
+    assert_eq!(ranges, [0, 70_001]);
+}
+
+#[test]
+fn other_subgroup_sizes() {
+    widths::repeat_with_other_widths(&["chain_equals_twins", "more_than_one_super_block"]);
+}

@@ -1,0 +1,20 @@
+//! The barrier plans of all kinds of frames are the golden ones, and stay within the budget of dispatches.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+use std::path::Path;
+
+use tools::plan_task;
+
+#[test]
+fn every_plan_is_the_golden_one() {
+    let gpu = tests_harness::gpu();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    for mut plan in plan_task::plans(&gpu).unwrap() {
+        println!("{}: {} dispatches, {} barriers", plan.name, plan.dispatches, plan.barriers);
+        let difference = plan_task::difference(root, &plan).unwrap();
+        assert!(difference.is_none(), "{}", difference.unwrap());
+        assert!(plan.dispatches <= 18, "{}: {} dispatches", plan.name, plan.dispatches);
+        plan.text = plan.text.replacen("compact", "compacted", 1);
+        assert!(plan_task::difference(root, &plan).unwrap().is_some(), "a changed plan was not noticed");
+    }
+}

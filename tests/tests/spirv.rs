@@ -1,0 +1,114 @@
+//! The committed SPIR-V: every shader has a declaration, every declaration matches what the module says about itself, and
+//! naga, a compiler that shares no code with the one that made it, parses and validates all of it.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use engine::gpu::kernel::{Access, Kernel};
+use engine::gpu::spirv;
+use engine::render::KERNELS;
+use tools::spirv_task;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
+}
+
+#[test]
+fn every_shader_has_one_declaration() {
+    let shaders: BTreeSet<String> = std::fs::read_dir(root().join("glsl"))
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .filter(|p| p.extension().is_some_and(|e| e == "comp"))
+        .map(|p| p.file_stem().unwrap().to_string_lossy().into_owned())
+        .collect();
+    let declared: BTreeSet<String> = KERNELS.iter().map(|k| k.name.to_owned()).collect();
+    assert_eq!(declared.len(), KERNELS.len(), "a kernel is listed twice");
+    assert_eq!(shaders, declared);
+}
+
+#[test]
+fn naga_accepts_every_module() {
+    for kernel in KERNELS {
+        spirv::validate(kernel).unwrap_or_else(|e| panic!("{e}"));
+    }
+}
+
+#[test]
+fn every_module_matches_its_declaration() {
+    for kernel in KERNELS {
+        let reflection = spirv::reflect(kernel).unwrap_or_else(|e| panic!("{e}"));
+        spirv::check(kernel, &reflection).unwrap_or_else(|e| panic!("{e}"));
+        assert!(reflection.shared_bytes <= 32 * 1024, "{}: {} bytes shared", kernel.name, reflection.shared_bytes);
+        assert!(reflection.push_bytes <= 128, "{}: {} bytes of push constants", kernel.name, reflection.push_bytes);
+        println!(
+            "{:16} {:6} bytes, {:2} bindings, {:5} bytes shared, {:2} bytes pushed, {} threads",
+            kernel.name,
+            kernel.spirv.len(),
+            kernel.bindings.len(),
+            reflection.shared_bytes,
+            reflection.push_bytes,
+            kernel.local_size
+        );
+    }
+}
+
+/// A copy of a declaration with one thing changed, which must be refused.
+fn refused(kernel: &'static Kernel, change: impl FnOnce(&mut Kernel)) -> String {
+    let mut changed = clone(kernel);
+    change(&mut changed);
+    match spirv::check(&changed, &spirv::reflect(kernel).unwrap()) {
+        Ok(()) => panic!("{}: a wrong declaration was accepted", kernel.name),
+        Err(error) => error.to_string(),
+    }
+}
+
+fn clone(k: &Kernel) -> Kernel {
+    Kernel {
+        name: k.name,
+        doc: k.doc,
+        local_size: k.local_size,
+        spec: k.spec,
+        push: k.push,
+        bindings: k.bindings,
+        twin: k.twin,
+        tolerance: k.tolerance,
+        bytes: k.bytes,
+        spirv: k.spirv,
+    }
+}
+
+#[test]
+fn wrong_declarations_are_refused() {
+    for kernel in KERNELS {
+        refused(kernel, |k| k.local_size += 1);
+        refused(kernel, |k| k.bindings = &k.bindings[1..]);
+        // A declared constant may be unused in the module, but none may be there that is not declared.
+        if !spirv::reflect(kernel).unwrap().spec.is_empty() {
+            refused(kernel, |k| k.spec = &["NOT_THERE"]);
+        }
+        refused(kernel, |k| k.push = &[("not_there", 0), ("nor_this", 4)]);
+        let flipped: Vec<_> = kernel
+            .bindings
+            .iter()
+            .map(|b| {
+                let mut b = *b;
+                b.access = if b.access == Access::Read { Access::Write } else { Access::Read };
+                b
+            })
+            .collect();
+        let flipped: &'static [_] = Vec::leak(flipped);
+        refused(kernel, |k| k.bindings = flipped);
+    }
+}
+
+#[test]
+fn the_cache_is_fresh() {
+    let outcome = spirv_task::check(&root()).unwrap();
+    assert!(!outcome.stale, "{}", outcome.lines.join("\n"));
+    let manifest = spirv_task::read_manifest(&root().join("spirv_cache/manifest.json")).unwrap();
+    for kernel in KERNELS {
+        let entry = &manifest.kernels[kernel.name];
+        assert_eq!(entry.spirv_sha256, spirv_task::sha256(kernel.spirv), "{}: what is embedded", kernel.name);
+    }
+}

@@ -1,0 +1,246 @@
+//! Arguments of `spgs`.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use engine::scene::MotionSource;
+
+/// Renders dynamic 3D Gaussian scenes on Vulkan.
+#[derive(Debug, Parser)]
+#[command(name = "spgs", version, arg_required_else_help = false)]
+pub struct Cli {
+    /// What holds for every subcommand.
+    #[command(flatten)]
+    pub global: Global,
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// Options of every subcommand.
+#[derive(Debug, Clone, Args)]
+pub struct Global {
+    /// Vulkan device: its index in `spgs devices` or part of its name [default: the fastest kind; also SPGS_DEVICE]
+    #[arg(long, global = true, value_name = "N|NAME")]
+    pub device: Option<String>,
+    /// No progress and no report on the terminal; warnings and errors only
+    #[arg(long, short, global = true)]
+    pub quiet: bool,
+}
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Render a built-in moving scene; print FPS, kernel times and where the pictures are
+    Demo(DemoArgs),
+    /// Render a model along a camera file
+    Render(RenderArgs),
+    /// Measure frame and kernel times
+    Bench(BenchArgs),
+    /// Say what is in a model file
+    Inspect(InspectArgs),
+    /// List the Vulkan devices and what they lack
+    Devices(DevicesArgs),
+}
+
+/// `spgs demo`.
+#[derive(Debug, Args)]
+pub struct DemoArgs {
+    /// Folder for the pictures
+    #[arg(long, value_name = "DIR", default_value = "out/demo")]
+    pub out: PathBuf,
+    /// Number of pictures over t = 0 to 1
+    #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub frames: u32,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `spgs render`.
+#[derive(Debug, Args)]
+pub struct RenderArgs {
+    /// Model: .safetensors or 3DGS .ply
+    pub model: PathBuf,
+    /// Camera file (transforms*.json), COLMAP folder or data set
+    #[arg(long, value_name = "FILE|DATA")]
+    pub cameras: PathBuf,
+    /// Part of a data set
+    #[arg(long, value_name = "NAME")]
+    pub split: Option<String>,
+    /// Time of every frame [default: the camera's own]
+    #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = finite)]
+    pub time: Option<f64>,
+    /// Only this frame, counted from 0 in the camera file's order; may be given several times
+    #[arg(long = "frame", value_name = "I")]
+    pub frames: Vec<usize>,
+    /// Folder for the pictures: DIR/00000.png, 00001.png, …
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// png: 8 bit; exr: float R, G, B, A and depth Z
+    #[arg(long, value_enum, default_value_t = Format::Png)]
+    pub format: Format,
+    /// How the view is drawn
+    #[command(flatten)]
+    pub view: ViewArgs,
+    /// Print a summary as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Options of a rendered view.
+#[derive(Debug, Clone, Args)]
+pub struct ViewArgs {
+    /// Colour behind the scene
+    #[arg(long, value_name = "R,G,B", default_value = "0,0,0", allow_hyphen_values = true, value_parser = color)]
+    pub background: [f32; 3],
+    /// Image width [default: the camera's, or in proportion to the height]
+    #[arg(long, value_name = "W", value_parser = clap::value_parser!(u32).range(1..=16_384))]
+    pub width: Option<u32>,
+    /// Image height [default: the camera's, or in proportion to the width]
+    #[arg(long, value_name = "H", value_parser = clap::value_parser!(u32).range(1..=16_384))]
+    pub height: Option<u32>,
+    /// Where the motion comes from [default: the key-time table where the model has one]
+    #[arg(long, value_enum)]
+    pub motion: Option<MotionArg>,
+}
+
+impl ViewArgs {
+    /// The engine's name for `--motion`.
+    pub fn motion_source(&self) -> MotionSource {
+        match self.motion {
+            None => MotionSource::Auto,
+            Some(MotionArg::Table) => MotionSource::Table,
+            Some(MotionArg::Network) => MotionSource::Network,
+        }
+    }
+}
+
+/// `spgs bench`.
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// Model: .safetensors or 3DGS .ply [default: a synthetic scene]
+    #[arg(conflicts_with_all = ["synthetic", "superpoints"])]
+    pub model: Option<PathBuf>,
+    /// A synthetic scene of N random Gaussians
+    #[arg(long, value_name = "N", default_value_t = 120_000, value_parser = clap::value_parser!(u32).range(0..=200_000_000))]
+    pub synthetic: u32,
+    /// Superpoints that move the synthetic scene; 0: it stands still
+    #[arg(long, value_name = "M", default_value_t = 512, value_parser = clap::value_parser!(u32).range(0..=65_536))]
+    pub superpoints: u32,
+    /// Camera file (transforms*.json), COLMAP folder or data set [default: a view of the whole scene]
+    #[arg(long, value_name = "FILE|DATA")]
+    pub cameras: Option<PathBuf>,
+    /// Part of a data set
+    #[arg(long, value_name = "NAME", requires = "cameras")]
+    pub split: Option<String>,
+    /// The view, counted from 0 in the camera file's order
+    #[arg(long, value_name = "I", default_value_t = 0, requires = "cameras")]
+    pub frame: usize,
+    /// Time of every frame [default: swept over the motion]
+    #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = finite)]
+    pub time: Option<f64>,
+    /// How the view is drawn
+    #[command(flatten)]
+    pub view: ViewArgs,
+    /// Measured frames
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub frames: u32,
+    /// Frames before the measurement
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    pub warmup: u32,
+    /// Also by the paper's protocol: one view, 1000 frames, t swept over [0,1]
+    #[arg(long)]
+    pub paper_protocol: bool,
+    /// Also the error of this view against the f64 reference
+    #[arg(long)]
+    pub check: bool,
+    /// Write everything as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Write a page with a bar chart of the kernels
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
+}
+
+/// `spgs inspect`.
+#[derive(Debug, Args)]
+pub struct InspectArgs {
+    /// Model: .safetensors or 3DGS .ply
+    pub file: PathBuf,
+    /// Print it as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `spgs devices`.
+#[derive(Debug, Args)]
+pub struct DevicesArgs {
+    /// Print it as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Picture format.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// 8 bit, clamped.
+    Png,
+    /// Float, with alpha and depth.
+    Exr,
+}
+
+impl Format {
+    /// File name extension.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Exr => "exr",
+        }
+    }
+}
+
+/// `--motion`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum MotionArg {
+    /// The key-time table.
+    Table,
+    /// Network F, evaluated for each frame.
+    Network,
+}
+
+/// Parses `r,g,b`.
+fn color(text: &str) -> Result<[f32; 3], String> {
+    let parts: Vec<f32> =
+        text.split(',').map(|p| p.trim().parse::<f32>()).collect::<Result<_, _>>().unwrap_or_default();
+    match <[f32; 3]>::try_from(parts) {
+        Ok(c) if c.iter().all(|v| v.is_finite()) => Ok(c),
+        _ => Err("expected three numbers, for example 1,1,1".into()),
+    }
+}
+
+/// Parses a number that is neither NaN nor infinite.
+fn finite(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(|| "expected a finite number".into())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    #[test]
+    fn the_definition_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn colors_are_three_finite_numbers() {
+        assert_eq!(color("1, 0.5,-2"), Ok([1.0, 0.5, -2.0]));
+        for bad in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,nan", "inf,0,0"] {
+            assert!(color(bad).is_err(), "{bad}");
+        }
+    }
+}
