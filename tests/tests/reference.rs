@@ -51,27 +51,26 @@ fn network_and_motion_agree_with_the_oracle() {
 /// Writes `arrays` (name, shape, values), plus the three integers, as an `.npz` file.
 fn write_npz(path: &Path, integers: [(&str, i64); 3], arrays: &[(&str, Vec<u64>, Vec<f64>)]) {
     let mut file = zip::ZipWriter::new(std::fs::File::create(path).unwrap());
-    let mut array = |name: &str, write: &dyn Fn(&mut Vec<u8>)| {
-        let mut bytes = Vec::new();
-        write(&mut bytes);
-        file.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
-        file.write_all(&bytes).unwrap();
-    };
     for (name, value) in integers {
-        array(name, &|bytes| {
-            let mut writer = npyz::WriteOptions::new().default_dtype().shape(&[]).writer(bytes).begin_nd().unwrap();
-            writer.push(&value).unwrap();
-            writer.finish().unwrap();
-        });
+        write_entry(&mut file, name, &npy(&[], &[value]));
     }
     for (name, shape, values) in arrays {
-        array(name, &|bytes| {
-            let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(bytes).begin_nd().unwrap();
-            writer.extend(values.iter().copied()).unwrap();
-            writer.finish().unwrap();
-        });
+        write_entry(&mut file, name, &npy(shape, values));
     }
     file.finish().unwrap();
+}
+
+fn write_entry(file: &mut zip::ZipWriter<std::fs::File>, name: &str, bytes: &[u8]) {
+    file.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
+    file.write_all(bytes).unwrap();
+}
+
+fn npy<T: npyz::AutoSerialize + Copy>(shape: &[u64], values: &[T]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd().unwrap();
+    writer.extend(values.iter().copied()).unwrap();
+    writer.finish().unwrap();
+    bytes
 }
 
 fn widen<const W: usize>(rows: &[[f32; W]]) -> Vec<f64> {

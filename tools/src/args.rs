@@ -149,7 +149,7 @@ pub struct BenchArgs {
     /// Frames before the measurement
     #[arg(long, value_name = "N", default_value_t = 10)]
     pub warmup: u32,
-    /// Also by the paper's protocol: one view, 1000 frames, t swept over [0,1]
+    /// Also by the paper's protocol: one view, 1000 frames, t from 0 to 1
     #[arg(long)]
     pub paper_protocol: bool,
     /// Also the error of this view against the f64 reference

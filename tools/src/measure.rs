@@ -97,7 +97,7 @@ pub struct Measurement {
     pub fps: f64,
     /// Frames per second with several frames in flight.
     pub fps_pipelined: f64,
-    /// Frames per second by the paper's protocol: this view, 1000 frames, t swept over [0,1], frames in flight.
+    /// Frames per second by the paper's protocol: this view, 1000 frames, t from 0 to 1, frames in flight.
     pub fps_paper_protocol: Option<f64>,
     /// Frames in flight.
     pub frames_in_flight: usize,
