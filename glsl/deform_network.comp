@@ -1,13 +1,14 @@
 // Network F for every superpoint in one dispatch: (centre, time) -> (so(3) vector r, translation tau).
 //
 // A workgroup owns 8 superpoints; a thread owns one neuron of the current layer and all 8 superpoints, so that each weight
-// is read once per workgroup, coalesced over the threads, and used 8 times. Activations live in shared memory, 8 floats
-// (two vec4) per input: first the 76 encoded inputs, then the 256 hidden ones. Thus layer 0 reads [0, 76), the skip layer
-// [0, 332) and every other [76, 332).
+// is read once per workgroup, in 16-byte loads coalesced over the threads, and used 8 times. Activations live in shared memory,
+// 8 floats (two vec4) per input: first the 76 encoded inputs and 4 zeros, then the 256 hidden ones. Thus layer 0 reads
+// [0, 80), the skip layer [0, 336) and every other [80, 336).
 //
-// `weights`, in 32-bit words: for each of the 8 layers the matrix as [inputs][256] (FP16_WEIGHTS = 1: [inputs / 2][256],
-// two successive inputs per word), then its bias [256]; then the heads [256][6] (3 of r, 3 of tau) and their bias [6].
-// Heads and biases are always f32. Accumulation is f32.
+// `weights`, in words of 16 bytes: for each of the 8 layers the matrix as [inputs / 4][256], four successive inputs of one
+// output per word (FP16_WEIGHTS = 1: [inputs / 8][256], eight halves per word, the first in the lowest bits), the padded
+// inputs 0, then its bias [64]; then the heads [256][2], (r, 0) and (tau, 0), and their bias [2]. Heads and biases are
+// always f32. Accumulation is f32.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 
@@ -20,20 +21,20 @@ layout(constant_id = 1) const uint FP16_WEIGHTS = 0;
 #include "lib/angle.glsl"
 
 layout(std430, set = 0, binding = 1) readonly buffer SuperpointPositionBlock { float superpoint_position[]; };
-layout(std430, set = 0, binding = 2) readonly buffer WeightsBlock { uint weights[]; };
+layout(std430, set = 0, binding = 2) readonly buffer WeightsBlock { uvec4 weights[]; };
 layout(std430, set = 0, binding = 3) writeonly buffer PoseBlock { vec4 pose[]; };
 
 const uint GROUP_SUPERPOINTS = 8u;
 const uint POSITION_INPUTS = 63u; // 3 + 3 * 2 * 10
-const uint ENCODING = 76u;        // and 1 + 2 * 6 of time
+const uint ENCODED = 76u;         // and 1 + 2 * 6 of time
+const uint ENCODING = 80u;        // padded to a multiple of 8
 const uint HIDDEN = 256u;
 const uint LAYERS = 8u;
 const uint SKIP_LAYER = 5u;
-const uint HEADS = 6u;
 const uint SLICES = 32u; // of the hidden activations, for the heads
 
-shared vec4 activations[2 * (76 + 256)];
-shared float partial_heads[32 * 8 * 6];
+shared vec4 activations[2 * (80 + 256)];
+shared vec4 partial_heads[2 * 32 * 8];
 
 // Element e of [x, sin x, cos x, sin 2x, cos 2x, ..] of the centre, then of time.
 float encoded_input(uint superpoint, uint e) {
@@ -55,6 +56,14 @@ float encoded_input(uint superpoint, uint e) {
     return part == 0u ? x : part == 1u ? wave_value.x : wave_value.y;
 }
 
+// Adds inputs i .. i + 3 with their weights to the sums of the 8 superpoints.
+void accumulate(uint i, vec4 w, inout vec4 sum_0, inout vec4 sum_1) {
+    for (uint k = 0u; k < 4u; k++) {
+        sum_0 += w[k] * activations[2u * (i + k)];
+        sum_1 += w[k] * activations[2u * (i + k) + 1u];
+    }
+}
+
 void main() {
     uint thread = gl_LocalInvocationIndex;
     uint fp16 = FP16_WEIGHTS;
@@ -65,7 +74,7 @@ void main() {
         uint e = item / GROUP_SUPERPOINTS;
         uint s = item % GROUP_SUPERPOINTS;
         uint superpoint = first_superpoint + s;
-        activations[2u * e + s / 4u][s % 4u] = superpoint < count ? encoded_input(superpoint, e) : 0.0;
+        activations[2u * e + s / 4u][s % 4u] = e < ENCODED && superpoint < count ? encoded_input(superpoint, e) : 0.0;
     }
     barrier();
 
@@ -73,26 +82,25 @@ void main() {
     for (uint layer = 0u; layer < LAYERS; layer++) {
         uint first = layer == 0u || layer == SKIP_LAYER ? 0u : ENCODING;
         uint end = layer == 0u ? ENCODING : ENCODING + HIDDEN;
-        uint words = (end - first) * (fp16 == 1u ? HIDDEN / 2u : HIDDEN);
-        float bias = uintBitsToFloat(weights[base + words + thread]);
+        uint words = (end - first) * (fp16 == 1u ? HIDDEN / 8u : HIDDEN / 4u);
+        float bias = uintBitsToFloat(weights[base + words + thread / 4u][thread % 4u]);
         vec4 sum_0 = vec4(bias);
         vec4 sum_1 = vec4(bias);
         uint at = base + thread;
-        for (uint i = first; i < end; i += 2u) {
-            vec2 w;
-            if (fp16 == 1u) {
-                w = unpackHalf2x16(weights[at]);
+        if (fp16 == 1u) {
+            for (uint i = first; i < end; i += 8u) {
+                uvec4 word = weights[at];
+                accumulate(i, vec4(unpackHalf2x16(word.x), unpackHalf2x16(word.y)), sum_0, sum_1);
+                accumulate(i + 4u, vec4(unpackHalf2x16(word.z), unpackHalf2x16(word.w)), sum_0, sum_1);
                 at += HIDDEN;
-            } else {
-                w = vec2(uintBitsToFloat(weights[at]), uintBitsToFloat(weights[at + HIDDEN]));
-                at += 2u * HIDDEN;
             }
-            sum_0 += w.x * activations[2u * i];
-            sum_1 += w.x * activations[2u * i + 1u];
-            sum_0 += w.y * activations[2u * i + 2u];
-            sum_1 += w.y * activations[2u * i + 3u];
+        } else {
+            for (uint i = first; i < end; i += 4u) {
+                accumulate(i, uintBitsToFloat(weights[at]), sum_0, sum_1);
+                at += HIDDEN;
+            }
         }
-        base += words + HIDDEN;
+        base += words + HIDDEN / 4u;
         barrier();
         activations[2u * (ENCODING + thread)] = max(sum_0, vec4(0.0));
         activations[2u * (ENCODING + thread) + 1u] = max(sum_1, vec4(0.0));
@@ -102,35 +110,26 @@ void main() {
     // Heads: thread = (slice of 8 inputs, superpoint); the slices are added in order.
     uint s = thread % GROUP_SUPERPOINTS;
     uint slice = thread / GROUP_SUPERPOINTS;
-    float head[6];
-    for (uint o = 0u; o < HEADS; o++) {
-        head[o] = 0.0;
-    }
+    vec4 turn = vec4(0.0);
+    vec4 move = vec4(0.0);
     for (uint j = 0u; j < HIDDEN / SLICES; j++) {
         uint i = slice * (HIDDEN / SLICES) + j;
         float h = activations[2u * (ENCODING + i) + s / 4u][s % 4u];
-        for (uint o = 0u; o < HEADS; o++) {
-            head[o] += h * uintBitsToFloat(weights[base + HEADS * i + o]);
-        }
+        turn += h * uintBitsToFloat(weights[base + 2u * i]);
+        move += h * uintBitsToFloat(weights[base + 2u * i + 1u]);
     }
-    for (uint o = 0u; o < HEADS; o++) {
-        partial_heads[(slice * HEADS + o) * GROUP_SUPERPOINTS + s] = head[o];
-    }
+    partial_heads[2u * thread] = turn;
+    partial_heads[2u * thread + 1u] = move;
     barrier();
     if (thread < 2u * GROUP_SUPERPOINTS) {
         // One thread per (r or tau, superpoint).
         uint which = thread / GROUP_SUPERPOINTS;
-        vec3 sum = vec3(0.0);
-        for (uint c = 0u; c < 3u; c++) {
-            uint o = 3u * which + c;
-            float total = uintBitsToFloat(weights[base + HEADS * HIDDEN + o]);
-            for (uint k = 0u; k < SLICES; k++) {
-                total += partial_heads[(k * HEADS + o) * GROUP_SUPERPOINTS + s];
-            }
-            sum[c] = total;
+        vec4 sum = uintBitsToFloat(weights[base + 2u * HIDDEN + which]);
+        for (uint k = 0u; k < SLICES; k++) {
+            sum += partial_heads[2u * (k * GROUP_SUPERPOINTS + s) + which];
         }
         if (first_superpoint + s < count) {
-            pose[2u * (first_superpoint + s) + which] = vec4(sum, 0.0);
+            pose[2u * (first_superpoint + s) + which] = sum;
         }
     }
 }

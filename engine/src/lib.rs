@@ -1,16 +1,64 @@
 //! # spgs engine: dynamic 3D Gaussian scenes on raw Vulkan
 //!
-//! Modules, lowest first; an import may only point downwards (a test enforces it):
+//! This page is the architecture. A scene (Gaussians, superpoint motion) and a camera go in, an image comes out; every
+//! kernel has a CPU twin, and every image is measured against an f64 reference.
 //!
 //! ```text
-//! error                    one error type
-//! gpu                      the only module that names `ash` or writes `unsafe`; knows nothing of Gaussians
-//! scene                    plain data: Gaussians, superpoint motion, network F, cameras
-//! image                    float images and their comparison
-//! reference                the f64 image that is the truth
-//! file, data               model files, pictures; camera files
-//! render                   scene(t) + camera -> image, on the GPU
+//! model file ── file ──► scene::Scene ──► render::Renderer ──► image::Image ── file::picture ──► PNG, EXR
+//! camera file ── data ─► scene::Camera ──┘        │
+//!                                                 └ measured against reference::render (f64, CPU)
 //! ```
+//!
+//! ## Modules, lowest first
+//!
+//! An import may only point downwards; a test reads the sources and enforces it.
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`error`] | the one error type; its variants are the exit codes of the command line |
+//! | [`gpu`] | device, buffers, kernels, barriers, submission; the only module that names `ash` or writes `unsafe`; knows nothing of Gaussians |
+//! | [`scene`] | plain data: Gaussians, superpoints, key-time table, network F, cameras; synthetic scenes |
+//! | [`image`] | float images and their comparison |
+//! | [`mod@reference`] | the f64 image that is the truth |
+//! | [`mod@file`], [`data`] | model files and pictures; camera files |
+//! | [`render`] | scene(t) + camera → image on the GPU: kernels, their twins, the frame |
+//!
+//! ## A frame
+//!
+//! One command buffer, recorded once per image size and submitted again and again, several in flight. Nothing is read
+//! back inside it: what depends on counts is dispatched indirectly.
+//!
+//! ```text
+//! fill            one fill clears the arena: counters, block sums, histograms, tile ranges
+//! deform_network  only when network F is live: pose of each superpoint at time t
+//! deform_project  pose, project, SH colour, cull, exact tile count of each Gaussian (fused)
+//! compact         visible Gaussians in index order → (depth, index); indirect arguments; capacity check
+//! sort_scatter    ×4: by depth, 8-bit digits, stable
+//! sum_tile_counts, emit_tiles   one instance per (Gaussian, tile), in depth order
+//! sort_scatter    ×1..3: by tile id, only the bits that the image needs, stable
+//! tile_ranges     where each tile's instances begin and end
+//! blend           front to back, one subgroup per subtile of pixels
+//! ```
+//!
+//! Sorting depth among the visible and then tile ids, both stable, is much less traffic than one 64-bit sort of
+//! (tile, depth). Ties of depth stay in index order, so the same scene gives the same bits on every run.
+//!
+//! Capacity: counts are 64-bit. A frame that needs more tile instances than there is room for writes nothing past a
+//! buffer, sets a bit, and is drawn again with larger buffers; what can never fit is [`Error::Limit`] with the numbers.
+//!
+//! ## A kernel is declared once
+//!
+//! [`gpu::kernel::Kernel`] names the GLSL file, push constants, bindings with what is done to them, CPU twin, tolerance and
+//! bytes moved. From it follow the pipeline, the check against the SPIR-V (names, access, layouts, constants), the
+//! barriers, the GPU-against-twin test, the bench row and the table of `spgs-dev docs`. To add one: `glsl/<name>.comp`, a
+//! `static` beside its twin in [`render`], a line in [`render::KERNELS`], and `spgs-dev spirv`.
+//!
+//! ## Conventions
+//!
+//! - Camera axes: x right, y down, z forward; pixel centres at +0.5; quaternions w, x, y, z.
+//! - Raw parameters carry their transform in the name: `log_scale`, `opacity_logit`.
+//! - `a_from_b` is an array indexed by b; plurals are arrays; counts are `n` of something or the plural's length.
+//! - Subgroup size is specialisation constant 0 of every kernel: 4 to 128, never assumed 32. Float atomics are not used.
 
 #![deny(unsafe_code)]
 

@@ -2,27 +2,14 @@
 //!
 //! Real data are found by the environment variable `SPGS_DATA`; without it those tests say so and pass.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 use engine::data::{CameraSet, load_cameras};
 use engine::file::{self, model, picture, ply};
 use engine::scene::{Gaussians, Rejected, Scene};
 use glam::{DMat3, DVec3};
-
-/// A path in the real data, or `None` (said aloud) where it is not there.
-fn data(relative: &str) -> Option<PathBuf> {
-    let Some(root) = std::env::var_os("SPGS_DATA") else {
-        eprintln!("SKIPPED: {relative}: SPGS_DATA is not set");
-        return None;
-    };
-    let path = Path::new(&root).join(relative);
-    if !path.exists() {
-        eprintln!("SKIPPED: {} is not there", path.display());
-        return None;
-    }
-    Some(path)
-}
+use tests_harness::data;
 
 #[test]
 fn trained_models_load_and_round_trip() {

@@ -1,7 +1,6 @@
 //! Compaction, radix sort and tile kernels on the device against their twins, bit for bit.
 
 use engine::gpu::kernel::Kernel;
-use engine::gpu::{Buffer, Groups, Memory, Slice};
 use engine::render::radix_sort::*;
 use tests_harness::{KernelCase, TestGpu, widths};
 
@@ -120,78 +119,4 @@ fn spine_over_many_partitions() {
 #[test]
 fn other_subgroup_sizes() {
     widths::repeat_with_other_widths(&["sort_every_count", "sort_every_distribution"]);
-}
-
-/// Cost of a whole sort; run with `--ignored --nocapture`.
-#[test]
-#[ignore = "a measurement"]
-fn sort_timings() {
-    let gpu = tests_harness::gpu();
-    for (what, n, key_bits) in
-        [("depth", 50_000, 32), ("tile 400x400", 165_000, 10), ("tile 1080p", 165_000, 13), ("tile 1080p", 500_000, 13)]
-    {
-        let mut rng = Rng(9);
-        let keys: Vec<u32> = (0..n).map(|_| rng.next() >> (32 - key_bits)).collect();
-        for prescanned in [false, true] {
-            let mut plan = SortPlan::new(n, key_bits).unwrap();
-            plan.prescanned = prescanned;
-            let (cpu, total, passes) = time_sort(&gpu, &plan, &keys);
-            eprintln!(
-                "{what}: {n} keys of {key_bits} bits, spine {prescanned}: best {total:.2} ms; mean CPU time {cpu:.2} ms; {passes:?}"
-            );
-        }
-    }
-}
-
-/// CPU time of this process so far, in milliseconds: what a CPU device costs, whatever else the machine does.
-fn cpu_milliseconds() -> f64 {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let after = stat.rsplit(')').next().unwrap_or_default();
-    after.split_whitespace().skip(11).take(2).filter_map(|t| t.parse::<f64>().ok()).sum::<f64>() * 10.0
-}
-
-/// Of sort_histogram and all passes: mean CPU milliseconds, and of the fastest run the total and each operation.
-fn time_sort(gpu: &TestGpu, plan: &SortPlan, keys: &[u32]) -> (f64, f64, Vec<(String, f64)>) {
-    let bytes = 4 * keys.len() as u64;
-    let counters = gpu.buffer_with("counters", bytemuck::bytes_of(&[keys.len() as u32, 0, 0, 0])).unwrap();
-    let input = gpu.buffer_with("input", bytemuck::cast_slice(keys)).unwrap();
-    let make = |name: &str, bytes: u64| gpu.buffer(name, bytes, Memory::Device).unwrap();
-    let (keys, values) = ([0, 1].map(|_| make("keys", bytes)), [0, 1].map(|_| make("values", bytes)));
-    let histograms: Vec<Buffer> = (0..=plan.digits.len()).map(|_| make("histogram", plan.histogram_bytes())).collect();
-    let mut r = gpu.recorder("sort").with_timestamps(true);
-    r.copy(input.slice(0, bytes), keys[0].slice(0, bytes)).unwrap();
-    for histogram in &histograms {
-        r.fill(histogram, 0).unwrap();
-    }
-    let slices = [&counters, &keys[0], &histograms[0]].map(Slice::from);
-    let groups = Groups::Direct(plan.partitions.into());
-    r.dispatch(&SORT_HISTOGRAM, &[], bytemuck::bytes_of(&plan.histogram_push(0)), &slices, groups.clone()).unwrap();
-    for pass in 0..plan.digits.len() {
-        let (from, to) = (pass % 2, (pass + 1) % 2);
-        if plan.prescanned {
-            let slices = [&counters, &histograms[pass]].map(Slice::from);
-            let spine = Groups::Direct(SPINE_GROUPS.into());
-            r.dispatch(&SORT_SPINE, &[], bytemuck::bytes_of(&plan.spine_push(0)), &slices, spine).unwrap();
-        }
-        let buffers = [&counters, &histograms[pass], &keys[from], &values[from], &keys[to], &values[to]];
-        let mut slices: Vec<Slice> = buffers.into_iter().map(Slice::from).collect();
-        slices.push(Slice::from(&histograms[pass + 1]));
-        let spec = plan.scatter_spec(pass, true);
-        let push = plan.scatter_push(pass, 0);
-        r.dispatch(&SORT_SCATTER, &spec, bytemuck::bytes_of(&push), &slices, groups.clone()).unwrap();
-    }
-    let mut commands = r.finish().unwrap();
-    let mut best = (f64::MAX, Vec::new());
-    let runs = 40;
-    let start = cpu_milliseconds();
-    for _ in 0..runs {
-        let submission = gpu.submit(&mut commands).unwrap();
-        gpu.wait(submission).unwrap();
-        let timings: Vec<_> = commands.timings().unwrap().into_iter().filter(|t| t.label.starts_with("sort")).collect();
-        let total: f64 = timings.iter().map(|t| t.us / 1000.0).sum();
-        if total < best.0 {
-            best = (total, timings.into_iter().map(|t| (t.label, (t.us / 10.0).round() / 100.0)).collect());
-        }
-    }
-    ((cpu_milliseconds() - start) / f64::from(runs), best.0, best.1)
 }

@@ -13,11 +13,7 @@ use tools::oracle;
 
 /// Files of the oracle folder whose name starts with `prefix`; `None`, said loudly, when `SPGS_DATA` is not set.
 fn oracle_files(prefix: &str) -> Option<Vec<PathBuf>> {
-    let Some(data) = std::env::var_os("SPGS_DATA") else {
-        eprintln!("SKIPPED: SPGS_DATA is not set, so the reference is NOT compared with outside truth");
-        return None;
-    };
-    let folder = PathBuf::from(data).join("oracle");
+    let folder = tests_harness::data("oracle")?;
     let mut files: Vec<PathBuf> = std::fs::read_dir(&folder)
         .unwrap_or_else(|e| panic!("{}: {e}", folder.display()))
         .map(|entry| entry.unwrap().path())

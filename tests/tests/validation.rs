@@ -102,7 +102,7 @@ fn indirect_arguments_after_shader_write() {
 /// Settings of the layer come from the environment of a process, so this canary runs in a child.
 fn in_child(test: &str, enables: &str) {
     let output = std::process::Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", test, "--nocapture", "--include-ignored"])
+        .args(["--exact", test, "--nocapture"])
         .env("VK_LAYER_ENABLES", enables)
         .env("SPGS_CANARY_CHILD", "1")
         .output()

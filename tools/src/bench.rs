@@ -27,7 +27,7 @@ const SYNTHETIC_KEYS: usize = 100;
 pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     let (scene, name) = load_scene(args)?;
     let camera = choose_camera(args, &scene)?;
-    let gpu = gpu_session::open(global)?;
+    let gpu = gpu_session::open_to_measure(global)?;
     let times = args.time.map_or_else(|| view::time_range(&scene), |t| [t, t]);
     let options = RenderOptions {
         background: args.view.background,

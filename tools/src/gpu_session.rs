@@ -7,7 +7,18 @@ use crate::args::Global;
 
 /// The device of `--device`, of `SPGS_DEVICE`, or the fastest kind there is.
 pub fn open(global: &Global) -> Result<Gpu> {
+    open_with(global, GpuOptions::default())
+}
+
+/// The same for measuring: breadcrumbs, a small write before every operation, are left out unless `SPGS_BREADCRUMBS` asks
+/// for them.
+pub fn open_to_measure(global: &Global) -> Result<Gpu> {
     let mut options = GpuOptions::default();
+    options.breadcrumbs &= std::env::var_os("SPGS_BREADCRUMBS").is_some();
+    open_with(global, options)
+}
+
+fn open_with(global: &Global, mut options: GpuOptions) -> Result<Gpu> {
     if global.device.is_some() {
         options.device.clone_from(&global.device);
     }

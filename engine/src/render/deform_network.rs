@@ -14,10 +14,10 @@ use crate::scene::{DeformNetwork, Linear};
 
 /// Superpoints per workgroup.
 pub const DEFORM_NETWORK_SUPERPOINTS: u32 = 8;
-/// Outputs of both heads: r, then τ.
-const HEADS: usize = 6;
 /// Slices of the hidden activations, for the heads.
 const SLICES: usize = 32;
+/// Encoded inputs, padded with zeros to a multiple of 8.
+const ENCODING: usize = ENCODING_WIDTH.next_multiple_of(8);
 /// Inputs that encode the position.
 const POSITION_INPUTS: usize = 3 + 6 * POSITION_FREQUENCIES;
 
@@ -51,29 +51,37 @@ pub fn groups(superpoints: u32) -> u64 {
     superpoints.div_ceil(DEFORM_NETWORK_SUPERPOINTS).into()
 }
 
-/// 32-bit words of the packed weights.
-pub fn weight_words(fp16: bool) -> usize {
-    let layer = |i: usize| DeformNetwork::layer_inputs(i) * HIDDEN_WIDTH / if fp16 { 2 } else { 1 } + HIDDEN_WIDTH;
-    (0..HIDDEN_LAYERS).map(layer).sum::<usize>() + HEADS * (HIDDEN_WIDTH + 1)
+/// Inputs of hidden layer `i`, padded.
+fn padded_inputs(i: usize) -> usize {
+    DeformNetwork::layer_inputs(i).next_multiple_of(8)
 }
 
-/// The `weights` buffer: for each hidden layer the transposed matrix `[inputs][256]` and its bias `[256]`, then the heads
-/// `[256][6]` (r, τ) and their bias `[6]`. With `fp16`, two successive inputs of a hidden matrix share a word (the first in
-/// the low half, rounded to nearest even); the rest stays f32.
+/// 32-bit words of the packed weights.
+pub fn weight_words(fp16: bool) -> usize {
+    let layer = |i: usize| padded_inputs(i) * HIDDEN_WIDTH / if fp16 { 2 } else { 1 } + HIDDEN_WIDTH;
+    (0..HIDDEN_LAYERS).map(layer).sum::<usize>() + 8 * (HIDDEN_WIDTH + 1)
+}
+
+/// The `weights` buffer, in words of 16 bytes: for each hidden layer the matrix `[inputs/4][256]`, a word holding four
+/// successive inputs of one output (with `fp16` `[inputs/8][256]`, eight halves, rounded to nearest even, the first in the
+/// lowest bits), and its bias `[64]`; then the heads `[256][2]`, (r, 0) and (τ, 0), and their bias `[2]`. The encoding's 76
+/// inputs are padded to 80 with zeros. Heads and biases stay f32.
 pub fn pack_weights(network: &DeformNetwork, fp16: bool) -> Result<Vec<u32>> {
     check_shapes(network)?;
     let mut words = Vec::with_capacity(weight_words(fp16));
     for (i, layer) in network.linear.iter().enumerate() {
-        let at = |input: usize, output: usize| layer.weight[output * layer.inputs + input];
-        for input in (0..layer.inputs).step_by(2) {
-            let rows = [input, input + 1].map(|k| (0..HIDDEN_WIDTH).map(move |o| at(k, o)));
-            let [low, high] = rows;
-            if fp16 {
-                for (a, b) in low.zip(high) {
-                    words.push(u32::from(half(a, i)?) | u32::from(half(b, i)?) << 16);
+        let at = |input: usize, output: usize| padded_weight(layer, input, output);
+        let per_word = if fp16 { 8 } else { 4 };
+        for first in (0..padded_inputs(i)).step_by(per_word) {
+            for output in 0..HIDDEN_WIDTH {
+                if fp16 {
+                    for input in (first..first + 8).step_by(2) {
+                        let (a, b) = (half(at(input, output), i)?, half(at(input + 1, output), i)?);
+                        words.push(u32::from(a) | u32::from(b) << 16);
+                    }
+                } else {
+                    words.extend((first..first + 4).map(|input| at(input, output).to_bits()));
                 }
-            } else {
-                words.extend(low.chain(high).map(f32::to_bits));
             }
         }
         words.extend(layer.bias.iter().map(|b| b.to_bits()));
@@ -82,10 +90,26 @@ pub fn pack_weights(network: &DeformNetwork, fp16: bool) -> Result<Vec<u32>> {
     for input in 0..HIDDEN_WIDTH {
         for head in heads {
             words.extend((0..3).map(|o| head.weight[o * HIDDEN_WIDTH + input].to_bits()));
+            words.push(0);
         }
     }
-    heads.iter().for_each(|head| words.extend(head.bias.iter().map(|b| b.to_bits())));
+    for head in heads {
+        words.extend(head.bias.iter().map(|b| b.to_bits()));
+        words.push(0);
+    }
     Ok(words)
+}
+
+/// Weight from padded input `input` to `output`; the encoding (and its padding) comes before the hidden inputs.
+fn padded_weight(layer: &Linear, input: usize, output: usize) -> f32 {
+    let encoded = layer.inputs != HIDDEN_WIDTH;
+    let column = match input {
+        _ if !encoded => input,
+        0..ENCODING_WIDTH => input,
+        ENCODING_WIDTH..ENCODING => return 0.0,
+        _ => input - (ENCODING - ENCODING_WIDTH),
+    };
+    layer.weight[output * layer.inputs + column]
 }
 
 fn check_shapes(network: &DeformNetwork) -> Result<()> {
@@ -159,44 +183,43 @@ fn encoded_input(position: [f32; 3], time: f32, e: usize) -> f32 {
     if part == 0 { x } else { sin_cos(x * (1_u32 << k) as f32)[part - 1] }
 }
 
-/// Weights of inputs `pair` and `pair + 1` to output `o`, of a matrix that starts at word `at` with input `first`.
-fn weight_pair(words: &[u32], at: usize, fp16: bool, offset: usize, o: usize) -> [f32; 2] {
+/// Weight from padded input `offset` to output `o`, of a matrix that starts at 32-bit word `at`.
+fn packed_weight(words: &[u32], at: usize, fp16: bool, offset: usize, o: usize) -> f32 {
     if fp16 {
-        let word = words[at + offset / 2 * HIDDEN_WIDTH + o];
-        [unpack_half(word & 0xFFFF), unpack_half(word >> 16)]
+        let word = words[at + 4 * (offset / 8 * HIDDEN_WIDTH + o) + offset % 8 / 2];
+        unpack_half(word >> (16 * (offset % 2)) & 0xFFFF)
     } else {
-        [f32_at(words, at + offset * HIDDEN_WIDTH + o), f32_at(words, at + (offset + 1) * HIDDEN_WIDTH + o)]
+        f32_at(words, at + 4 * (offset / 4 * HIDDEN_WIDTH + o) + offset % 4)
     }
 }
 
 /// (r, τ) of one superpoint.
-fn evaluate(weights: &[u32], fp16: bool, position: [f32; 3], time: f32) -> [f32; HEADS] {
-    let mut activations = [0.0_f32; ENCODING_WIDTH + HIDDEN_WIDTH];
+fn evaluate(weights: &[u32], fp16: bool, position: [f32; 3], time: f32) -> [f32; 6] {
+    let mut activations = [0.0_f32; ENCODING + HIDDEN_WIDTH];
     for e in 0..ENCODING_WIDTH {
         activations[e] = encoded_input(position, time, e);
     }
     let mut base = 0;
     for layer in 0..HIDDEN_LAYERS {
-        let first = if layer == 0 || layer == SKIP_LAYER { 0 } else { ENCODING_WIDTH };
-        let end = if layer == 0 { ENCODING_WIDTH } else { ENCODING_WIDTH + HIDDEN_WIDTH };
+        let first = if layer == 0 || layer == SKIP_LAYER { 0 } else { ENCODING };
+        let end = if layer == 0 { ENCODING } else { ENCODING + HIDDEN_WIDTH };
         let words = (end - first) * HIDDEN_WIDTH / if fp16 { 2 } else { 1 };
         let mut sums: [f32; HIDDEN_WIDTH] = std::array::from_fn(|o| f32_at(weights, base + words + o));
-        for i in (first..end).step_by(2) {
+        for i in first..end {
             for (o, sum) in sums.iter_mut().enumerate() {
-                let w = weight_pair(weights, base, fp16, i - first, o);
-                *sum += w[0] * activations[i];
-                *sum += w[1] * activations[i + 1];
+                *sum += packed_weight(weights, base, fp16, i - first, o) * activations[i];
             }
         }
         base += words + HIDDEN_WIDTH;
-        (0..HIDDEN_WIDTH).for_each(|o| activations[ENCODING_WIDTH + o] = sums[o].max(0.0));
+        (0..HIDDEN_WIDTH).for_each(|o| activations[ENCODING + o] = sums[o].max(0.0));
     }
     std::array::from_fn(|o| {
+        let column = |i: usize| f32_at(weights, base + 8 * i + o / 3 * 4 + o % 3);
         let slice = |k: usize| {
             (k * HIDDEN_WIDTH / SLICES..(k + 1) * HIDDEN_WIDTH / SLICES)
-                .fold(0.0, |sum, i| sum + activations[ENCODING_WIDTH + i] * f32_at(weights, base + HEADS * i + o))
+                .fold(0.0, |sum, i| sum + activations[ENCODING + i] * column(i))
         };
-        (0..SLICES).fold(f32_at(weights, base + HEADS * HIDDEN_WIDTH + o), |total, k| total + slice(k))
+        (0..SLICES).fold(column(HIDDEN_WIDTH), |total, k| total + slice(k))
     })
 }
 
