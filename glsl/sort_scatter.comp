@@ -18,6 +18,7 @@
 layout(constant_id = 1) const uint HAS_VALUES = 1u;
 layout(constant_id = 2) const uint HAS_NEXT = 1u;   // count the next digit
 layout(constant_id = 3) const uint PRESCANNED = 0u; // sort_spine has run on `histogram`
+layout(constant_id = 4) const uint RANK_BY_BALLOT = 1u; // else by comparing with each lane: at most 16 lanes
 
 layout(local_size_x = 256) in;
 
@@ -131,6 +132,7 @@ void main() {
         key[r] = first + r * size < present ? keys_in[start + r * size] : 0u;
     }
 
+    uint by_ballot = RANK_BY_BALLOT;
     uint rank[SORT_ROUNDS];
     for (uint turn = 0u; turn < share; turn++) {
         barrier();
@@ -139,7 +141,7 @@ void main() {
                 bool valid = first + r * size < present;
                 uint digit = (key[r] >> push.shift) & mask;
                 uint own = valid ? digit : NO_DIGIT;
-                uvec2 peers = size > 16u ? count_peers_by_ballot(own, lane) : count_peers_by_broadcast(own, lane);
+                uvec2 peers = by_ballot != 0u ? count_peers_by_ballot(own, lane) : count_peers_by_broadcast(own, lane);
                 uint seen = rank_rows[row + digit];
                 rank[r] = seen + peers.x;
                 subgroupBarrier(); // every lane has read before one lane per digit writes

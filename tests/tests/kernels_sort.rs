@@ -24,8 +24,24 @@ fn run(gpu: &TestGpu, kernel: &'static Kernel, case: KernelCase, context: &str) 
 
 /// Sorts on the device pass by pass, each pass compared with its twin, and checks the end against a stable sort.
 fn sort_and_check(gpu: &TestGpu, keys: &[u32], key_bits: u32, has_values: bool, prescanned: bool, context: &str) {
+    // Both ways of ranking must give the same bits wherever both work.
+    let fewest_lanes = rank_by_ballot(gpu.subgroup_size());
+    for by_ballot in [true, fewest_lanes] {
+        sort_and_check_by(gpu, keys, key_bits, has_values, (prescanned, by_ballot), context);
+    }
+}
+
+fn sort_and_check_by(
+    gpu: &TestGpu,
+    keys: &[u32],
+    key_bits: u32,
+    has_values: bool,
+    (prescanned, by_ballot): (bool, bool),
+    context: &str,
+) {
     let n = keys.len() as u32;
-    let context = format!("n={n} bits={key_bits} values={has_values} prescanned={prescanned} {context}");
+    let context =
+        format!("n={n} bits={key_bits} values={has_values} prescanned={prescanned} ballot={by_ballot} {context}");
     let mut plan = SortPlan::new(n.max(1), key_bits).unwrap();
     plan.prescanned = prescanned;
     let rows = plan.histogram_rows() as usize * 256;
@@ -47,7 +63,7 @@ fn sort_and_check(gpu: &TestGpu, keys: &[u32], key_bits: u32, has_values: bool, 
             histogram = run(gpu, &SORT_SPINE, case, &context).swap_remove(1);
         }
         let push = bytemuck::bytes_of(&plan.scatter_push(pass, 2)).to_vec();
-        let spec = plan.scatter_spec(pass, has_values).to_vec();
+        let spec = plan.scatter_spec(pass, has_values, by_ballot).to_vec();
         let out = vec![0; keys.len()];
         let buffers = vec![counters.clone(), histogram, keys, values, out.clone(), out, vec![0; rows]];
         // One workgroup too many, as a folded grid has.

@@ -209,6 +209,11 @@ impl Recorder {
         self.operations.push(Operation { label, work, uses, barrier });
     }
 
+    /// The subgroup size that kernels are specialised for.
+    pub fn subgroup_size(&self) -> u32 {
+        self.gpu.subgroup_size()
+    }
+
     /// Number of operations so far.
     pub fn len(&self) -> usize {
         self.operations.len()

@@ -11,7 +11,7 @@ use super::compact::{
 use super::deform_network::{DEFORM_NETWORK, DEFORM_NETWORK_SUPERPOINTS};
 use super::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectPush, MOTION_STATIC, MOTION_TABLE};
 use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
-use super::radix_sort::{SORT_SCATTER, SORT_SPINE, SPINE_GROUPS};
+use super::radix_sort::{SORT_SCATTER, SORT_SPINE, SPINE_GROUPS, rank_by_ballot};
 use super::scene_buffers::{Poses, SceneBuffers};
 use super::tiles::{EMIT_TILES, EmitTilesPush, SUM_TILE_COUNTS, SumTileCountsPush, TILE_RANGES};
 use super::work_buffers::{SortBuffers, WorkBuffers};
@@ -145,7 +145,7 @@ fn sort(
         r.dispatch_labelled(
             &label,
             &SORT_SCATTER,
-            &s.plan.scatter_spec(pass, true),
+            &s.plan.scatter_spec(pass, true, rank_by_ballot(r.subgroup_size())),
             bytemuck::bytes_of(&push),
             &buffers,
             groups,

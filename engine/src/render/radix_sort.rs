@@ -60,7 +60,7 @@ pub static SORT_SCATTER: Kernel = Kernel {
     name: "sort_scatter",
     doc: "one stable pass of the radix sort: ranks 4,096 keys by one digit, moves them, counts the next digit",
     local_size: 256,
-    spec: &["SUBGROUP_SIZE", "HAS_VALUES", "HAS_NEXT", "PRESCANNED"],
+    spec: &["SUBGROUP_SIZE", "HAS_VALUES", "HAS_NEXT", "PRESCANNED", "RANK_BY_BALLOT"],
     push: SortScatterPush::FIELDS,
     bindings: &[
         Binding::new("counters", Access::Read, Element::U32),
@@ -189,6 +189,12 @@ fn sort_spine_twin(call: &mut TwinCall<'_>) {
     }
 }
 
+/// Whether keys are ranked within a subgroup by a ballot per digit bit, which works at every size, or by comparing with
+/// each lane, which works up to 16 lanes and is faster on a CPU device, where a ballot is a loop over lanes.
+pub fn rank_by_ballot(subgroup_size: u32) -> bool {
+    subgroup_size > 16
+}
+
 /// One digit of a [`SortPlan`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Digit {
@@ -251,9 +257,9 @@ impl SortPlan {
         self.digits.len() % 2
     }
 
-    /// Specialisation constants of pass `pass` of `sort_scatter`, after SUBGROUP_SIZE.
-    pub fn scatter_spec(&self, pass: usize, has_values: bool) -> [u32; 3] {
-        [has_values.into(), (pass + 1 < self.digits.len()).into(), self.prescanned.into()]
+    /// Specialisation constants of pass `pass` of `sort_scatter`, after SUBGROUP_SIZE. `by_ballot`: see [`rank_by_ballot`].
+    pub fn scatter_spec(&self, pass: usize, has_values: bool, by_ballot: bool) -> [u32; 4] {
+        [has_values.into(), (pass + 1 < self.digits.len()).into(), self.prescanned.into(), by_ballot.into()]
     }
 
     /// Push constants of pass `pass` of `sort_scatter`.

@@ -55,7 +55,7 @@ pub(super) fn sort_by_twins(
             call(&SORT_SPINE, &[], bytemuck::bytes_of(&plan.spine_push(1)), SPINE_GROUPS, &mut buffers);
             [_, histogram] = buffers;
         }
-        let spec = plan.scatter_spec(pass, values.is_some());
+        let spec = plan.scatter_spec(pass, values.is_some(), false);
         let push = plan.scatter_push(pass, 1);
         let (keys_out, values_out) = (vec![POISON; keys.len()], vec![POISON; moved.len()]);
         let mut buffers = [counters.clone(), histogram, keys, moved, keys_out, values_out, vec![0; rows]];
