@@ -8,7 +8,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::kernel::{Access, Field, Kernel};
 use crate::error::{Error, Result};
 
-const OP_MEMBER_NAME: u32 = 6;
 const OP_NAME: u32 = 5;
 const OP_MEMBER_DECORATE: u32 = 72;
 const DECORATION_NON_WRITABLE: u32 = 24;
@@ -52,15 +51,19 @@ pub fn words(kernel: &Kernel) -> Result<Vec<u32>> {
     Ok(kernel.spirv.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
 }
 
-/// Parses and validates a kernel's SPIR-V with naga and reads its interface.
-pub fn reflect(kernel: &Kernel) -> Result<Reflection> {
+fn parse(kernel: &Kernel) -> Result<naga::Module> {
     let options = naga::front::spv::Options {
         adjust_coordinate_space: false,
         strict_capabilities: false,
         block_ctx_dump_prefix: None,
     };
-    let module = naga::front::spv::parse_u8_slice(kernel.spirv, &options)
-        .map_err(|e| mismatch(kernel, format!("naga cannot parse it: {e}")))?;
+    naga::front::spv::parse_u8_slice(kernel.spirv, &options)
+        .map_err(|e| mismatch(kernel, format!("naga cannot parse it: {e}")))
+}
+
+/// Parses a kernel's SPIR-V with naga and reads its interface.
+pub fn reflect(kernel: &Kernel) -> Result<Reflection> {
+    let module = parse(kernel)?;
     let entry = module.entry_points.first().ok_or_else(|| mismatch(kernel, "no entry point".into()))?;
     let qualifiers = block_qualifiers(&words(kernel)?);
     let mut out = Reflection { local_size: entry.workgroup_size, ..Reflection::default() };
@@ -96,13 +99,7 @@ pub fn reflect(kernel: &Kernel) -> Result<Reflection> {
 
 /// Checks naga's full validation (used by the tests; pipelines only need [`reflect`]).
 pub fn validate(kernel: &Kernel) -> Result<()> {
-    let options = naga::front::spv::Options {
-        adjust_coordinate_space: false,
-        strict_capabilities: false,
-        block_ctx_dump_prefix: None,
-    };
-    let module = naga::front::spv::parse_u8_slice(kernel.spirv, &options)
-        .map_err(|e| mismatch(kernel, format!("naga cannot parse it: {e}")))?;
+    let module = parse(kernel)?;
     naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::all())
         .subgroup_stages(naga::valid::ShaderStages::all())
         .subgroup_operations(naga::valid::SubgroupOperationSet::all())
@@ -212,7 +209,6 @@ fn block_qualifiers(words: &[u32]) -> BTreeMap<String, (bool, bool)> {
             }
             (OP_MEMBER_DECORATE, [id, 0, DECORATION_NON_WRITABLE, ..]) => flags.entry(*id).or_default().0 = true,
             (OP_MEMBER_DECORATE, [id, 0, DECORATION_NON_READABLE, ..]) => flags.entry(*id).or_default().1 = true,
-            (OP_MEMBER_NAME, _) => {}
             _ => {}
         }
         at += length;
