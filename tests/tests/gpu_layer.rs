@@ -1,7 +1,8 @@
 //! The GPU layer by itself: transfers, budgets, refusals, injected failures.
 
 use engine::Error;
-use engine::gpu::Memory;
+use engine::gpu::{Groups, Memory, Slice};
+use engine::render::radix_sort::{SORT_HISTOGRAM, SortHistogramPush};
 
 #[test]
 fn upload_fill_copy_download() {
@@ -40,17 +41,28 @@ fn budget_and_injected_failure_name_the_allocation() {
 }
 
 #[test]
-fn lost_device_names_the_last_operation() {
+fn lost_device_names_the_running_kernel() {
     let gpu = tests_harness::gpu();
-    let buffer = gpu.buffer("data", 64, Memory::Device).unwrap();
+    let counters = gpu.buffer_with("counters", bytemuck::cast_slice(&[4096_u32; 4])).unwrap();
+    let buffer = |name| gpu.buffer(name, 16_384, Memory::Device).unwrap();
+    let (keys, histogram) = (buffer("keys"), buffer("histogram"));
+    let push = SortHistogramPush { shift: 0, digit_bits: 8, count_word: 0 };
     let mut recorder = gpu.recorder("frame");
-    recorder.fill(&buffer, 1).unwrap();
+    recorder.fill(&keys, 1).unwrap();
+    let slices = [&counters, &keys, &histogram].map(Slice::from);
+    recorder.dispatch(&SORT_HISTOGRAM, &[], bytemuck::bytes_of(&push), &slices, Groups::Direct(1)).unwrap();
     let mut commands = recorder.finish().unwrap();
-    let submission = gpu.submit(&mut commands).unwrap();
-    gpu.wait(submission).unwrap();
+    gpu.submit(&mut commands).unwrap();
     gpu.inject_device_lost(1);
-    match gpu.submit(&mut commands) {
-        Err(Error::DeviceLost { label, .. }) => assert_eq!(label, "frame"),
-        other => panic!("{other:?}"),
+    for _ in 0..2 {
+        match gpu.submit(&mut commands) {
+            Err(Error::DeviceLost { label, last_kernel, next_kernel, .. }) => {
+                assert_eq!(
+                    (label.as_str(), last_kernel.as_str(), next_kernel.as_str()),
+                    ("frame", "fill keys", "sort_histogram")
+                );
+            }
+            other => panic!("{other:?}"),
+        }
     }
 }

@@ -318,15 +318,14 @@ impl Gpu {
     pub fn submit(&self, commands: &mut Commands) -> Result<Submission> {
         let shared = &self.0;
         self.wait_for(commands)?;
-        if let Some(buffer) = &commands.breadcrumbs {
-            buffer.write_readback(0, &vec![0; 4 * commands.operations.len()])?;
-        }
         let queue = lock(&shared.queue);
         let value = shared.submissions.load(Ordering::SeqCst) + 1;
         let injected = shared.lose_at.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |n| n.checked_sub(1)) == Ok(1);
-        if injected || shared.lost.load(Ordering::SeqCst) {
-            shared.lost.store(true, Ordering::SeqCst);
+        if shared.lost.load(Ordering::SeqCst) {
             return Err(commands.device_lost());
+        }
+        if let Some(buffer) = &commands.breadcrumbs {
+            buffer.write_readback(0, &vec![0; 4 * commands.operations.len()])?;
         }
         let buffers = [commands.raw];
         let semaphores = [shared.timeline];
@@ -342,6 +341,12 @@ impl Gpu {
             Ok(()) => {
                 shared.submissions.store(value, Ordering::SeqCst);
                 commands.last = Submission(value);
+                if injected {
+                    // The work runs first, so that the report is made from breadcrumbs that the device left.
+                    self.wait(commands.last)?;
+                    shared.lost.store(true, Ordering::SeqCst);
+                    return Err(commands.device_lost());
+                }
                 Ok(commands.last)
             }
             Err(vk::Result::ERROR_DEVICE_LOST) => {

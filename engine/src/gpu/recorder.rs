@@ -74,8 +74,8 @@ impl Gpu {
     /// Finishes, submits and waits.
     pub fn run(&self, recorder: Recorder) -> Result<Commands> {
         let mut commands = recorder.finish()?;
-        let submission = self.submit(&mut commands)?;
-        self.wait(submission)?;
+        self.submit(&mut commands)?;
+        self.wait_for(&commands)?;
         Ok(commands)
     }
 }
