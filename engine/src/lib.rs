@@ -22,6 +22,7 @@
 //! | [`mod@reference`] | the f64 image that is the truth |
 //! | [`mod@file`], [`data`] | model files and pictures; camera files |
 //! | [`render`] | scene(t) + camera → image on the GPU: kernels, their twins, the frame |
+//! | [`train`] | posed images → scene on the GPU: loss, backward kernels, Adam, density, checkpoints |
 //!
 //! ## A frame
 //!
@@ -51,7 +52,7 @@
 //! [`gpu::kernel::Kernel`] names the GLSL file, push constants, bindings with what is done to them, CPU twin, tolerance and
 //! bytes moved. From it follow the pipeline, the check against the SPIR-V (names, access, layouts, constants), the
 //! barriers, the GPU-against-twin test, the bench row and the table of `spgs-dev docs`. To add one: `glsl/<name>.comp`, a
-//! `static` beside its twin in [`render`], a line in [`render::KERNELS`], and `spgs-dev spirv`.
+//! `static` beside its twin in [`render`] or [`train`], a line in that module's `KERNELS`, and `spgs-dev spirv`.
 //!
 //! ## Conventions
 //!
@@ -71,5 +72,11 @@ pub mod image;
 pub mod reference;
 pub mod render;
 pub mod scene;
+pub mod train;
 
 pub use error::{Error, Result};
+
+/// Every kernel of the engine: of the renderer, then of training.
+pub fn kernels() -> impl Iterator<Item = &'static gpu::kernel::Kernel> {
+    render::KERNELS.iter().copied().chain(train::kernels())
+}

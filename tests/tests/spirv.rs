@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 
 use engine::gpu::kernel::{Access, Kernel};
 use engine::gpu::spirv;
-use engine::render::KERNELS;
 use tools::spirv_task;
 
 fn root() -> PathBuf {
@@ -22,21 +21,21 @@ fn every_shader_has_one_declaration() {
         .filter(|p| p.extension().is_some_and(|e| e == "comp"))
         .map(|p| p.file_stem().unwrap().to_string_lossy().into_owned())
         .collect();
-    let declared: BTreeSet<String> = KERNELS.iter().map(|k| k.name.to_owned()).collect();
-    assert_eq!(declared.len(), KERNELS.len(), "a kernel is listed twice");
+    let declared: BTreeSet<String> = engine::kernels().map(|k| k.name.to_owned()).collect();
+    assert_eq!(declared.len(), engine::kernels().count(), "a kernel is listed twice");
     assert_eq!(shaders, declared);
 }
 
 #[test]
 fn naga_accepts_every_module() {
-    for kernel in KERNELS {
+    for kernel in engine::kernels() {
         spirv::validate(kernel).unwrap_or_else(|e| panic!("{e}"));
     }
 }
 
 #[test]
 fn every_module_matches_its_declaration() {
-    for kernel in KERNELS {
+    for kernel in engine::kernels() {
         let reflection = spirv::reflect(kernel).unwrap_or_else(|e| panic!("{e}"));
         spirv::check(kernel, &reflection).unwrap_or_else(|e| panic!("{e}"));
         assert!(reflection.shared_bytes <= 32 * 1024, "{}: {} bytes shared", kernel.name, reflection.shared_bytes);
@@ -80,7 +79,7 @@ fn clone(k: &Kernel) -> Kernel {
 
 #[test]
 fn wrong_declarations_are_refused() {
-    for kernel in KERNELS {
+    for kernel in engine::kernels() {
         refused(kernel, |k| k.local_size += 1);
         refused(kernel, |k| k.bindings = &k.bindings[1..]);
         // A declared constant may be unused in the module, but none may be there that is not declared.
@@ -107,7 +106,7 @@ fn the_cache_is_fresh() {
     let outcome = spirv_task::check(&root()).unwrap();
     assert!(!outcome.stale, "{}", outcome.lines.join("\n"));
     let manifest = spirv_task::read_manifest(&root().join("spirv_cache/manifest.json")).unwrap();
-    for kernel in KERNELS {
+    for kernel in engine::kernels() {
         let entry = &manifest.kernels[kernel.name];
         assert_eq!(entry.spirv_sha256, spirv_task::sha256(kernel.spirv), "{}: what is embedded", kernel.name);
     }

@@ -3,14 +3,13 @@
 use std::fmt::Write as _;
 
 use engine::gpu::kernel::{Access, Kernel};
-use engine::render::KERNELS;
 
 /// One row per kernel.
 pub fn table() -> String {
     let mut text = String::from(
         "| kernel | what it does | threads | reads | writes | updates | constants | tolerance |\n|---|---|---|---|---|---|---|---|\n",
     );
-    for kernel in KERNELS {
+    for kernel in engine::kernels() {
         let _ = writeln!(
             text,
             "| `{}` | {} | {} | {} | {} | {} | {} | {} |",

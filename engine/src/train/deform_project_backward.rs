@@ -1,0 +1,6 @@
+//! Backward of deformation and projection, fused with Adam.
+
+use crate::gpu::kernel::Kernel;
+
+/// Kernels of this module.
+pub static KERNELS: &[&Kernel] = &[];
