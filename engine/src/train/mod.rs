@@ -3,6 +3,7 @@
 pub mod adam;
 pub mod association;
 pub mod blend_backward;
+pub mod config;
 pub mod deform_project_backward;
 pub mod density;
 pub mod farthest_point;
