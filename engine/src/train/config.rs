@@ -403,7 +403,8 @@ impl Config {
                 &mut c.learning_rate.mean_iterations,
                 &mut c.learning_rate.deform_iterations,
             ]
-            .map(scale);
+            .into_iter()
+            .for_each(scale);
             c.schedule.reference_iterations = self.iterations;
         }
         c
