@@ -2,6 +2,7 @@
 
 pub mod adam;
 pub mod association;
+pub mod bake;
 pub mod blend_backward;
 pub mod config;
 pub mod deform_project_backward;
