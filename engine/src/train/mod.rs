@@ -13,6 +13,7 @@ pub mod linear;
 pub mod network_f;
 pub mod network_g;
 pub mod property_loss;
+pub mod schedule;
 pub mod status;
 pub mod step;
 
