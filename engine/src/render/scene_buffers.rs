@@ -220,12 +220,12 @@ fn upload_motion(gpu: &Gpu, scene: &Scene, selected: Selected, origin: DVec3, fp
 }
 
 /// `[N,3]` → three planes of N.
-fn planes(values: &[[f32; 3]]) -> Vec<f32> {
+pub(crate) fn planes(values: &[[f32; 3]]) -> Vec<f32> {
     (0..3).flat_map(|axis| values.iter().map(move |v| v[axis])).collect()
 }
 
 /// Coefficients of one SH band as planes of N: plane = (k − b²)·3 + channel. Empty above the scene's degree.
-fn sh_band(g: &Gaussians, band: u32) -> Vec<f32> {
+pub(crate) fn sh_band(g: &Gaussians, band: u32) -> Vec<f32> {
     if band > g.sh_degree {
         return Vec::new();
     }

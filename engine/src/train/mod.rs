@@ -12,6 +12,7 @@ pub mod image_loss;
 pub mod linear;
 pub mod network_f;
 pub mod network_g;
+mod parameters;
 pub mod property_loss;
 pub mod schedule;
 pub mod status;
