@@ -21,6 +21,8 @@ pub(crate) enum Poses {
     Table(Motion),
     /// Poses of each frame come from the host in f64 (a moving scene far from the world's origin).
     Host(Motion),
+    /// `pose` is written by somebody else before the frame (training).
+    Given,
     /// Network F runs on the device each frame.
     Network {
         /// Packed weights.

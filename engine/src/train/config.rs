@@ -331,8 +331,8 @@ impl Config {
         if !(1..=65_536).contains(&self.motion.superpoints) {
             return wrong("motion.superpoints", self.motion.superpoints.to_string(), "1 to 65536");
         }
-        if !(1..=16).contains(&self.motion.neighbors) {
-            return wrong("motion.neighbors", self.motion.neighbors.to_string(), "1 to 16");
+        if !(1..=7).contains(&self.motion.neighbors) {
+            return wrong("motion.neighbors", self.motion.neighbors.to_string(), "1 to 7");
         }
         if !(self.motion.neighbors..=16).contains(&self.motion.association_slots) {
             let found = self.motion.association_slots.to_string();

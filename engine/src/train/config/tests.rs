@@ -29,7 +29,7 @@ fn mistakes_name_file_line_and_key() {
         ("seed = 1\nseed = 2\n", ["run.toml", "line 2", "duplicate"]),
         ("iterations = \"many\"", ["run.toml", "line 1", "invalid type"]),
         ("preset = \"nerf\"", ["run.toml", "nerf", "dnerf"]),
-        ("[motion]\nneighbors = 0\n", ["motion.neighbors", "0", "1 to 16"]),
+        ("[motion]\nneighbors = 0\n", ["motion.neighbors", "0", "1 to 7"]),
         ("[loss]\nlambda_dssim = nan\n", ["loss.lambda_dssim", "NaN", "0 to 1"]),
     ] {
         let message = parse(text).unwrap_err().to_string();
