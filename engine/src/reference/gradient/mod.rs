@@ -1,0 +1,3 @@
+//! f64 gradients that are the truth for the training kernels; each is checked against central differences of its forward.
+
+pub mod loss;
