@@ -4,6 +4,7 @@ pub mod adam;
 pub mod association;
 pub mod bake;
 pub mod blend_backward;
+pub mod checkpoint;
 pub mod config;
 pub mod deform_project_backward;
 pub mod density;
@@ -14,9 +15,12 @@ pub mod network_f;
 pub mod network_g;
 mod parameters;
 pub mod property_loss;
+mod sampler;
 pub mod schedule;
 pub mod status;
 pub mod step;
+mod target;
+pub mod trainer;
 
 use crate::gpu::kernel::Kernel;
 

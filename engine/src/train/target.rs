@@ -1,7 +1,7 @@
 //! Everything of a training step whose size follows the image: one [`Target`] per image size of the data set.
 
-use super::image_loss::{ImageLoss, LOSS_WORDS};
 use super::blend_backward::ROW_WORDS;
+use super::image_loss::{ImageLoss, LOSS_WORDS};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Commands, Gpu, Memory};
 use crate::render::limits::TILE_SIZE;
