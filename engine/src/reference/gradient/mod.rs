@@ -1,0 +1,10 @@
+//! Gradients of the reference, analytic, in f64: the truth for the backward kernels. Each is checked against central
+//! differences of the reference itself.
+
+pub mod image;
+pub mod motion;
+pub mod project;
+pub mod sh;
+pub mod splats;
+#[cfg(test)]
+mod tests;
