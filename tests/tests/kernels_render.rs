@@ -63,6 +63,8 @@ fn deform_project_of_random_gaussians() {
         let input = input.moving(13, 5 + i as u64);
         let frame = input.frame(&test_camera(400, 300));
         assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("moving, n = {n}, degree {degree}"));
+        let input = input.nonrigid(9 + i as u64);
+        assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("non-rigid, n = {n}"));
     }
 }
 
@@ -120,7 +122,7 @@ fn twin_splats(input: &RenderInput, frame: &Frame) -> (Vec<u32>, Vec<u32>) {
     let mut case = input.deform_project(frame);
     let mut call = TwinCall {
         groups: [case.groups, 1, 1],
-        spec: &[8, input.degree, u32::from(!input.pose.is_empty())],
+        spec: &[8, input.degree, u32::from(!input.pose.is_empty()), u32::from(!input.nonrigid_offset.is_empty())],
         push: &case.push,
         buffers: &mut case.buffers,
     };

@@ -100,11 +100,18 @@ fn deform_project(r: &mut Recorder, scene: &SceneBuffers, work: &WorkBuffers, fr
         &work.splats,
         &work.tile_count,
     ]);
-    buffers.extend([work.visible_block.clone(), work.counters.clone()]);
+    // Without non-rigid offsets any buffer that is only read stands in for them.
+    buffers.extend([work.visible_block.clone(), work.counters.clone(), Slice::from(&scene.mean)]);
     let motion = if scene.moves() { MOTION_TABLE } else { MOTION_STATIC };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
     let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS));
-    r.dispatch(&DEFORM_PROJECT, &[scene.sh_degree, motion], bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+    r.dispatch(
+        &DEFORM_PROJECT,
+        &[scene.sh_degree, motion, 0],
+        bytemuck::bytes_of(&push),
+        &buffers,
+        Groups::Direct(groups),
+    )
 }
 
 fn compact(r: &mut Recorder, scene: &SceneBuffers, work: &WorkBuffers, frame: &FrameBuffers) -> Result<()> {

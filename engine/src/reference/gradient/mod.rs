@@ -1,3 +1,11 @@
-//! f64 gradients that are the truth for the training kernels; each is checked against central differences of its forward.
+//! Gradients of the reference, analytic, in f64: the truth for the backward kernels. Each is checked against central
+//! differences of the reference itself.
 
+pub mod image;
 pub mod loss;
+pub mod motion;
+pub mod project;
+pub mod sh;
+pub mod splats;
+#[cfg(test)]
+mod tests;
