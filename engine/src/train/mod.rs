@@ -2,7 +2,10 @@
 
 pub mod adam;
 pub mod association;
+pub mod bake;
 pub mod blend_backward;
+pub mod checkpoint;
+pub mod config;
 pub mod deform_project_backward;
 pub mod density;
 pub mod farthest_point;
@@ -10,9 +13,14 @@ pub mod image_loss;
 pub mod linear;
 pub mod network_f;
 pub mod network_g;
+mod parameters;
 pub mod property_loss;
+mod sampler;
+pub mod schedule;
 pub mod status;
 pub mod step;
+mod target;
+pub mod trainer;
 
 use crate::gpu::kernel::Kernel;
 

@@ -1,3 +1,12 @@
-//! Gradients in f64, by the chain rule written out: the truth for the backward kernels.
+//! Gradients of the reference, analytic, in f64: the truth for the backward kernels. Each is checked against central
+//! differences of the reference itself.
 
+pub mod image;
+pub mod loss;
+pub mod motion;
 pub mod network;
+pub mod project;
+pub mod sh;
+pub mod splats;
+#[cfg(test)]
+mod tests;
