@@ -26,7 +26,8 @@ pub fn print_decisions(dataset: &Dataset) {
 
 fn describe(dataset: &Dataset) -> serde_json::Value {
     let split = |views: &[View]| {
-        let view = |v: &View| json!({"name": v.name, "time": v.time, "width": v.camera.width, "height": v.camera.height});
+        let view =
+            |v: &View| json!({"name": v.name, "time": v.time, "width": v.camera.width, "height": v.camera.height});
         views.iter().map(view).collect::<Vec<_>>()
     };
     json!({
