@@ -39,7 +39,7 @@ pub enum Command {
     Render(RenderArgs),
     /// Measure frame and kernel times
     Bench(BenchArgs),
-    /// Say what is in a model file
+    /// Say what is in a model file or a data set
     Inspect(InspectArgs),
     /// List the Vulkan devices and what they lack
     Devices(DevicesArgs),
@@ -228,7 +228,7 @@ pub struct BenchArgs {
 /// `spgs inspect`.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// Model: .safetensors or 3DGS .ply
+    /// Model (.safetensors or 3DGS .ply) or folder of a data set
     pub file: PathBuf,
     /// Print it as JSON
     #[arg(long)]
