@@ -1,7 +1,7 @@
-//! Gradients of the reference, analytic, in f64: the truth for the backward kernels. Each is checked against central
-//! differences of the reference itself.
+//! f64 gradients that are the truth for the training kernels; each is checked against central differences of its forward.
 
 pub mod image;
+pub mod loss;
 pub mod motion;
 pub mod project;
 pub mod sh;
