@@ -40,6 +40,8 @@ pub(crate) struct Shape {
     pub(crate) with_depth: bool,
     /// Tile lists of slots, for the backward pass.
     pub(crate) slots: Option<SlotBuffers>,
+    /// `[10][N]` non-rigid offsets that are added after the rigid motion.
+    pub(crate) nonrigid_offset: Option<Slice>,
 }
 
 /// Records a frame that the host looks at.
@@ -74,7 +76,7 @@ pub(crate) fn record_forward(
         let groups = u64::from(scene.superpoints.div_ceil(DEFORM_NETWORK_SUPERPOINTS));
         r.dispatch(&DEFORM_NETWORK, &[u32::from(scene.fp16_weights)], &[], &buffers, Groups::Direct(groups))?;
     }
-    deform_project(r, scene, work, frame)?;
+    deform_project(r, scene, work, frame, shape)?;
     compact(r, scene, work, frame)?;
     sort(r, "depth", &work.depth, work, COUNT_VISIBLE, INDIRECT_DEPTH_SORT)?;
     emit(r, work, frame, shape)?;
@@ -82,7 +84,13 @@ pub(crate) fn record_forward(
     ranges_and_blend(gpu, r, work, frame, shape)
 }
 
-fn deform_project(r: &mut Recorder, scene: &SceneBuffers, work: &WorkBuffers, frame: &FrameBuffers) -> Result<()> {
+fn deform_project(
+    r: &mut Recorder,
+    scene: &SceneBuffers,
+    work: &WorkBuffers,
+    frame: &FrameBuffers,
+    shape: &Shape,
+) -> Result<()> {
     let pose = frame.host_pose.as_ref().unwrap_or(&scene.pose);
     let [sh_0, sh_1, sh_2, sh_3] = &scene.sh;
     let mut buffers = slices(&[
@@ -101,17 +109,13 @@ fn deform_project(r: &mut Recorder, scene: &SceneBuffers, work: &WorkBuffers, fr
         &work.tile_count,
     ]);
     // Without non-rigid offsets any buffer that is only read stands in for them.
-    buffers.extend([work.visible_block.clone(), work.counters.clone(), Slice::from(&scene.mean)]);
+    let nonrigid_offset = shape.nonrigid_offset.clone().unwrap_or_else(|| Slice::from(&scene.mean));
+    buffers.extend([work.visible_block.clone(), work.counters.clone(), nonrigid_offset]);
     let motion = if scene.moves() { MOTION_TABLE } else { MOTION_STATIC };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
     let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS));
-    r.dispatch(
-        &DEFORM_PROJECT,
-        &[scene.sh_degree, motion, 0],
-        bytemuck::bytes_of(&push),
-        &buffers,
-        Groups::Direct(groups),
-    )
+    let spec = [scene.sh_degree, motion, u32::from(shape.nonrigid_offset.is_some())];
+    r.dispatch(&DEFORM_PROJECT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
 }
 
 fn compact(r: &mut Recorder, scene: &SceneBuffers, work: &WorkBuffers, frame: &FrameBuffers) -> Result<()> {

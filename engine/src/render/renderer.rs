@@ -305,7 +305,7 @@ impl Renderer {
     fn make_targets(&self, size: [u32; 2], capacity: u32) -> Result<Targets> {
         let tiles = size[0].div_ceil(TILE_SIZE) * size[1].div_ceil(TILE_SIZE);
         let work = WorkBuffers::new(&self.gpu, self.scene.gaussians, tiles, capacity)?;
-        let shape = Shape { tiles, with_depth: self.options.depth, slots: None };
+        let shape = Shape { tiles, with_depth: self.options.depth, ..Shape::default() };
         let slots = (0..FRAMES_IN_FLIGHT)
             .map(|_| {
                 let buffers = self.frame_buffers(size)?;

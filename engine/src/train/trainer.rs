@@ -6,7 +6,7 @@ use super::association::{AssociationInit, AssociationOptions, StepBuffers, Super
 use super::blend_backward::{self, BackwardInput, BackwardTarget, ROW_WORDS};
 use super::checkpoint::{Checkpoint, MotionState, NetworkState};
 use super::config::{Config, Form};
-use super::deform_project_backward as project_backward;
+use super::deform_project_backward::{DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, OUTPUT_ADAM};
 use super::image_loss::{ImageLossBuffers, LOSS_WORDS, TargetFormat};
 use super::linear::Output;
 use super::network_f::{Backward, NetworkF};
@@ -22,7 +22,7 @@ use crate::data::dataset::View;
 use crate::data::loader::ImageLoader;
 use crate::data::pixels::Pixels;
 use crate::error::{Error, Result};
-use crate::gpu::{Buffer, Commands, Gpu, Memory, Recorder, Slice, Timing};
+use crate::gpu::{Buffer, Commands, Gpu, Groups, Memory, Recorder, Slice, Timing};
 use crate::render::frame::{Frame, FrameOptions};
 use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE};
 use crate::render::pipeline::record_forward;
@@ -108,7 +108,8 @@ pub struct Trainer {
     readback: Buffer,
     splat_gradient: Buffer,
     pose_gradient: Buffer,
-    unused: Buffer,
+    /// Stand for buffers that a kernel declares but does not use as specialised.
+    unused: [Buffer; 3],
     profile: bool,
 }
 
@@ -120,7 +121,7 @@ impl Trainer {
     pub fn new(gpu: &Gpu, config: &Config, data: &TrainingData, first: &Gaussians) -> Result<Self> {
         let stage = if data.is_static || !config.motion.enabled { Stage::Static } else { Stage::Rigid };
         let most = config.budget.max_gaussians as usize;
-        let first = if first.len() > most { super::init::thinned(first, most) } else { first.clone() };
+        let first = if first.len() > most { thinned(first, most) } else { first.clone() };
         let state = ParameterState::new(&first, config.gaussians.sh_degree);
         Self::assemble(gpu, config, data, stage, 0, &state)
     }
@@ -163,6 +164,7 @@ impl Trainer {
         gpu.upload(&status, bytemuck::cast_slice(&status::clear()))?;
         let parameters = Parameters::upload(gpu, state)?;
         let n = u64::from(parameters.count().max(1));
+        let unused = |name: &str| gpu.buffer(name, 512, Memory::Device);
         Ok(Self {
             gpu: gpu.clone(),
             config: config.clone(),
@@ -179,7 +181,7 @@ impl Trainer {
             readback: gpu.buffer("step readback", READBACK_BYTES, Memory::Readback)?,
             splat_gradient: gpu.buffer("splat_gradient", n * u64::from(ROW_WORDS) * 4, Memory::Device)?,
             pose_gradient: gpu.buffer("pose_gradient", n * 24, Memory::Device)?,
-            unused: gpu.buffer("unused", 512, Memory::Device)?,
+            unused: [unused("gradient")?, unused("nonrigid_offset")?, unused("nonrigid_gradient")?],
             parameters,
             profile: false,
         })
@@ -361,7 +363,7 @@ impl Trainer {
 
     /// Whether gradients are added without atomics: where bits must repeat, and where that is fastest anyway.
     fn with_slots(&self) -> bool {
-        self.config.deterministic || blend_backward::prefers_instances(&self.gpu)
+        self.config.deterministic || self.gpu.info().is_cpu()
     }
 
     /// Records a step for a target: the order of the paper's algorithm.
@@ -443,38 +445,36 @@ impl Trainer {
         let (p, s) = (&self.parameters, &self.parameters.scene);
         let slice = |b: &Buffer| Slice::from(b);
         let [sh_0, sh_1, sh_2, sh_3] = &s.sh;
-        let buffers = project_backward::Buffers {
-            frame: slice(&t.frame.frame),
-            step: slice(&self.step),
-            counters: t.work.counters.clone(),
-            status: slice(&self.status),
-            splats: slice(&t.work.splats),
-            tile_count: slice(&t.work.tile_count),
-            splat_gradient: slice(&self.splat_gradient),
-            mean: slice(&s.mean),
-            log_scale: slice(&s.log_scale),
-            rotation: slice(&s.rotation),
-            opacity_logit: slice(&s.opacity_logit),
-            superpoint_of_gaussian: slice(&s.superpoint_of_gaussian),
-            pose: slice(&s.pose),
-            sh: [slice(sh_0), slice(sh_1), slice(sh_2), slice(sh_3)],
-            moment_1: slice(&p.moment_1),
-            moment_2: slice(&p.moment_2),
-            gradient: slice(&self.unused),
-            pose_gradient: slice(&self.pose_gradient),
-            nonrigid_offset: slice(&self.unused),
-            nonrigid_gradient: slice(&self.unused),
-            density: slice(&p.density),
-            max_radius: slice(&p.max_radius),
-        };
-        let options = project_backward::Options {
-            gaussians: p.count(),
-            sh_degree: s.sh_degree,
-            moves: s.moves(),
-            nonrigid: false,
-            output: project_backward::Output::Adam,
-        };
-        project_backward::record(r, &buffers, &options)
+        let buffers = [
+            slice(&t.frame.frame),
+            slice(&self.step),
+            t.work.counters.clone(),
+            slice(&self.status),
+            slice(&t.work.splats),
+            slice(&t.work.tile_count),
+            slice(&self.splat_gradient),
+            slice(&s.mean),
+            slice(&s.log_scale),
+            slice(&s.rotation),
+            slice(&s.opacity_logit),
+            slice(&s.superpoint_of_gaussian),
+            slice(&s.pose),
+            slice(sh_0),
+            slice(sh_1),
+            slice(sh_2),
+            slice(sh_3),
+            slice(&p.moment_1),
+            slice(&p.moment_2),
+            slice(&self.unused[0]),
+            slice(&self.pose_gradient),
+            slice(&self.unused[1]),
+            slice(&self.unused[2]),
+            slice(&p.density),
+            slice(&p.max_radius),
+        ];
+        let spec = [s.sh_degree, u32::from(s.moves()), 0, OUTPUT_ADAM];
+        let groups = u64::from(p.count().div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
+        r.dispatch(&DEFORM_PROJECT_BACKWARD, &spec, &[], &buffers, Groups::Direct(groups))
     }
 
     fn record_readback(&self, r: &mut Recorder, t: &Target) -> Result<()> {
@@ -622,4 +622,9 @@ impl Trainer {
     fn adapt_density(&mut self, _iteration: u64) -> Result<()> {
         Ok(())
     }
+}
+
+/// `most` Gaussians, evenly spread over the list.
+fn thinned(g: &Gaussians, most: usize) -> Gaussians {
+    g.selected(&(0..most).map(|i| i * g.len() / most).collect::<Vec<_>>())
 }

@@ -89,7 +89,7 @@ fn text_and_binary_agree_and_are_right() {
             let names: Vec<&str> = set.cameras.iter().map(|c| c.name.as_str()).collect();
             assert_eq!(names, ["img1.png", "img2.png", "img10.png"]);
             assert_eq!(set.cameras.iter().map(|c| c.time).collect::<Vec<_>>(), [0.0, 0.5, 1.0]);
-            assert_eq!(set.warnings.len(), 10, "{:?}", set.warnings);
+            assert!(set.warnings.is_empty(), "{:?}", set.warnings);
             let [first, second, third] = &set.cameras[..] else { panic!() };
             assert_eq!((first.fx, first.fy, first.cx, first.cy), (500.0, 510.0, 320.0, 240.5));
             assert_eq!((second.fx, second.fy, second.cx, second.cy), (500.0, 500.0, 320.0, 240.5));

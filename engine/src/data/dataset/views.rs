@@ -63,6 +63,11 @@ pub(super) fn dataset(source: Source, options: &DatasetOptions) -> Result<Datase
     Ok(dataset)
 }
 
+/// Size after a downscale, rounded.
+pub(super) fn scaled(size: [u32; 2], downscale: u32) -> [u32; 2] {
+    size.map(|side| ((side + downscale / 2) / downscale).max(1))
+}
+
 fn view(posed: &Posed, downscale: u32, options: &DatasetOptions) -> Result<View> {
     let (frame, image) = (&posed.frame, &posed.image);
     let stored = pixels::dimensions(&image.path)?;
@@ -78,7 +83,7 @@ fn view(posed: &Posed, downscale: u32, options: &DatasetOptions) -> Result<View>
         let found = format!("{} x {} pixels", stored[0], stored[1]);
         return Err(Error::corrupt(&image.path, "picture size", found, expected));
     }
-    let size = frame.size.map(|side| ((side + downscale / 2) / downscale).max(1));
+    let size = scaled(frame.size, downscale);
     let scale = |i: usize| f64::from(stored[i]) / f64::from(frame.size[i]);
     let lens = (!frame.lens.is_pinhole()).then(|| frame.lens.scaled(scale(0), scale(1)));
     let mut camera = frame.pinhole().resized(size[0], size[1]);
