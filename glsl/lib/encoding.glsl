@@ -1,5 +1,5 @@
 // Positional encoding of (x, y, z, t): which number element e of [p, sin 2^k p, cos 2^k p, .., t, sin 2^k t, cos 2^k t, ..]
-// is, with 10 octaves of p = (x, y, z). Include lib/angle.glsl first. Rust twin: `encoded` in engine/src/train/network_f/encode.rs.
+// is, with 10 octaves of p = (x, y, z). Include lib/angle.glsl first. Rust twin: `encoded` in engine/src/render/nonrigid_network.rs.
 #ifndef SPGS_ENCODING
 #define SPGS_ENCODING
 

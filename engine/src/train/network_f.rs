@@ -169,11 +169,7 @@ impl NetworkF {
     /// The gradients that [`Output::Gradient`] left, in the network's shape.
     pub fn download_gradient(&self) -> Result<DeformNetwork> {
         let words: Vec<f32> = bytemuck::pod_collect_to_vec(&self.gpu.download(&self.gradient)?);
-        let layer = |(i, shape): (usize, &Shape)| {
-            let first = self.parameters.first_index(i) as usize;
-            words[first..first + shape.parameters() as usize].to_vec()
-        };
-        Ok(network(&self.parameters.shapes().iter().enumerate().map(layer).collect::<Vec<_>>()))
+        Ok(network(&self.parameters.split(&words)))
     }
 
     /// First and second moments, each flat in the order of [`DeformNetwork::flatten`].

@@ -4,6 +4,7 @@
 pub mod image;
 pub mod loss;
 pub mod motion;
+pub mod network;
 pub mod project;
 pub mod sh;
 pub mod splats;

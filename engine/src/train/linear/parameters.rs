@@ -59,6 +59,11 @@ impl Parameters {
         [&self.value, &self.moment_1, &self.moment_2].map(|b| b.slice(start, bytes))
     }
 
+    /// The values of all layers.
+    pub(in crate::train) fn all(&self) -> Slice {
+        Slice::from(&self.value)
+    }
+
     /// Replaces the weights.
     pub fn upload(&self, layers: &[Vec<f32>]) -> Result<()> {
         self.write(&self.value, layers)
@@ -104,12 +109,16 @@ impl Parameters {
     }
 
     fn read(&self, buffer: &Buffer) -> Result<Vec<Vec<f32>>> {
-        let words: Vec<f32> = bytemuck::pod_collect_to_vec(&self.gpu.download(buffer)?);
+        Ok(self.split(&bytemuck::pod_collect_to_vec(&self.gpu.download(buffer)?)))
+    }
+
+    /// Values laid out as the parameters, by layer and without the padding.
+    pub(in crate::train) fn split(&self, words: &[f32]) -> Vec<Vec<f32>> {
         let layer = |i: usize| {
             let first = self.first_index(i) as usize;
             words[first..first + self.shapes[i].parameters() as usize].to_vec()
         };
-        Ok((0..self.shapes.len()).map(layer).collect())
+        (0..self.shapes.len()).map(layer).collect()
     }
 }
 

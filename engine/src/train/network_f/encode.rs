@@ -3,9 +3,9 @@
 use crate::error::Result;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
 use crate::gpu::{Groups, Recorder, Slice};
-use crate::render::angle::sin_cos;
+use crate::render::nonrigid_network::encoded;
 use crate::render::twin::{f32_at, push, set_f32, struct_at};
-use crate::scene::network::{ENCODING_WIDTH, POSITION_FREQUENCIES};
+use crate::scene::network::ENCODING_WIDTH;
 use crate::train::step::Step;
 
 crate::gpu_struct! {
@@ -41,18 +41,6 @@ pub(super) fn record(r: &mut Recorder, rows: u32, buffers: [&Slice; 3]) -> Resul
     let groups = (u64::from(rows) * ENCODING_WIDTH as u64).div_ceil(THREADS.into());
     let push = EncodePush { rows };
     r.dispatch(&ENCODE_SUPERPOINTS, &[], bytemuck::bytes_of(&push), &buffers.map(Clone::clone), Groups::Direct(groups))
-}
-
-/// Element `e` of `[p, sin 2ᵏp, cos 2ᵏp, …, t, sin 2ᵏt, cos 2ᵏt, …]`; twin of `glsl/lib/encoding.glsl`.
-pub(super) fn encoded(position: [f32; 3], time: f32, e: usize) -> f32 {
-    const POSITION: usize = 3 + 6 * POSITION_FREQUENCIES;
-    let (x, octave, part) = match e {
-        0..3 => (position[e], 0, 0),
-        3..POSITION => (position[(e - 3) % 3], (e - 3) / 6, 1 + (e - 3) % 6 / 3),
-        POSITION => (time, 0, 0),
-        _ => (time, (e - POSITION - 1) / 2, 1 + (e - POSITION - 1) % 2),
-    };
-    if part == 0 { x } else { sin_cos(x * (1_u32 << octave) as f32)[part - 1] }
 }
 
 fn encode_twin(call: &mut TwinCall<'_>) {
