@@ -12,6 +12,7 @@
 //! - image = Σ c·α·T + T·background; A = 1 − T; Z = Σ z·α·T.
 
 mod blend;
+pub mod gradient;
 mod motion;
 mod network;
 mod project;

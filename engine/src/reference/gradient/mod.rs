@@ -1,0 +1,5 @@
+//! Gradients of the reference, analytic, in f64: the truth for the backward kernels. Each is checked against central
+//! differences of the reference itself.
+
+pub mod association;
+pub mod property;
