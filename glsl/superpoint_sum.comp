@@ -1,0 +1,147 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_EXT_control_flow_attributes : require
+
+// Sums over the Gaussians of each superpoint, one workgroup per superpoint, in a fixed order: weighted by the association
+// over all Gaussians that have it as a neighbour, unweighted over those that move with it. Pairs come sorted by superpoint,
+// then slot, then Gaussian. Twin: engine/src/train/association/segment.rs.
+
+layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
+layout(constant_id = 1) const uint MOMENTS = 1u;     // sum a and a * mean
+layout(constant_id = 2) const uint PAIR_PLANES = 0u; // planes of pair_data to sum with weight a, at most 9
+layout(constant_id = 3) const uint OWN_FIRST = 0u;   // planes OWN_FIRST .. OWN_FIRST + OWN_PLANES of own_data to sum
+layout(constant_id = 4) const uint OWN_PLANES = 0u;  // at most 9
+
+#define STEP_BINDING 0
+#include "lib/step.glsl"
+#define STATUS_BINDING 8
+#include "lib/status.glsl"
+#include "lib/dispatch.glsl"
+#define SUM_VALUES 22
+#include "lib/workgroup_sum.glsl"
+
+layout(local_size_x = 256) in;
+
+layout(std430, set = 0, binding = 1) readonly buffer PairKeyBlock { uint pair_key[]; };
+layout(std430, set = 0, binding = 2) readonly buffer PairValueBlock { uint pair_value[]; };
+layout(std430, set = 0, binding = 3) readonly buffer WeightBlock { float weight[]; };
+layout(std430, set = 0, binding = 4) readonly buffer MeanBlock { float mean[]; };
+layout(std430, set = 0, binding = 5) readonly buffer PairDataBlock { float pair_data[]; };
+layout(std430, set = 0, binding = 6) readonly buffer OwnDataBlock { float own_data[]; };
+layout(std430, set = 0, binding = 7) writeonly buffer SuperpointSumBlock { float superpoint_sum[]; };
+
+layout(push_constant) uniform PushBlock {
+    uint neighbors;    // K: the slot of pairs with the Gaussian's own superpoint
+    uint pairs;
+    uint status_group; // for contributions that are not finite; they are left out
+} push;
+
+const uint PAIR_SHIFT = 28u;
+const uint PAIR_MASK = 0x0fffffffu;
+const uint FIRST_PAIR_VALUE = 4u;  // planes of superpoint_sum: sum a, sum a * mean, then pair_data
+const uint FIRST_OWN_VALUE = 13u;  // then own_data
+
+shared uint bounds[3];
+
+// Number of pairs before (superpoint, slot).
+uint lower_bound(uint superpoint, uint slot) {
+    uint low = 0u;
+    uint high = push.pairs;
+    for (uint step_count = 0u; step_count < 32u && low < high; step_count++) {
+        uint middle = low + (high - low) / 2u;
+        uint key = pair_key[middle];
+        bool before = key < superpoint || (key == superpoint && (pair_value[middle] >> PAIR_SHIFT) < slot);
+        low = before ? middle + 1u : low;
+        high = before ? high : middle;
+    }
+    return low;
+}
+
+bool add_if_finite(inout float sums[SUM_VALUES], float addend[SUM_VALUES], uint first, uint count) {
+    bool finite = true;
+    [[unroll]] for (uint v = 0u; v < 13u; v++) {
+        finite = finite && (v >= count || number_is_finite(addend[v]));
+    }
+    [[unroll]] for (uint v = 0u; v < 13u; v++) {
+        if (v < count && finite) {
+            sums[first + v] += addend[v];
+        }
+    }
+    return finite;
+}
+
+void add_pair(inout float sums[SUM_VALUES], uint pair) {
+    uint moments = MOMENTS;
+    uint planes = PAIR_PLANES;
+    uint n = step_data.counts.x;
+    uint value = pair_value[pair];
+    uint i = value & PAIR_MASK;
+    float a = weight[(value >> PAIR_SHIFT) * n + i];
+    float addend[SUM_VALUES];
+    [[unroll]] for (uint v = 0u; v < 13u; v++) {
+        addend[v] = 0.0;
+    }
+    if (moments != 0u) {
+        addend[0] = a;
+        [[unroll]] for (uint c = 0u; c < 3u; c++) {
+            addend[1u + c] = a * mean[c * n + i];
+        }
+    }
+    [[unroll]] for (uint c = 0u; c < 9u; c++) {
+        if (c < planes) {
+            addend[FIRST_PAIR_VALUE + c] = a * pair_data[c * n + i];
+        }
+    }
+    if (!add_if_finite(sums, addend, 0u, 13u)) {
+        report_not_finite(push.status_group, i);
+    }
+}
+
+void add_own(inout float sums[SUM_VALUES], uint pair) {
+    uint planes = OWN_PLANES;
+    uint first = OWN_FIRST;
+    uint n = step_data.counts.x;
+    uint i = pair_value[pair] & PAIR_MASK;
+    float addend[SUM_VALUES];
+    [[unroll]] for (uint c = 0u; c < 9u; c++) {
+        addend[c] = c < planes ? own_data[(first + c) * n + i] : 0.0;
+    }
+    if (!add_if_finite(sums, addend, FIRST_OWN_VALUE, 9u)) {
+        report_not_finite(push.status_group, i);
+    }
+}
+
+void main() {
+    uint superpoint = workgroup_index();
+    uint superpoints = step_data.counts.y;
+    uint moments = MOMENTS;
+    uint pair_planes = PAIR_PLANES;
+    uint own_planes = OWN_PLANES;
+    uint thread = gl_LocalInvocationID.x;
+    if (thread < 3u) {
+        // A surplus workgroup of a folded grid finds an empty segment.
+        uint at = superpoint + (thread == 2u ? 1u : 0u);
+        bounds[thread] = lower_bound(at, thread == 1u ? push.neighbors : 0u);
+    }
+    barrier();
+    float sums[SUM_VALUES];
+    [[unroll]] for (uint v = 0u; v < SUM_VALUES; v++) {
+        sums[v] = 0.0;
+    }
+    if (moments != 0u || pair_planes != 0u) {
+        for (uint pair = bounds[0] + thread; pair < bounds[1]; pair += 256u) {
+            add_pair(sums, pair);
+        }
+    }
+    if (own_planes != 0u) {
+        for (uint pair = bounds[1] + thread; pair < bounds[2]; pair += 256u) {
+            add_own(sums, pair);
+        }
+    }
+    float total = workgroup_sums(sums);
+    if (superpoint < superpoints && thread < SUM_VALUES) {
+        superpoint_sum[thread * superpoints + superpoint] = total;
+    }
+}
