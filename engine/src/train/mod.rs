@@ -6,11 +6,14 @@ pub mod blend_backward;
 pub mod deform_project_backward;
 pub mod density;
 pub mod farthest_point;
+pub mod finite;
 pub mod image_loss;
+pub mod init;
 pub mod linear;
 pub mod network_f;
 pub mod network_g;
 pub mod property_loss;
+pub mod rng;
 pub mod status;
 pub mod step;
 
@@ -23,6 +26,7 @@ static BY_MODULE: &[&[&Kernel]] = &[
     image_loss::KERNELS,
     adam::KERNELS,
     density::KERNELS,
+    finite::KERNELS,
     linear::KERNELS,
     network_f::KERNELS,
     network_g::KERNELS,
