@@ -11,6 +11,7 @@ pub mod density;
 pub mod evaluate;
 pub mod export;
 pub mod farthest_point;
+pub mod finite;
 pub mod image_loss;
 pub mod init;
 pub mod linear;
@@ -36,6 +37,7 @@ static BY_MODULE: &[&[&Kernel]] = &[
     image_loss::KERNELS,
     adam::KERNELS,
     density::KERNELS,
+    finite::KERNELS,
     linear::KERNELS,
     network_f::KERNELS,
     network_g::KERNELS,
