@@ -11,6 +11,7 @@ pub mod density;
 pub mod evaluate;
 pub mod export;
 pub mod farthest_point;
+pub mod gradient;
 pub mod image_loss;
 pub mod linear;
 pub mod network_f;
