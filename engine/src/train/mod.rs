@@ -12,6 +12,7 @@ pub mod evaluate;
 pub mod export;
 pub mod farthest_point;
 pub mod finite;
+pub mod gradient;
 pub mod image_loss;
 pub mod init;
 pub mod linear;
