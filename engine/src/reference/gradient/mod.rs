@@ -3,3 +3,5 @@
 
 pub mod association;
 pub mod property;
+#[cfg(test)]
+mod test_numbers;
