@@ -3,7 +3,10 @@
 use std::path::Path;
 
 use crate::error::Error;
-use crate::scene::network::{DeformNetwork, HIDDEN_LAYERS, HIDDEN_WIDTH, Linear};
+use crate::scene::network::{
+    DeformNetwork, HIDDEN_LAYERS, HIDDEN_WIDTH, Linear, NONRIGID_HEADS, NONRIGID_LAYERS, NONRIGID_WIDTH,
+    NonrigidNetwork,
+};
 use crate::scene::{Association, Gaussians, Motion, Scene, Superpoints, Tensor};
 
 /// Prefixes of tensor names that belong to the model format.
@@ -101,6 +104,9 @@ pub(crate) fn scene(scene: &Scene) -> Check {
     if let Some(network) = &scene.deform {
         deform(network)?;
     }
+    if let Some(network) = &scene.nonrigid {
+        nonrigid(network)?;
+    }
     scene.extra.iter().try_for_each(|(name, tensor)| extra(name, tensor))
 }
 
@@ -150,6 +156,17 @@ fn deform(network: &DeformNetwork) -> Check {
     linear("deform.rotation", &network.rotation, HIDDEN_WIDTH, 3)
 }
 
+fn nonrigid(network: &NonrigidNetwork) -> Check {
+    length("nonrigid.linear", network.linear.len(), NONRIGID_LAYERS)?;
+    for (i, layer) in network.linear.iter().enumerate() {
+        linear(&format!("nonrigid.linear.{i}"), layer, NonrigidNetwork::layer_inputs(i), NONRIGID_WIDTH)?;
+    }
+    let [translation, rotation, scaling] = NONRIGID_HEADS;
+    linear("nonrigid.translation", &network.translation, NONRIGID_WIDTH, translation)?;
+    linear("nonrigid.rotation", &network.rotation, NONRIGID_WIDTH, rotation)?;
+    linear("nonrigid.scaling", &network.scaling, NONRIGID_WIDTH, scaling)
+}
+
 fn linear(name: &str, layer: &Linear, inputs: usize, outputs: usize) -> Check {
     let (weight, bias) = (format!("{name}.weight"), format!("{name}.bias"));
     if (layer.inputs, layer.outputs) != (inputs, outputs) {
@@ -178,7 +195,7 @@ fn is_known(name: &str) -> bool {
         "association.neighbor",
         "association.logit",
     ];
-    KNOWN.contains(&name) || is_deform(name) || name == "__metadata__"
+    KNOWN.contains(&name) || is_deform(name) || is_nonrigid(name) || name == "__metadata__"
 }
 
 /// `deform.linear.{0..7}.{weight,bias}`, `deform.{translation,rotation}.{weight,bias}`.
@@ -188,6 +205,15 @@ fn is_deform(name: &str) -> bool {
     };
     let hidden = |i: &str| (0..HIDDEN_LAYERS).any(|layer| layer.to_string() == i);
     matches!(layer, "translation" | "rotation") || layer.strip_prefix("linear.").is_some_and(hidden)
+}
+
+/// `nonrigid.linear.{0..2}.{weight,bias}`, `nonrigid.{translation,rotation,scaling}.{weight,bias}`.
+pub(crate) fn is_nonrigid(name: &str) -> bool {
+    let Some((layer, "weight" | "bias")) = name.strip_prefix("nonrigid.").and_then(|rest| rest.rsplit_once('.')) else {
+        return false;
+    };
+    let hidden = |i: &str| (0..NONRIGID_LAYERS).any(|layer| layer.to_string() == i);
+    matches!(layer, "translation" | "rotation" | "scaling") || layer.strip_prefix("linear.").is_some_and(hidden)
 }
 
 fn extra(name: &str, tensor: &Tensor) -> Check {

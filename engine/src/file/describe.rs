@@ -68,6 +68,8 @@ pub struct Description {
     pub association_neighbors: Option<usize>,
     /// Whether network F is there.
     pub deform_network: bool,
+    /// Whether network G is there.
+    pub nonrigid_network: bool,
     /// Free metadata.
     pub metadata: BTreeMap<String, String>,
     /// Tensors of a `.safetensors`.
@@ -116,6 +118,7 @@ pub fn describe(path: &Path) -> Result<Description> {
         motion: motion(&scene),
         association_neighbors: scene.association.as_ref().map(|a| a.neighbors),
         deform_network: scene.deform.is_some(),
+        nonrigid_network: scene.nonrigid.is_some(),
         metadata: scene.metadata,
         tensors,
         properties,
@@ -231,6 +234,9 @@ impl fmt::Display for Description {
         }
         if self.deform_network {
             writeln!(f, "Network F       present")?;
+        }
+        if self.nonrigid_network {
+            writeln!(f, "Network G       present")?;
         }
         for (key, value) in &self.metadata {
             let short: String = value.chars().take(80).collect();

@@ -87,6 +87,7 @@ pub fn save(path: &Path, scene: &Scene) -> Result<Vec<String>> {
                 ("motion", scene.motion.is_some()),
                 ("association", scene.association.is_some()),
                 ("network F", scene.deform.is_some()),
+                ("network G", scene.nonrigid.is_some()),
                 ("further tensors", !scene.extra.is_empty()),
                 ("metadata", !scene.metadata.is_empty()),
             ]

@@ -12,7 +12,8 @@
 //! | `motion.rotation`, `motion.translation` | `[T,M,3]` | so(3) vectors and translations |
 //! | `association.neighbor`, `association.logit` | `[N,K']` u32, `[N,K']` | sparse association matrix |
 //! | `deform.linear.{0..7}.{weight,bias}`, `deform.{translation,rotation}.{weight,bias}` | `[out,in]`, `[out]` | network F ([`crate::scene::network`]) |
-//! | `nonrigid.*` and any other f32 tensor | any | kept as they are in [`Scene::extra`] |
+//! | `nonrigid.linear.{0..2}.{weight,bias}`, `nonrigid.{translation,rotation,scaling}.{weight,bias}` | `[out,in]`, `[out]` | network G |
+//! | any other f32 tensor | any | kept as it is in [`Scene::extra`] |
 //!
 //! All little-endian f32 unless said. `__metadata__` holds `format` = `spgs`, `version` = `1`, whatever
 //! [`Scene::metadata`] holds, and two checksums that are there together or not at all (a file without them is read with a

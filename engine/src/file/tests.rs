@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::scene::network::{HIDDEN_LAYERS, HIDDEN_WIDTH};
-use crate::scene::{Association, DeformNetwork, Gaussians, Linear, Motion, Superpoints, Tensor};
+use crate::scene::{Association, DeformNetwork, Gaussians, Linear, Motion, NonrigidNetwork, Superpoints, Tensor};
 
 /// A small deterministic generator (a 64-bit LCG's high bits): values over several magnitudes.
 pub(crate) struct Values(pub(crate) u64);
@@ -51,10 +51,11 @@ pub(crate) fn full_scene(n: usize, m: usize, t: usize) -> Scene {
     };
     let mut scene = moving_scene(n, m, t);
     scene.deform = Some(deform);
+    scene.nonrigid = Some(NonrigidNetwork::init(5));
     scene
 }
 
-/// A scene with everything but network F (whose 2 MB would slow tests over every byte).
+/// A scene with everything but the networks (whose 2 MB would slow tests over every byte).
 pub(crate) fn moving_scene(n: usize, m: usize, t: usize) -> Scene {
     let mut v = Values(8);
     Scene {
@@ -71,8 +72,9 @@ pub(crate) fn moving_scene(n: usize, m: usize, t: usize) -> Scene {
             logit: v.floats(2 * n),
         }),
         deform: None,
+        nonrigid: None,
         extra: [
-            ("nonrigid.linear.0.weight".to_string(), Tensor { shape: vec![2, 3], data: v.floats(6) }),
+            ("nonrigid.notes".to_string(), Tensor { shape: vec![2, 3], data: v.floats(6) }),
             ("gaussians.age".to_string(), Tensor { shape: vec![n, 2], data: v.floats(2 * n) }),
         ]
         .into(),

@@ -24,7 +24,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 pub use motion::{Placed, Pose, exp, place, poses, rotation_of_quaternion, table_poses};
-pub use network::network_poses;
+pub use network::{NonrigidOffset, network_poses, nonrigid_offsets};
 pub use project::{Parameters, Splat, project};
 pub use sh::color_of;
 

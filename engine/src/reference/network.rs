@@ -1,31 +1,61 @@
-//! Network F in f64, its f32 weights taken as exact numbers.
+//! Networks F and G in f64, their f32 weights taken as exact numbers.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::motion::Pose;
-use crate::scene::network::{ENCODING_WIDTH, POSITION_FREQUENCIES, SKIP_LAYER, TIME_FREQUENCIES};
-use crate::scene::{DeformNetwork, Linear};
+use crate::scene::network::{NONRIGID_FREQUENCIES, POSITION_FREQUENCIES, SKIP_LAYER, TIME_FREQUENCIES};
+use crate::scene::{DeformNetwork, Linear, NonrigidNetwork};
 
 /// Poses of all superpoints at `time`; `position` are the canonical centres `[M,3]`.
 pub fn network_poses(network: &DeformNetwork, position: &[[f32; 3]], time: f64) -> Vec<Pose> {
-    position.par_iter().map(|p| network_pose(network, p.map(f64::from), time)).collect()
+    let network = Perceptron::of_deform(network);
+    let pose = |p: &[f32; 3]| {
+        let output = network.trace(&deform_encoding(p.map(f64::from), time)).output;
+        Pose { rotation: DVec3::from_slice(&output[..3]), translation: DVec3::from_slice(&output[3..]) }
+    };
+    position.par_iter().map(pose).collect()
 }
 
-fn network_pose(network: &DeformNetwork, position: [f64; 3], time: f64) -> Pose {
-    let mut encoding = Vec::with_capacity(ENCODING_WIDTH);
+/// What network G adds to a Gaussian.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct NonrigidOffset {
+    /// To the rigidly moved centre, world units.
+    pub translation: DVec3,
+    /// To the rigidly moved unit quaternion w,x,y,z, which is then normalised.
+    pub rotation: [f64; 4],
+    /// To the scale (standard deviations), world units.
+    pub scaling: DVec3,
+}
+
+/// Offsets of Gaussians whose rigidly moved centres are `centre`.
+pub fn nonrigid_offsets(network: &NonrigidNetwork, centre: &[DVec3], time: f64) -> Vec<NonrigidOffset> {
+    let network = Perceptron::of_nonrigid(network);
+    let offset = |c: &DVec3| {
+        let output = network.trace(&nonrigid_encoding(*c, time)).output;
+        NonrigidOffset {
+            translation: DVec3::from_slice(&output[..3]),
+            rotation: std::array::from_fn(|i| output[3 + i]),
+            scaling: DVec3::from_slice(&output[7..]),
+        }
+    };
+    centre.par_iter().map(offset).collect()
+}
+
+/// Input of network F.
+pub(super) fn deform_encoding(position: [f64; 3], time: f64) -> Vec<f64> {
+    let mut encoding = Vec::new();
     encode(&position, POSITION_FREQUENCIES, &mut encoding);
     encode(&[time], TIME_FREQUENCIES, &mut encoding);
-    let mut hidden = encoding.clone();
-    for (i, layer) in network.linear.iter().enumerate() {
-        if i == SKIP_LAYER {
-            hidden.splice(0..0, encoding.iter().copied());
-        }
-        hidden = apply(layer, &hidden);
-        hidden.iter_mut().for_each(|h| *h = h.max(0.0));
-    }
-    let vector = |head: &Linear| DVec3::from_slice(&apply(head, &hidden));
-    Pose { rotation: vector(&network.rotation), translation: vector(&network.translation) }
+    encoding
+}
+
+/// Input of network G.
+pub(super) fn nonrigid_encoding(centre: DVec3, time: f64) -> Vec<f64> {
+    let mut encoding = Vec::new();
+    encode(&centre.to_array(), NONRIGID_FREQUENCIES, &mut encoding);
+    encode(&[time], NONRIGID_FREQUENCIES, &mut encoding);
+    encoding
 }
 
 /// Appends `[x, sin(2⁰x), cos(2⁰x), sin(2¹x), …]`, each over all components of x before the next.
@@ -38,10 +68,78 @@ fn encode(x: &[f64], frequencies: usize, out: &mut Vec<f64>) {
     }
 }
 
-/// W x + b.
-fn apply(layer: &Linear, x: &[f64]) -> Vec<f64> {
-    let rows = layer.weight.chunks_exact(layer.inputs.max(1));
-    rows.zip(&layer.bias)
-        .map(|(row, &b)| row.iter().zip(x).map(|(&w, x)| f64::from(w) * x).sum::<f64>() + f64::from(b))
-        .collect()
+/// A dense layer y = W x + b in f64.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Dense {
+    pub(super) inputs: usize,
+    /// `[outputs, inputs]`.
+    pub(super) weight: Vec<f64>,
+    pub(super) bias: Vec<f64>,
+}
+
+/// Hidden layers with ReLU, one of which may see the encoding again before its input, then a linear head.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Perceptron {
+    /// The hidden layers, then the head.
+    pub(super) layers: Vec<Dense>,
+    pub(super) skip: Option<usize>,
+}
+
+/// What a forward pass leaves for the backward pass.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Trace {
+    /// Input of each layer.
+    pub(super) inputs: Vec<Vec<f64>>,
+    pub(super) output: Vec<f64>,
+}
+
+impl Dense {
+    /// Layers side by side: one output after another.
+    fn joined(layers: &[&Linear]) -> Self {
+        let widen = |values: &[f32]| values.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
+        Self {
+            inputs: layers.first().map_or(0, |l| l.inputs),
+            weight: layers.iter().flat_map(|l| widen(&l.weight)).collect(),
+            bias: layers.iter().flat_map(|l| widen(&l.bias)).collect(),
+        }
+    }
+
+    fn apply(&self, x: &[f64]) -> Vec<f64> {
+        let rows = self.weight.chunks_exact(self.inputs.max(1));
+        rows.zip(&self.bias).map(|(row, b)| row.iter().zip(x).map(|(w, x)| w * x).sum::<f64>() + b).collect()
+    }
+}
+
+impl Perceptron {
+    /// Network F; its outputs are r, then τ.
+    pub(super) fn of_deform(network: &DeformNetwork) -> Self {
+        let mut layers: Vec<Dense> = network.linear.iter().map(|l| Dense::joined(&[l])).collect();
+        layers.push(Dense::joined(&[&network.rotation, &network.translation]));
+        Self { layers, skip: Some(SKIP_LAYER) }
+    }
+
+    /// Network G; its outputs are dx, dq, ds.
+    pub(super) fn of_nonrigid(network: &NonrigidNetwork) -> Self {
+        let mut layers: Vec<Dense> = network.linear.iter().map(|l| Dense::joined(&[l])).collect();
+        layers.push(Dense::joined(&network.heads()));
+        Self { layers, skip: None }
+    }
+
+    pub(super) fn trace(&self, encoding: &[f64]) -> Trace {
+        let mut trace = Trace::default();
+        let mut values = encoding.to_vec();
+        for (i, layer) in self.layers.iter().enumerate() {
+            if self.skip == Some(i) {
+                values.splice(0..0, encoding.iter().copied());
+            }
+            let outputs = layer.apply(&values);
+            trace.inputs.push(values);
+            values = outputs;
+            if i + 1 < self.layers.len() {
+                values.iter_mut().for_each(|h| *h = h.max(0.0));
+            }
+        }
+        trace.output = values;
+        trace
+    }
 }

@@ -17,6 +17,7 @@ pub mod deform_project;
 pub mod ellipse;
 pub mod frame;
 pub mod limits;
+pub mod nonrigid_network;
 mod pipeline;
 pub mod quaternion;
 pub mod radix_sort;

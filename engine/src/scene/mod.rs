@@ -13,9 +13,9 @@ use crate::error::{Error, Result};
 pub use camera::Camera;
 pub use gaussians::{Gaussians, Rejected};
 pub use motion::{Association, KeyInterval, Motion, MotionSource, Superpoints};
-pub use network::{DeformNetwork, Linear};
+pub use network::{DeformNetwork, Linear, NonrigidNetwork};
 
-/// A named tensor that the engine carries but does not interpret yet (for example `nonrigid.*`): shape and f32 data.
+/// A named tensor that the engine carries but does not interpret: shape and f32 data.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tensor {
     /// Dimensions, outermost first.
@@ -37,6 +37,8 @@ pub struct Scene {
     pub association: Option<Association>,
     /// Network F (superpoint deformation).
     pub deform: Option<DeformNetwork>,
+    /// Network G (non-rigid stage).
+    pub nonrigid: Option<NonrigidNetwork>,
     /// Further tensors by name, kept on a round trip.
     pub extra: BTreeMap<String, Tensor>,
     /// Free metadata of the file (training configuration, data set, provenance).

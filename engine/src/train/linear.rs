@@ -1,6 +1,90 @@
-//! Dense layers: tiled matrix kernels, forward and backward.
+//! Dense layers on the GPU: tiled matrix products, forward and backward, with Adam fused into the weights' gradient.
+//!
+//! Kernels, each on row-major matrices of f32 (rows = superpoints or Gaussians):
+//!
+//! - `linear_forward`: Y = act([X₀, X₁] Wᵀ + b);
+//! - `linear_backward_input`: dX = (dZ W) ⊙ \[X > 0\], where dZ is the gradient before the layer's ReLU and X its input, so
+//!   the result is the gradient before the ReLU of the layer below;
+//! - `linear_backward_weight`: dW = dZᵀ [X₀, X₁] and db = Σ dZ, written per slice of rows or given to Adam at once;
+//! - `linear_update`: sums slices in order and gives them to Adam;
+//! - `gather_gradient`: planes `[P][rows]` to rows; numbers that are not finite become 0 and are reported.
+//!
+//! Every sum has a fixed order, so equal input gives equal bits on one device. A pass runs all `linear_backward_input` from
+//! the last layer down before any `linear_backward_weight`, so gradients use the weights of the forward pass.
 
+mod kernels;
+mod parameters;
+mod record;
+mod twins;
+
+use crate::gpu::Gpu;
 use crate::gpu::kernel::Kernel;
 
+pub use kernels::{ForwardPush, product_groups};
+pub use kernels::{
+    GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_FORWARD,
+    LINEAR_UPDATE, UpdatePush, WeightPush,
+};
+pub use parameters::Parameters;
+pub(super) use record::{Layer, Pass, Split};
+
 /// Kernels of this module.
-pub static KERNELS: &[&Kernel] = &[];
+pub static KERNELS: &[&Kernel] =
+    &[&LINEAR_FORWARD, &LINEAR_BACKWARD_INPUT, &LINEAR_BACKWARD_WEIGHT, &LINEAR_UPDATE, &GATHER_GRADIENT];
+
+/// How the products tile their matrices (specialisation constant `STAGE`; see `glsl/lib/matrix_product.glsl`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Operands in registers, spread by subgroup shuffles: for CPU devices.
+    Shuffle = 0,
+    /// Operands in shared memory: for GPUs.
+    Shared = 1,
+}
+
+impl Stage {
+    /// The better one for this device.
+    pub fn of(gpu: &Gpu) -> Self {
+        if gpu.info().is_cpu() { Self::Shuffle } else { Self::Shared }
+    }
+}
+
+/// Whose learning rate, corrections and reports a kernel uses (specialisation constant `NETWORK`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Network {
+    /// Superpoint deformation.
+    F = 0,
+    /// Non-rigid stage.
+    G = 1,
+}
+
+/// What happens to the gradients of the weights (specialisation constant `OUTPUT`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Output {
+    /// They are kept in the gradient buffer; weights and moments stay.
+    Gradient = 0,
+    /// Adam updates weights and moments at once.
+    Adam = 1,
+}
+
+/// A dense layer's shape.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shape {
+    /// Columns taken from the first input.
+    pub inputs_0: u32,
+    /// Columns taken from the second input (0 without one).
+    pub inputs_1: u32,
+    /// Outputs.
+    pub outputs: u32,
+}
+
+impl Shape {
+    /// All inputs.
+    pub fn inputs(&self) -> u32 {
+        self.inputs_0 + self.inputs_1
+    }
+
+    /// Weights and biases.
+    pub fn parameters(&self) -> u32 {
+        self.outputs * (self.inputs() + 1)
+    }
+}

@@ -8,7 +8,10 @@ use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorView};
 use super::{FORMAT, RESERVED, VERSION, checksum};
 use crate::error::{Error, Result};
 use crate::file::check;
-use crate::scene::network::{DeformNetwork, HIDDEN_LAYERS, HIDDEN_WIDTH, Linear};
+use crate::scene::network::{
+    DeformNetwork, HIDDEN_LAYERS, HIDDEN_WIDTH, Linear, NONRIGID_HEADS, NONRIGID_LAYERS, NONRIGID_WIDTH,
+    NonrigidNetwork,
+};
 use crate::scene::{Association, Gaussians, Motion, Scene, Superpoints, Tensor};
 
 /// Parses the header; returns where the data begin.
@@ -41,13 +44,14 @@ pub(super) fn model(bytes: &[u8], path: &Path) -> Result<(Scene, Vec<String>)> {
     let motion = motion(&mut tensors)?;
     let association = association(&mut tensors, gaussians.len())?;
     let deform = deform(&mut tensors)?;
+    let nonrigid = nonrigid(&mut tensors)?;
     let extra = tensors.rest(&mut warnings)?;
     let metadata = metadata
         .iter()
         .filter(|(key, _)| !RESERVED.contains(&key.as_str()))
         .map(|(key, value)| (key.clone(), value.clone()))
         .collect();
-    let scene = Scene { gaussians, superpoints, motion, association, deform, extra, metadata };
+    let scene = Scene { gaussians, superpoints, motion, association, deform, nonrigid, extra, metadata };
     check::scene(&scene).map_err(|problem| problem.corrupt(path))?;
     Ok((scene, warnings))
 }
@@ -112,6 +116,12 @@ impl Tensors<'_> {
     fn u32s(&mut self, name: &str, shape: Shape<'_>) -> Result<(Vec<usize>, Vec<u32>)> {
         let (shape, bytes) = self.take(name, Dtype::U32, shape)?;
         Ok((shape, words(bytes).collect()))
+    }
+
+    fn linear(&mut self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
+        let (_, weight) = self.f32s(&format!("{name}.weight"), &[Some(outputs), Some(inputs)])?;
+        let (_, bias) = self.f32s(&format!("{name}.bias"), &[Some(outputs)])?;
+        Ok(Linear { inputs, outputs, weight, bias })
     }
 
     /// Rows of `W` numbers; all dimensions but the last make up the row count.
@@ -199,15 +209,27 @@ fn deform(tensors: &mut Tensors<'_>) -> Result<Option<DeformNetwork>> {
     if !tensors.map.keys().any(|name| name.starts_with("deform.")) {
         return Ok(None);
     }
-    let mut layer = |name: &str, inputs: usize, outputs: usize| -> Result<Linear> {
-        let (_, weight) = tensors.f32s(&format!("{name}.weight"), &[Some(outputs), Some(inputs)])?;
-        let (_, bias) = tensors.f32s(&format!("{name}.bias"), &[Some(outputs)])?;
-        Ok(Linear { inputs, outputs, weight, bias })
-    };
+    let mut layer = |name: &str, inputs, outputs| tensors.linear(name, inputs, outputs);
     let linear = (0..HIDDEN_LAYERS)
         .map(|i| layer(&format!("deform.linear.{i}"), DeformNetwork::layer_inputs(i), HIDDEN_WIDTH))
         .collect::<Result<_>>()?;
     let translation = layer("deform.translation", HIDDEN_WIDTH, 3)?;
     let rotation = layer("deform.rotation", HIDDEN_WIDTH, 3)?;
     Ok(Some(DeformNetwork { linear, translation, rotation }))
+}
+
+fn nonrigid(tensors: &mut Tensors<'_>) -> Result<Option<NonrigidNetwork>> {
+    if !tensors.map.keys().any(|name| check::is_nonrigid(name)) {
+        return Ok(None);
+    }
+    let hidden = (0..NONRIGID_LAYERS)
+        .map(|i| tensors.linear(&format!("nonrigid.linear.{i}"), NonrigidNetwork::layer_inputs(i), NONRIGID_WIDTH))
+        .collect::<Result<_>>()?;
+    let [translation, rotation, scaling] = NONRIGID_HEADS;
+    Ok(Some(NonrigidNetwork {
+        linear: hidden,
+        translation: tensors.linear("nonrigid.translation", NONRIGID_WIDTH, translation)?,
+        rotation: tensors.linear("nonrigid.rotation", NONRIGID_WIDTH, rotation)?,
+        scaling: tensors.linear("nonrigid.scaling", NONRIGID_WIDTH, scaling)?,
+    }))
 }

@@ -126,11 +126,10 @@ fn tensors(scene: &Scene) -> Vec<Out<'_>> {
         out.push(floats("association.logit", vec![n, a.neighbors], &a.logit));
     }
     if let Some(network) = &scene.deform {
-        for (i, l) in network.linear.iter().enumerate() {
-            out.extend(linear(&format!("deform.linear.{i}"), l));
-        }
-        out.extend(linear("deform.translation", &network.translation));
-        out.extend(linear("deform.rotation", &network.rotation));
+        out.extend(network.named_layers().into_iter().flat_map(|(name, l)| linear(&name, l)));
+    }
+    if let Some(network) = &scene.nonrigid {
+        out.extend(network.named_layers().into_iter().flat_map(|(name, l)| linear(&name, l)));
     }
     out.extend(scene.extra.iter().map(|(name, tensor)| floats(name.as_str(), tensor.shape.clone(), &tensor.data)));
     out

@@ -2,6 +2,7 @@
 //! differences of the reference itself.
 
 pub mod association;
+pub mod network;
 pub mod property;
 #[cfg(test)]
 mod test_numbers;

@@ -1,0 +1,160 @@
+//! Recording of the layers' dispatches.
+
+use super::kernels::{
+    ForwardPush, GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_FORWARD,
+    LINEAR_UPDATE, THREADS, UpdatePush, WeightPush, product_groups,
+};
+use super::{Network, Output, Shape, Stage};
+use crate::error::Result;
+use crate::gpu::{Groups, Recorder, Slice};
+
+/// What the dispatches of a backward pass share.
+#[derive(Debug, Clone)]
+pub(in crate::train) struct Pass {
+    pub(in crate::train) network: Network,
+    pub(in crate::train) output: Output,
+    /// The step's data.
+    pub(in crate::train) step: Slice,
+    /// Counters of the frame.
+    pub(in crate::train) counters: Slice,
+    /// Reports of numbers that are not finite.
+    pub(in crate::train) status: Slice,
+}
+
+/// A dense layer applied to `rows` rows.
+#[derive(Debug, Clone)]
+pub(in crate::train) struct Layer {
+    pub(in crate::train) stage: Stage,
+    pub(in crate::train) shape: Shape,
+    pub(in crate::train) relu: bool,
+    pub(in crate::train) rows: u32,
+    /// Starts with the first input `[rows, inputs_0]`.
+    pub(in crate::train) input: Slice,
+    /// Where in `input` the second input starts, in floats; 0 without one.
+    pub(in crate::train) input_1_at: u32,
+    /// `[rows, outputs]`.
+    pub(in crate::train) output: Slice,
+    /// `[rows, outputs]`, the gradient before the ReLU.
+    pub(in crate::train) output_gradient: Slice,
+    /// Values and moments.
+    pub(in crate::train) parameters: [Slice; 3],
+    /// Number of the first weight in the network.
+    pub(in crate::train) first_index: u32,
+}
+
+/// How the rows of a gradient are split into sums of their own.
+#[derive(Debug, Clone)]
+pub(in crate::train) struct Split {
+    pub(in crate::train) rows_per_slice: u32,
+    /// Slice of `gradient` that the first rows go to.
+    pub(in crate::train) first_slice: u32,
+    /// Floats from slice to slice.
+    pub(in crate::train) slice_stride: u32,
+    /// `[slices, slice_stride]`.
+    pub(in crate::train) gradient: Slice,
+}
+
+impl Layer {
+    pub(in crate::train) fn forward(&self, r: &mut Recorder) -> Result<()> {
+        let Shape { inputs_0, inputs_1, outputs } = self.shape;
+        let push = ForwardPush { rows: self.rows, outputs, inputs_0, inputs_1, input_1_at: self.input_1_at };
+        let groups = product_groups(self.stage, r.subgroup_size(), self.rows, outputs, 1);
+        let spec = [self.stage as u32, u32::from(self.relu)];
+        let buffers = [self.input.clone(), self.parameters[0].clone(), self.output.clone()];
+        r.dispatch(&LINEAR_FORWARD, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+    }
+
+    /// Gradient towards the last input, before the ReLU of `below`, the layer that made it.
+    pub(in crate::train) fn backward_input(&self, r: &mut Recorder, below: &Self) -> Result<()> {
+        let Shape { inputs_0, inputs_1, outputs } = self.shape;
+        let (first_input, inputs) = if inputs_1 > 0 { (inputs_0, inputs_1) } else { (0, inputs_0) };
+        let push = InputPush { rows: self.rows, outputs, inputs, weight_stride: self.shape.inputs(), first_input };
+        let groups = product_groups(self.stage, r.subgroup_size(), self.rows, inputs, 1);
+        let buffers = [
+            self.output_gradient.clone(),
+            self.parameters[0].clone(),
+            below.output.clone(),
+            below.output_gradient.clone(),
+        ];
+        let spec = [self.stage as u32];
+        r.dispatch(&LINEAR_BACKWARD_INPUT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+    }
+
+    /// Gradient of weights and bias, by slices into `split.gradient`, or (one slice) into Adam.
+    pub(in crate::train) fn backward_weight(&self, r: &mut Recorder, pass: &Pass, split: &Split) -> Result<()> {
+        let Shape { inputs_0, inputs_1, outputs } = self.shape;
+        let push = WeightPush {
+            rows: self.rows,
+            outputs,
+            inputs_0,
+            inputs_1,
+            input_1_at: self.input_1_at,
+            rows_per_slice: split.rows_per_slice,
+            first_slice: split.first_slice,
+            slice_stride: split.slice_stride,
+            first_index: self.first_index,
+        };
+        let slices = self.rows.div_ceil(split.rows_per_slice);
+        let groups = product_groups(self.stage, r.subgroup_size(), outputs, self.shape.inputs(), slices);
+        let [value, moment_1, moment_2] = self.parameters.clone();
+        let buffers = [
+            pass.step.clone(),
+            pass.counters.clone(),
+            self.output_gradient.clone(),
+            self.input.clone(),
+            value,
+            moment_1,
+            moment_2,
+            split.gradient.clone(),
+            pass.status.clone(),
+        ];
+        let spec = [self.stage as u32, pass.output as u32, pass.network as u32];
+        r.dispatch(&LINEAR_BACKWARD_WEIGHT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+    }
+
+    /// Sum of the first `slices` slices of `split.gradient`, into `gradient` or into Adam.
+    pub(in crate::train) fn update(
+        &self,
+        r: &mut Recorder,
+        pass: &Pass,
+        split: &Split,
+        slices: u32,
+        gradient: &Slice,
+    ) -> Result<()> {
+        let weights = self.shape.parameters();
+        let push = UpdatePush { weights, slices, slice_stride: split.slice_stride, first_index: self.first_index };
+        let [value, moment_1, moment_2] = self.parameters.clone();
+        let buffers = [
+            pass.step.clone(),
+            pass.counters.clone(),
+            split.gradient.clone(),
+            value,
+            moment_1,
+            moment_2,
+            gradient.clone(),
+            pass.status.clone(),
+        ];
+        let spec = [pass.output as u32, pass.network as u32];
+        let groups = Groups::Direct(weights.div_ceil(THREADS).into());
+        r.dispatch(&LINEAR_UPDATE, &spec, bytemuck::bytes_of(&push), &buffers, groups)
+    }
+}
+
+impl Pass {
+    /// `push.rows` rows of the planes of a head's gradient, 8 columns for F and 12 for G.
+    pub(in crate::train) fn gather(
+        &self,
+        r: &mut Recorder,
+        push: GatherPush,
+        planes: &Slice,
+        rows: &Slice,
+    ) -> Result<()> {
+        let columns = match self.network {
+            Network::F => 8,
+            Network::G => 12,
+        };
+        let groups = Groups::Direct((u64::from(push.rows) * columns).div_ceil(THREADS.into()));
+        let buffers = [planes.clone(), rows.clone(), self.status.clone()];
+        r.dispatch(&GATHER_GRADIENT, &[self.network as u32], bytemuck::bytes_of(&push), &buffers, groups)
+    }
+}

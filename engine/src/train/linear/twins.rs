@@ -1,0 +1,140 @@
+//! CPU twins of the kernels of dense layers: plain loops, sums in f64.
+
+use super::kernels::{ForwardPush, GatherPush, InputPush, UpdatePush, WeightPush};
+use crate::gpu::kernel::TwinCall;
+use crate::render::limits::COUNT_FAILED;
+use crate::render::twin::{f32_at, push, set_f32, spec, struct_at};
+use crate::train::{adam, status, step::Step};
+
+/// Element (row, k) of two matrices side by side, the second from float `input_1_at` on.
+fn concatenated(words: &[u32], inputs: [u32; 2], input_1_at: u32, row: u32, k: u32) -> f64 {
+    let [i0, i1] = inputs;
+    let at = if k < i0 { row * i0 + k } else { input_1_at + row * i1 + k - i0 };
+    f32_at(words, at as usize).into()
+}
+
+pub(super) fn forward(call: &mut TwinCall<'_>) {
+    let p: ForwardPush = push(call);
+    let relu = spec(call, 2) == 1;
+    let inputs = p.inputs_0 + p.inputs_1;
+    let [input, parameter, output] = call.buffers else { return };
+    for row in 0..p.rows {
+        for o in 0..p.outputs {
+            let product = |k| {
+                f64::from(f32_at(parameter, (o * inputs + k) as usize))
+                    * concatenated(input, [p.inputs_0, p.inputs_1], p.input_1_at, row, k)
+            };
+            let bias = f64::from(f32_at(parameter, (p.outputs * inputs + o) as usize));
+            let y = (0..inputs).map(product).sum::<f64>() + bias;
+            set_f32(output, (row * p.outputs + o) as usize, if relu { y.max(0.0) } else { y } as f32);
+        }
+    }
+}
+
+pub(super) fn backward_input(call: &mut TwinCall<'_>) {
+    let p: InputPush = push(call);
+    let [output_gradient, parameter, input, input_gradient] = call.buffers else { return };
+    for row in 0..p.rows {
+        for i in 0..p.inputs {
+            let product = |o| {
+                f64::from(f32_at(output_gradient, (row * p.outputs + o) as usize))
+                    * f64::from(f32_at(parameter, (o * p.weight_stride + p.first_input + i) as usize))
+            };
+            let at = (row * p.inputs + i) as usize;
+            let value = if f32_at(input, at) > 0.0 { (0..p.outputs).map(product).sum::<f64>() as f32 } else { 0.0 };
+            set_f32(input_gradient, at, value);
+        }
+    }
+}
+
+pub(super) fn backward_weight(call: &mut TwinCall<'_>) {
+    let p: WeightPush = push(call);
+    let (kind, network) = (spec(call, 2), spec(call, 3));
+    if call.buffers[1][COUNT_FAILED as usize] != 0 {
+        return;
+    }
+    let inputs = p.inputs_0 + p.inputs_1;
+    for slice in 0..p.rows.div_ceil(p.rows_per_slice) {
+        let first = slice * p.rows_per_slice;
+        let rows = || first..(first + p.rows_per_slice).min(p.rows);
+        for o in 0..p.outputs {
+            let upstream = |row: u32| f64::from(f32_at(&call.buffers[2], (row * p.outputs + o) as usize));
+            let input = |row, i| concatenated(&call.buffers[3], [p.inputs_0, p.inputs_1], p.input_1_at, row, i);
+            let mut sums: Vec<(u32, f64)> =
+                (0..inputs).map(|i| (o * inputs + i, rows().map(|row| upstream(row) * input(row, i)).sum())).collect();
+            sums.push((p.outputs * inputs + o, rows().map(upstream).sum()));
+            for (at, sum) in sums {
+                if kind == 0 {
+                    set_f32(&mut call.buffers[7], ((p.first_slice + slice) * p.slice_stride + at) as usize, sum as f32);
+                } else {
+                    let Some(rest) = split_update(call.buffers, 4, 8) else { return };
+                    update_weight(rest, network, at, p.first_index + at, sum as f32);
+                }
+            }
+        }
+    }
+}
+
+pub(super) fn update(call: &mut TwinCall<'_>) {
+    let p: UpdatePush = push(call);
+    let (kind, network) = (spec(call, 1), spec(call, 2));
+    if call.buffers[1][COUNT_FAILED as usize] != 0 {
+        return;
+    }
+    for at in 0..p.weights {
+        let sum = (0..p.slices)
+            .fold(0.0, |sum, slice| sum + f32_at(&call.buffers[2], (slice * p.slice_stride + at) as usize));
+        if kind == 0 {
+            set_f32(&mut call.buffers[6], at as usize, sum);
+        } else {
+            let Some(rest) = split_update(call.buffers, 3, 7) else { return };
+            update_weight(rest, network, at, p.first_index + at, sum);
+        }
+    }
+}
+
+/// Step, (parameter, moment_1, moment_2) from binding `first` on, and status.
+type UpdateBuffers<'a> = (Step, &'a mut [Vec<u32>], &'a mut [u32]);
+
+fn split_update(buffers: &mut [Vec<u32>], first: usize, status: usize) -> Option<UpdateBuffers<'_>> {
+    let step = struct_at(buffers.first()?, 0);
+    let (head, tail) = buffers.split_at_mut(status);
+    Some((step, &mut head[first..first + 3], tail.first_mut()?))
+}
+
+/// Twin of `glsl/lib/network_update.glsl`.
+fn update_weight(buffers: UpdateBuffers<'_>, network: u32, at: u32, index: u32, gradient: f32) {
+    let (step, values, words) = buffers;
+    let at = at as usize;
+    let [_, _, f0, f1] = step.bias_0;
+    let [_, _, g0, g1] = step.bias_1;
+    let (rate, bias, group) = if network == 0 { (step.rate_1[2], [f0, f1], 5) } else { (step.rate_2[0], [g0, g1], 7) };
+    let mut moments = [f32_at(&values[1], at), f32_at(&values[2], at)];
+    let value = adam::update(&step, f32_at(&values[0], at), gradient, &mut moments, rate, bias);
+    if [gradient, value, moments[0], moments[1]].iter().all(|v| v.is_finite()) {
+        set_f32(&mut values[0], at, value);
+        set_f32(&mut values[1], at, moments[0]);
+        set_f32(&mut values[2], at, moments[1]);
+    } else {
+        status::report(words, group, index);
+    }
+}
+
+pub(super) fn gather(call: &mut TwinCall<'_>) {
+    let p: GatherPush = push(call);
+    let network = spec(call, 1);
+    let columns = if network == 0 { 8 } else { 12 };
+    let [planes, rows, words] = call.buffers else { return };
+    for item in 0..p.rows * columns {
+        let (row, column) = (p.first_row + item / columns, item % columns);
+        let plane = match network {
+            0 => (column % 4 != 3).then_some(column - column / 4),
+            _ => (column < 10).then_some(column),
+        };
+        let value = plane.map_or(0.0, |plane| f32_at(planes, (plane * p.plane_stride + row) as usize));
+        if !value.is_finite() {
+            status::report(words, if network == 0 { 9 } else { 7 }, row);
+        }
+        set_f32(rows, item as usize, if value.is_finite() { value } else { 0.0 });
+    }
+}

@@ -1,0 +1,25 @@
+// Adam on one weight of a network, not applied where a number is not finite. Include lib/step.glsl, lib/adam.glsl and
+// lib/status.glsl first; the includer has the buffers `parameter`, `moment_1` and `moment_2` and the constant NETWORK
+// (0 network F, 1 network G). Rust twin: `update_weight` in engine/src/train/linear/twins.rs.
+#ifndef SPGS_NETWORK_UPDATE
+#define SPGS_NETWORK_UPDATE
+
+// at: of the weight in the three buffers; index: its number in the network, for reports.
+void update_weight(uint at, uint index, float gradient) {
+    uint network = NETWORK;
+    float rate = network == 0u ? step_data.rate_1.z : step_data.rate_2.x;
+    vec2 bias = network == 0u ? step_data.bias_0.zw : step_data.bias_1.zw;
+    vec2 moments = vec2(moment_1[at], moment_2[at]);
+    float value = adam_update(parameter[at], gradient, moments, rate, bias);
+    bool finite = number_is_finite(gradient) && number_is_finite(value) && number_is_finite(moments.x)
+        && number_is_finite(moments.y);
+    if (finite) {
+        parameter[at] = value;
+        moment_1[at] = moments.x;
+        moment_2[at] = moments.y;
+    } else {
+        report_not_finite(network == 0u ? STATUS_NETWORK_F : STATUS_NETWORK_G, index);
+    }
+}
+
+#endif
