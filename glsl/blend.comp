@@ -24,6 +24,7 @@ layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 1) const uint WITH_DEPTH = 0;
 layout(constant_id = 2) const uint STAGE = 1;
 layout(constant_id = 3) const uint PIXELS_PER_LANE = 2; // at most 16
+layout(constant_id = 4) const uint WITH_SLOTS = 0;      // values are slots, as emit_tiles writes them for training
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
@@ -35,6 +36,7 @@ layout(std430, set = 0, binding = 2) readonly buffer ValuesBlock { uint values[]
 layout(std430, set = 0, binding = 3) readonly buffer SplatsBlock { vec4 splats[]; };
 layout(std430, set = 0, binding = 4) writeonly buffer ColorBlock { vec4 color[]; };
 layout(std430, set = 0, binding = 5) writeonly buffer DepthBlock { float depth[]; };
+layout(std430, set = 0, binding = 6) readonly buffer GaussianOfSlotBlock { uint gaussian_of_slot[]; };
 
 const float MAX_ALPHA = 0.99;
 // 1e-4, less five units in the last place: two splats at the largest alpha leave exactly 1e-4, which is not below it, but
@@ -77,6 +79,7 @@ void main() {
     uint size = SUBGROUP_SIZE;
     uint stage = STAGE;
     uint with_depth = WITH_DEPTH;
+    uint with_slots = WITH_SLOTS;
     uint pixels_per_lane = PIXELS_PER_LANE;
     uint columns = size >= 128u ? 16u : min(size, 8u);
     uint lane_rows = size / columns;
@@ -113,6 +116,9 @@ void main() {
         vec4 second = vec4(0.0);
         if (base + lane < end) {
             index = values[base + lane];
+            if (with_slots == 1u) {
+                index = gaussian_of_slot[index];
+            }
             first = splats[3u * index];
             second = splats[3u * index + 1u];
             vec2 x = ellipse_row_interval(ellipse_of_splat(first, second), low.y, high.y);

@@ -3,6 +3,7 @@
 //
 // Formulas (engine::reference holds the same in f64):
 //   mean(t) = Exp(r) mean + tau, R(t) = Exp(r) R(q / |q|), (r, tau) interpolated between two keys;
+//   with non-rigid offsets: mean(t) + dx, norm(Exp(r) q / |q| + dq), exp(log_scale) + ds;
 //   cov = J W R S S R' W' J' + 0.3 I with J at the clamped tangents; colour = max(0, 0.5 + sum of SH), not rotated.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -12,6 +13,7 @@ layout(local_size_x = 256) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 1) const uint SH_DEGREE = 3;
 layout(constant_id = 2) const uint MOTION = 0; // 0 static, 1 pose table
+layout(constant_id = 3) const uint NONRIGID = 0; // 1: nonrigid_offset is added
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
@@ -19,6 +21,7 @@ layout(constant_id = 2) const uint MOTION = 0; // 0 static, 1 pose table
 #include "lib/ellipse.glsl"
 #include "lib/quaternion.glsl"
 #include "lib/sh.glsl"
+#include "lib/projection.glsl"
 
 layout(std430, set = 0, binding = 1) readonly buffer MeanBlock { float mean[]; };
 layout(std430, set = 0, binding = 2) readonly buffer LogScaleBlock { float log_scale[]; };
@@ -34,16 +37,11 @@ layout(std430, set = 0, binding = 11) writeonly buffer SplatsBlock { vec4 splats
 layout(std430, set = 0, binding = 12) writeonly buffer TileCountBlock { uint tile_count[]; };
 layout(std430, set = 0, binding = 13) buffer VisibleBlockBlock { uint visible_block[]; };
 layout(std430, set = 0, binding = 14) buffer CountersBlock { uint counters[]; };
+layout(std430, set = 0, binding = 15) readonly buffer NonrigidOffsetBlock { float nonrigid_offset[]; };
+
+#include "lib/place.glsl"
 
 layout(push_constant) uniform Push { uint block_capacity; } push;
-
-const float DILATION_PX2 = 0.3;                  // added to the diagonal of the 2-D covariance
-const float ROOT_HALF_LOG2_E = 0.8493218002880191; // sqrt(log2(e) / 2), folded into the Cholesky factor
-const float MAX_ABS_MEAN = 1e15;                 // as scene::gaussians: beyond these f32 squares overflow
-const float MAX_ABS_LOG_SCALE = 30.0;
-const float MAX_ABS_TRANSLATION = 1e15;
-const float MAX_ABS_COLOUR = 1e9;
-const float MIN_ROTATION_NORM2 = 1e-24;
 
 const uint CULLED = 0u;
 const uint REJECTED = 1u;
@@ -51,19 +49,6 @@ const uint VISIBLE = 2u;
 
 shared uint subgroup_flags[64]; // visible + 2^16 rejected
 shared uint subgroup_tiles[64];
-
-// By bits: a compiler may assume that comparisons never see NaN.
-bool is_finite(float x) {
-    return (floatBitsToUint(x) & 0x7f800000u) != 0x7f800000u;
-}
-
-bool is_finite(vec3 v) {
-    return is_finite(v.x) && is_finite(v.y) && is_finite(v.z);
-}
-
-bool within(vec3 v, float limit) {
-    return is_finite(v) && abs(v.x) <= limit && abs(v.y) <= limit && abs(v.z) <= limit;
-}
 
 vec3 sh_coefficient_0(uint g, uint n) {
     return vec3(sh_0[g], sh_0[n + g], sh_0[2u * n + g]);
@@ -98,37 +83,10 @@ vec3 sh_sum(uint g, uint n, vec3 d) {
 }
 
 // Lower triangle of the inverse 2-D covariance's root, (l11, l12, l22) with u = l11 dx + l12 dy, v = l22 dy, and the
-// variance along x in `.w`. column_k: columns of W R(t); scale: standard deviations / z; tangent: clamped x/z, y/z.
-//
-// det(M M') is the sum of the squared 2x2 minors of M = J W R S (Cauchy-Binet): nothing cancels, so needles keep their
-// width. A minor of J W R is f_x f_y / z^2 times the component of (x/z, y/z, 1) along the remaining axis. Everything is
-// computed in units of 2^k px (`unit`), so that a 1e13 px Gaussian does not overflow.
-vec4 conic_root(vec3 column_0, vec3 column_1, vec3 column_2, vec3 scale, vec2 tangent, vec2 focal) {
-    vec2 m0 = scale.x * focal * (column_0.xy - tangent * column_0.z);
-    vec2 m1 = scale.y * focal * (column_1.xy - tangent * column_1.z);
-    vec2 m2 = scale.z * focal * (column_2.xy - tangent * column_2.z);
-    vec2 longest = max(abs(m0), max(abs(m1), abs(m2)));
-    uint unit_bits = floatBitsToUint(max(1.0, max(longest.x, longest.y))) & 0x7f800000u;
-    float inverse_unit = uintBitsToFloat(0x7f000000u - min(unit_bits, 0x7e800000u));
-    m0 *= inverse_unit;
-    m1 *= inverse_unit;
-    m2 *= inverse_unit;
-    vec3 s = scale * inverse_unit;
-    vec3 ray = vec3(tangent, 1.0);
-    float area = focal.x * focal.y;
-    float minor_12 = area * dot(column_0, ray) * s.y * s.z;
-    float minor_20 = area * dot(column_1, ray) * s.z * s.x;
-    float minor_01 = area * dot(column_2, ray) * s.x * s.y;
-    float dilation = DILATION_PX2 * inverse_unit * inverse_unit;
-    float xx = m0.x * m0.x + m1.x * m1.x + m2.x * m2.x;
-    float xy = m0.x * m0.y + m1.x * m1.y + m2.x * m2.y;
-    float yy = m0.y * m0.y + m1.y * m1.y + m2.y * m2.y;
-    float minors = minor_12 * minor_12 + minor_20 * minor_20 + minor_01 * minor_01;
-    float det = minors + dilation * (xx + yy) + dilation * dilation;
-    float c = yy + dilation;
-    float k = ROOT_HALF_LOG2_E * inverse_unit;
-    float variance_x = (xx + dilation) / (inverse_unit * inverse_unit);
-    return vec4(k * sqrt(c / det), -k * xy / (sqrt(c) * sqrt(det)), k / sqrt(c), variance_x);
+// variance along x in `.w`.
+vec4 conic_root(Footprint f) {
+    return vec4(footprint_root(f, ROOT_HALF_LOG2_E * f.inverse_unit),
+                (f.xx + f.dilation) / (f.inverse_unit * f.inverse_unit));
 }
 
 // A conservative test of the footprint's horizontal extent against the image; the vertical one is implied by the tile rows.
@@ -147,25 +105,10 @@ uint project(uint g, uint n, out uint tiles) {
     if (!within(canonical, MAX_ABS_MEAN) || logit_is_nan) {
         return REJECTED;
     }
-    // Camera-relative, in two parts: exact for a camera and a Gaussian that share a large offset from the origin.
-    precise vec3 d = (canonical - frame.camera_position_high.xyz) - frame.camera_position_low.xyz;
-    vec4 turn = vec4(1.0, 0.0, 0.0, 0.0);
-    uint motion = MOTION;
-    if (motion == 1u) {
-        uint superpoint = superpoint_of_gaussian[g];
-        if (superpoint >= frame.counts.y) {
-            return REJECTED;
-        }
-        uint first = 2u * (frame.counts.z * frame.counts.y + superpoint);
-        uint second = 2u * (frame.counts.w * frame.counts.y + superpoint);
-        float weight = frame.camera_position_low.w;
-        vec3 r = pose[first].xyz * (1.0 - weight) + pose[second].xyz * weight;
-        vec3 translation = pose[first + 1u].xyz * (1.0 - weight) + pose[second + 1u].xyz * weight;
-        if (!within(r, MAX_ABS_TRANSLATION) || !within(translation, MAX_ABS_TRANSLATION)) {
-            return REJECTED;
-        }
-        turn = quaternion_exp(r);
-        d += quaternion_displacement(turn, canonical) + translation;
+    vec3 d;
+    vec4 turn;
+    if (!place_mean(g, n, canonical, d, turn)) {
+        return REJECTED;
     }
     vec3 p = vec3(dot(frame.world_to_camera_0.xyz, d), dot(frame.world_to_camera_1.xyz, d),
                   dot(frame.world_to_camera_2.xyz, d));
@@ -181,22 +124,21 @@ uint project(uint g, uint n, out uint tiles) {
         return CULLED;
     }
 
-    vec3 log_s = vec3(log_scale[g], log_scale[n + g], log_scale[2u * n + g]);
-    vec4 q = rotation[g];
-    float norm2 = dot(q, q);
-    if (!within(log_s, MAX_ABS_LOG_SCALE) || !is_finite(norm2) || !(norm2 > MIN_ROTATION_NORM2)) {
+    Shape shape;
+    if (!place_shape(g, n, turn, shape)) {
         return REJECTED;
     }
-    q = quaternion_product(turn, q / sqrt(norm2));
     vec3 axis_0;
     vec3 axis_1;
     vec3 axis_2;
-    quaternion_columns(q, axis_0, axis_1, axis_2);
+    quaternion_columns(shape.q, axis_0, axis_1, axis_2);
     mat3 rows = mat3(frame.world_to_camera_0.xyz, frame.world_to_camera_1.xyz, frame.world_to_camera_2.xyz);
     vec2 slope = p.xy / p.z;
     vec2 tangent = min(max(slope, frame.tan_limit.xz), frame.tan_limit.yw);
     // `v * rows` is the product of the matrix with these rows by v.
-    vec4 root = conic_root(axis_0 * rows, axis_1 * rows, axis_2 * rows, exp(log_s) / p.z, tangent, frame.intrinsics.xy);
+    Footprint footprint = footprint_of(axis_0 * rows, axis_1 * rows, axis_2 * rows, shape.scale / p.z, tangent,
+                                       frame.intrinsics.xy);
+    vec4 root = conic_root(footprint);
     e.mean = frame.intrinsics.xy * slope + frame.intrinsics.zw;
     e.l11 = root.x;
     e.l12 = root.y;

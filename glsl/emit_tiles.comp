@@ -9,6 +9,9 @@
 // digit of the tile ids. A workgroup has 256 depth-sorted Gaussians. Those that reach few tiles are written by a thread
 // each; for the others the threads run over instances, not Gaussians, so that one that covers the whole image is spread
 // over all threads. Twin: engine/src/render/tiles.rs.
+//
+// For training (WITH_SLOTS = 1) the sorted value is not the Gaussian but the slot: the position in this order, in which the
+// instances of a Gaussian follow one another. `gaussian_of_slot` leads back, `first_slot` says where a Gaussian's begin.
 
 #include "lib/frame.glsl"
 #include "lib/limits.glsl"
@@ -17,6 +20,7 @@
 #include "lib/ellipse.glsl"
 
 layout(local_size_x = 256) in;
+layout(constant_id = 1) const uint WITH_SLOTS = 0;
 
 layout(std430, set = 0, binding = 1) readonly buffer CountersBlock { uint counters[]; };
 layout(std430, set = 0, binding = 2) readonly buffer TileCountBlock { uint tile_count[]; };
@@ -26,6 +30,8 @@ layout(std430, set = 0, binding = 5) readonly buffer InstanceBlockBlock { uint i
 layout(std430, set = 0, binding = 6) writeonly buffer KeysBlock { uint keys[]; };
 layout(std430, set = 0, binding = 7) writeonly buffer ValuesBlock { uint values[]; };
 layout(std430, set = 0, binding = 8) buffer NextHistogramBlock { uint next_histogram[]; };
+layout(std430, set = 0, binding = 9) writeonly buffer GaussianOfSlotBlock { uint gaussian_of_slot[]; };
+layout(std430, set = 0, binding = 10) writeonly buffer FirstSlotBlock { uint first_slot[]; };
 
 #include "lib/count_digit.glsl"
 
@@ -65,9 +71,15 @@ uint owner(uint instance) {
 }
 
 void emit(uint to, uint tile, uint gaussian, bool valid) {
+    uint with_slots = WITH_SLOTS;
     if (valid) {
         keys[to] = tile;
-        values[to] = gaussian;
+        if (with_slots == 1u) {
+            values[to] = to;
+            gaussian_of_slot[to] = gaussian;
+        } else {
+            values[to] = gaussian;
+        }
     }
     count_digit(to, tile & ((1u << push.digit_bits) - 1u), valid);
 }
@@ -128,6 +140,10 @@ void main() {
     first_instance[t] = to;
     first_shared[t] = workgroup_exclusive_add(serial ? 0u : count, shared_total);
     block_order[t] = gaussian;
+    uint with_slots = WITH_SLOTS;
+    if (with_slots == 1u && i < visible) {
+        first_slot[gaussian] = to;
+    }
     barrier();
 
     emit_serially(to, gaussian, serial ? count : 0u, capacity);

@@ -3,12 +3,16 @@
 #ifndef SPGS_ADAM
 #define SPGS_ADAM
 
+// `adam_update` for kernels with many values, which load adam = step_data.adam once.
+float adam_step(vec4 adam, float value, float gradient, inout vec2 moments, float rate, vec2 bias) {
+    moments.x = adam.x * moments.x + (1.0 - adam.x) * gradient;
+    moments.y = adam.y * moments.y + (1.0 - adam.y) * gradient * gradient;
+    return value - rate * (moments.x * bias.x) / (sqrt(moments.y) * bias.y + adam.z);
+}
+
 // moments: first and second; bias: 1/(1 - beta_1^t), 1/sqrt(1 - beta_2^t). Returns the new value, updates the moments.
 float adam_update(float value, float gradient, inout vec2 moments, float rate, vec2 bias) {
-    vec4 a = step_data.adam;
-    moments.x = a.x * moments.x + (1.0 - a.x) * gradient;
-    moments.y = a.y * moments.y + (1.0 - a.y) * gradient * gradient;
-    return value - rate * (moments.x * bias.x) / (sqrt(moments.y) * bias.y + a.z);
+    return adam_step(step_data.adam, value, gradient, moments, rate, bias);
 }
 
 #endif

@@ -11,7 +11,7 @@ const SENTINEL: u32 = 0xDEAD_BEEF;
 pub const POISON: u32 = 0x7FC0_DEAD;
 
 /// Input of one comparison.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct KernelCase {
     /// The kernel.
     pub kernel: &'static Kernel,

@@ -1,6 +1,7 @@
 //! Test harness: one device per test, and a failed test when the validation layer said anything.
 
 pub mod compare;
+pub mod gradient;
 pub mod kernel_case;
 pub mod render_case;
 pub mod widths;

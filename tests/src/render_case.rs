@@ -58,6 +58,8 @@ pub struct RenderInput {
     pub pose: Vec<f32>,
     /// M.
     pub superpoints: u32,
+    /// `[10][N]`; empty without non-rigid offsets.
+    pub nonrigid_offset: Vec<f32>,
 }
 
 impl RenderInput {
@@ -77,7 +79,17 @@ impl RenderInput {
             superpoint_of_gaussian: vec![0; count.max(1)],
             pose: Vec::new(),
             superpoints: 0,
+            nonrigid_offset: Vec::new(),
         }
+    }
+
+    /// Gives it random non-rigid offsets, some of which leave no scale.
+    #[must_use]
+    pub fn nonrigid(mut self, seed: u64) -> Self {
+        let mut r = Random(seed);
+        let bound = [0.05, 0.05, 0.05, 0.3, 0.3, 0.3, 0.3, 0.01, 0.01, 0.01];
+        self.nonrigid_offset = (0..10 * self.count).map(|i| bound[i / self.count] * r.range(-1.0, 1.0)).collect();
+        self
     }
 
     /// Gives it `superpoints` random poses at two keys.
@@ -151,7 +163,7 @@ impl RenderInput {
         let motion = u32::from(!self.pose.is_empty());
         KernelCase {
             kernel: &DEFORM_PROJECT,
-            spec: vec![self.degree, motion],
+            spec: vec![self.degree, motion, u32::from(!self.nonrigid_offset.is_empty())],
             push: bytemuck::bytes_of(&DeformProjectPush { block_capacity: blocks }).to_vec(),
             buffers: vec![
                 bytemuck::cast_slice(&[*frame]).to_vec(),
@@ -169,6 +181,7 @@ impl RenderInput {
                 vec![0; self.count],
                 vec![0; (blocks + blocks.div_ceil(256)) as usize],
                 vec![0; 8],
+                words(&self.nonrigid_offset),
             ],
             groups: groups.max(1),
         }

@@ -63,6 +63,8 @@ fn deform_project_of_random_gaussians() {
         let input = input.moving(13, 5 + i as u64);
         let frame = input.frame(&test_camera(400, 300));
         assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("moving, n = {n}, degree {degree}"));
+        let input = input.nonrigid(9 + i as u64);
+        assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("non-rigid, n = {n}"));
     }
 }
 
@@ -92,7 +94,7 @@ fn blend_case(frame: &Frame, splats: &[u32], tile_count: &[u32], spec: [u32; 3],
     let pixels = frame.pixels();
     KernelCase {
         kernel: &BLEND,
-        spec: spec.to_vec(),
+        spec: [&spec[..], &[0]].concat(),
         push: Vec::new(),
         buffers: vec![
             bytemuck::cast_slice(&[*frame]).to_vec(),
@@ -101,16 +103,26 @@ fn blend_case(frame: &Frame, splats: &[u32], tile_count: &[u32], spec: [u32; 3],
             splats.to_vec(),
             vec![0; 4 * pixels],
             vec![0; if spec[0] == 1 { pixels } else { 4 }],
+            Vec::new(),
         ],
         groups: blend::groups(frame.limits[1], size, spec[2]) as u32,
     }
+}
+
+/// The same case with values that are slots, in some order.
+fn with_slots(mut case: KernelCase) -> KernelCase {
+    let count = case.buffers[2].len() as u32;
+    case.spec[3] = 1;
+    case.buffers[6] = case.buffers[2].iter().rev().copied().collect();
+    case.buffers[2] = (0..count).rev().collect();
+    case
 }
 
 fn twin_splats(input: &RenderInput, frame: &Frame) -> (Vec<u32>, Vec<u32>) {
     let mut case = input.deform_project(frame);
     let mut call = TwinCall {
         groups: [case.groups, 1, 1],
-        spec: &[8, input.degree, u32::from(!input.pose.is_empty())],
+        spec: &[8, input.degree, u32::from(!input.pose.is_empty()), u32::from(!input.nonrigid_offset.is_empty())],
         push: &case.push,
         buffers: &mut case.buffers,
     };
@@ -143,7 +155,13 @@ fn blend_matches_its_twin() {
                 }
                 for per_lane in lanes {
                     let spec = [depth, stage as u32, per_lane];
-                    let result = blend_case(&frame, &splats, &tile_count, spec, size).run(&gpu);
+                    let case = blend_case(&frame, &splats, &tile_count, spec, size);
+                    let slots = (per_lane == usual && depth == 0).then(|| with_slots(case.clone()).run(&gpu));
+                    let result = case.run(&gpu);
+                    if let Some(slots) = slots {
+                        assert_eq!(slots.gpu[4], result.gpu[4], "slots change the image");
+                        assert_eq!(slots.twin[4], result.twin[4], "slots change the twin's image");
+                    }
                     let context = format!("n = {n}, {width}x{height}, spec {spec:?}");
                     if depth == 0 {
                         let mut result = result;

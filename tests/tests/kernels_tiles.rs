@@ -128,8 +128,21 @@ impl Scene {
             out.clone(),
             out,
             vec![0; tile.histogram_rows() as usize * 256],
+            vec![0; capacity as usize],
+            vec![0; n as usize],
         ];
-        let mut done = run(gpu, &EMIT_TILES, &[], bytemuck::bytes_of(&push), buffers, emit_groups);
+        let slots = run(gpu, &EMIT_TILES, &[1], bytemuck::bytes_of(&push), buffers.clone(), emit_groups);
+        let mut done = run(gpu, &EMIT_TILES, &[0], bytemuck::bytes_of(&push), buffers, emit_groups);
+        // Slots are another name for the same instances, and those of a Gaussian follow one another.
+        assert_eq!(slots[6], done[6]);
+        let instances = counters[5] as usize;
+        assert!(slots[7][..instances].iter().zip(0..).all(|(slot, i)| *slot == i));
+        assert_eq!(slots[9][..instances], done[7][..instances]);
+        for (g, first) in slots[10].iter().enumerate().filter(|_| counters[3] == 0) {
+            let own = (0..self.tile_count[g]).map(|k| (first + k) as usize).filter(|&slot| slot < instances);
+            own.for_each(|slot| assert_eq!(slots[9][slot], g as u32));
+        }
+        done.truncate(9);
         let histogram = done.pop().unwrap();
         let (values, keys) = (done.pop().unwrap(), done.pop().unwrap());
         let keys = sort(gpu, &tile, keys, values, histogram, &counters, 5, groups(INDIRECT_TILE_SORT)).0;

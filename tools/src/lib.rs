@@ -17,4 +17,5 @@ pub mod progress;
 pub mod render;
 pub mod report;
 pub mod spirv_task;
+pub mod train;
 pub mod view;

@@ -159,7 +159,8 @@ fn operations_table(rows: &[OperationRow]) -> String {
     t
 }
 
-fn escape(text: &str) -> String {
+/// Text that is safe inside HTML.
+pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 

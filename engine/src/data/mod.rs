@@ -1,6 +1,13 @@
-//! Camera files: NeRF `transforms*.json` and COLMAP models.
+//! Data sets of posed pictures, and camera files: NeRF `transforms*.json` and COLMAP models.
 
 pub mod colmap;
+pub mod dataset;
+mod frame;
+mod json;
+pub mod lens;
+pub mod loader;
+pub mod pixels;
+mod resample;
 #[cfg(test)]
 mod tests;
 pub mod transforms;
@@ -9,6 +16,10 @@ use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 use crate::scene::Camera;
+
+pub use dataset::{Dataset, DatasetKind, DatasetOptions, Points, SplitRule, TimeRule, View};
+pub use loader::ImageLoader;
+pub use pixels::{ImageSource, Pixels};
 
 /// Largest image side accepted from a camera file, pixels.
 pub const MAX_IMAGE_SIDE: u32 = 16_384;

@@ -9,31 +9,21 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DVec3};
 use serde_json::Value;
 
+use super::frame::Frame;
+use super::json::{self, Keys, finite, show};
+use super::lens::{Distortion, Lens};
 use super::{CameraSet, MAX_IMAGE_SIDE, uniform_time};
 use crate::error::{Error, Result};
-use crate::scene::Camera;
 
-/// Largest file accepted, bytes: some 90,000 frames. Parsed values take up to 16 times the text.
-const MAX_FILE: u64 = 64 << 20;
 /// How far the columns may be from orthonormal, after a uniform scale is taken out.
 const ORTHONORMAL: f64 = 1.0e-3;
-/// Keys of lens distortion: the image is rendered without.
-const DISTORTION: [&str; 6] = ["k1", "k2", "k3", "k4", "p1", "p2"];
-
-/// Keys and values of a frame or of the top. Values stay untyped until used, so that a wrong one can be named.
-type Keys = serde_json::Map<String, Value>;
 
 /// Reads one camera file; see [`super::load_cameras`] for `size_override`.
 ///
 /// # Errors
 /// [`Error::Corrupt`] naming the frame and the key; [`Error::Io`]; [`Error::Limit`] for a file above 64 MiB.
 pub fn read(path: &Path, size_override: Option<[u32; 2]>) -> Result<CameraSet> {
-    let length = std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?.len();
-    if length > MAX_FILE {
-        let what = format!("{} (bytes of a camera file)", path.display());
-        return Err(Error::Limit { what, need: length.into(), have: MAX_FILE.into() });
-    }
-    let text = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let text = json::text(path)?;
     parse(&text, path, size_override)
 }
 
@@ -42,67 +32,56 @@ pub fn read(path: &Path, size_override: Option<[u32; 2]>) -> Result<CameraSet> {
 /// # Errors
 /// As [`read`].
 pub fn parse(text: &[u8], path: &Path, size_override: Option<[u32; 2]>) -> Result<CameraSet> {
-    let mut top = deserialize(text, path)?;
-    let frames = match top.remove("frames") {
+    let file = frames(text, path, size_override)?;
+    let cameras = file.frames.iter().map(Frame::pinhole).collect();
+    let mut warnings = file.assumed;
+    if file.distorted > 0 {
+        let (n, count) = (file.distorted, file.frames.len());
+        let name = path.display();
+        warnings.push(format!("{name}: {n} of {count} frames have lens distortion: images are rendered undistorted"));
+    }
+    Ok(CameraSet { cameras, warnings, source: path.display().to_string() })
+}
+
+/// A camera file with its lenses.
+#[derive(Debug)]
+pub(super) struct File {
+    /// In the order of the file; at least one.
+    pub(super) frames: Vec<Frame>,
+    /// The keys beside `frames`.
+    pub(super) top: Keys,
+    /// What was assumed, one line each.
+    pub(super) assumed: Vec<String>,
+    /// Number of frames with lens distortion.
+    distorted: usize,
+    /// Number of frames that give no time.
+    pub(super) without_time: usize,
+}
+
+/// [`parse`] with lens distortion kept.
+pub(super) fn frames(text: &[u8], path: &Path, size_override: Option<[u32; 2]>) -> Result<File> {
+    let mut top = json::object(text, path, "a NeRF transforms.json")?;
+    let list = match top.remove("frames") {
         Some(Value::Array(frames)) if !frames.is_empty() => frames,
         other => {
             let found = other.as_ref().map_or("nothing".into(), show);
             return Err(Error::corrupt(path, "key `frames`", found, "a list of at least one frame"));
         }
     };
-    let count = frames.len();
+    let count = list.len();
     let mut notes = Notes::default();
-    let cameras = frames
+    let frames = list
         .iter()
         .enumerate()
         .map(|(index, frame)| {
             let frame = frame.as_object().ok_or_else(|| {
                 Error::corrupt(path, format!("frame {index}"), show(frame), "an object with `transform_matrix`")
             })?;
-            Reader { path, top: &top, frame, index }.camera(count, size_override, &mut notes)
+            Reader { path, top: &top, frame, index }.frame(count, size_override, &mut notes)
         })
         .collect::<Result<Vec<_>>>()?;
-    Ok(CameraSet { cameras, warnings: notes.warnings(count, path), source: path.display().to_string() })
-}
-
-/// Python writes `NaN` and `Infinity`, which JSON does not have: they become `null`, so that the error can name the key
-/// instead of a column.
-fn deserialize(text: &[u8], path: &Path) -> Result<Keys> {
-    let syntax = |e: serde_json::Error| {
-        let at = format!("line {} column {}", e.line(), e.column());
-        Error::corrupt(path, at, e.to_string(), "a NeRF transforms.json")
-    };
-    serde_json::from_slice(text).or_else(|first| {
-        let replaced = without_non_finite(text);
-        if replaced == text { Err(syntax(first)) } else { serde_json::from_slice(&replaced).map_err(syntax) }
-    })
-}
-
-fn without_non_finite(text: &[u8]) -> Vec<u8> {
-    let mut out = Vec::with_capacity(text.len());
-    let (mut i, mut in_string) = (0, false);
-    while let Some(&byte) = text.get(i) {
-        if in_string && byte == b'\\' {
-            out.extend(&text[i..text.len().min(i + 2)]);
-            i += 2;
-            continue;
-        }
-        in_string ^= byte == b'"';
-        let literal: Option<&[u8]> = [b"NaN".as_slice(), b"-Infinity", b"Infinity", b"-NaN"]
-            .into_iter()
-            .find(|literal| !in_string && text[i..].starts_with(literal));
-        match literal {
-            Some(literal) => {
-                out.extend(b"null");
-                i += literal.len();
-            }
-            None => {
-                out.push(byte);
-                i += 1;
-            }
-        }
-    }
-    out
+    let assumed = notes.lines(count, path);
+    Ok(File { frames, top, assumed, distorted: notes.distorted, without_time: notes.without_time })
 }
 
 /// What had to be assumed, counted over the frames.
@@ -114,7 +93,7 @@ struct Notes {
 }
 
 impl Notes {
-    fn warnings(&self, count: usize, path: &Path) -> Vec<String> {
+    fn lines(&self, count: usize, path: &Path) -> Vec<String> {
         let name = path.display();
         let mut lines = Vec::new();
         if self.without_time > 0 {
@@ -122,10 +101,6 @@ impl Notes {
                 "{name}: {} of {count} frames have no `time`: index / (n − 1) is used",
                 self.without_time
             ));
-        }
-        if self.distorted > 0 {
-            let n = self.distorted;
-            lines.push(format!("{name}: {n} of {count} frames have lens distortion: images are rendered undistorted"));
         }
         if self.scaled > 0 {
             lines.push(format!("{name}: {} of {count} poses contain a scale: it is ignored", self.scaled));
@@ -151,15 +126,12 @@ impl Reader<'_> {
         self.frame.get(key).or_else(|| self.top.get(key))
     }
 
-    fn camera(&self, count: usize, size_override: Option<[u32; 2]>, notes: &mut Notes) -> Result<Camera> {
-        let name = match self.frame.get("file_path") {
-            None => String::new(),
-            Some(Value::String(name)) => name.clone(),
-            Some(other) => return Err(self.corrupt("file_path", show(other), "a string")),
-        };
+    fn frame(&self, count: usize, size_override: Option<[u32; 2]>, notes: &mut Notes) -> Result<Frame> {
+        let name = self.string("file_path")?.unwrap_or_default();
         let (rotation, position, scale) = self.pose()?;
         notes.scaled += usize::from((scale - 1.0).abs() > ORTHONORMAL);
-        notes.distorted += usize::from(self.is_distorted());
+        let distortion = self.distortion()?;
+        notes.distorted += usize::from(distortion != Distortion::None);
         let time = match self.frame.get("time") {
             None => {
                 notes.without_time += 1;
@@ -169,7 +141,31 @@ impl Reader<'_> {
         };
         let (intrinsics, size) = self.intrinsics(&name, size_override)?;
         let [fx, fy, cx, cy] = intrinsics;
-        Ok(Camera { name, width: size[0], height: size[1], fx, fy, cx, cy, rotation, position, time })
+        let lens = Lens { focal: [fx, fy], principal: [cx, cy], skew: 0.0, distortion };
+        Ok(Frame { name, lens, size, rotation, position, time, mask: self.string("mask_path")? })
+    }
+
+    fn string(&self, key: &str) -> Result<Option<String>> {
+        match self.frame.get(key) {
+            None => Ok(None),
+            Some(Value::String(text)) => Ok(Some(text.clone())),
+            Some(other) => Err(self.corrupt(key, show(other), "a string")),
+        }
+    }
+
+    /// `camera_model` *FISHEYE or `is_fisheye`: k1 to k4 on the angle. Else OpenCV's k1 k2 k3 p1 p2, and nerfstudio's k4
+    /// on r⁸.
+    fn distortion(&self) -> Result<Distortion> {
+        let model = self.get("camera_model").and_then(Value::as_str).unwrap_or("");
+        let fisheye = self.get("is_fisheye").and_then(Value::as_bool).unwrap_or(false);
+        let value = |key: &str| Ok::<_, Error>(self.number(key)?.unwrap_or(0.0));
+        let k = [value("k1")?, value("k2")?, value("k3")?, value("k4")?];
+        let p = [value("p1")?, value("p2")?];
+        Ok(if fisheye || model.contains("FISHEYE") {
+            Distortion::Fisheye(k)
+        } else {
+            Distortion::brown(k, [0.0; 3], p)
+        })
     }
 
     // ------------------------------------------------------------------------------------ intrinsics
@@ -250,12 +246,6 @@ impl Reader<'_> {
         }
     }
 
-    fn is_distorted(&self) -> bool {
-        let model = self.get("camera_model").and_then(Value::as_str).unwrap_or("");
-        let non_zero = |key: &str| self.get(key).and_then(finite).is_some_and(|v| v != 0.0);
-        model.contains("FISHEYE") || DISTORTION.into_iter().any(non_zero)
-    }
-
     // ------------------------------------------------------------------------------------------ pose
 
     /// Rotation world → camera (OpenCV), camera centre, and the scale that the matrix contained.
@@ -312,20 +302,6 @@ pub(super) fn rigid(m: DMat3) -> Result<(DMat3, f64), String> {
         r = 0.5 * (r + r.inverse().transpose());
     }
     Ok((r, scale))
-}
-
-/// A finite number.
-fn finite(value: &Value) -> Option<f64> {
-    value.as_f64().filter(|v| v.is_finite())
-}
-
-/// A value as text, shortened.
-fn show(value: &Value) -> String {
-    let text = value.to_string();
-    match text.char_indices().nth(60) {
-        Some((end, _)) => format!("`{}…`", &text[..end]),
-        None => format!("`{text}`"),
-    }
 }
 
 /// Size of the frame's image by its header: `file_path` as is, then with the usual extensions.

@@ -1,11 +1,13 @@
 //! Model files (`.safetensors`, 3DGS `.ply`) and pictures, read strictly and written durably.
 
 pub(crate) mod check;
+mod checksum;
 pub mod describe;
 pub mod durable;
 pub mod model;
 pub mod picture;
 pub mod ply;
+pub mod tensors;
 #[cfg(test)]
 mod tests;
 

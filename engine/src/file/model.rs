@@ -25,7 +25,6 @@
 //!
 //! Any changed bit is thus found. Equal scenes give equal files, byte for byte.
 
-mod checksum;
 mod read;
 #[cfg(test)]
 mod tests;
@@ -34,6 +33,7 @@ mod write;
 use std::path::Path;
 
 use crate::error::Result;
+use crate::file::tensors::parse_header;
 use crate::gpu::mmap::map_file;
 use crate::scene::Scene;
 
@@ -43,8 +43,6 @@ pub use write::write;
 pub const FORMAT: &str = "spgs";
 /// Value of the metadata entry `version`; other versions are refused.
 pub const VERSION: &str = "1";
-/// Metadata entries that belong to the format: not part of [`Scene::metadata`].
-pub const RESERVED: [&str; 4] = ["format", "version", checksum::TENSORS, checksum::HEADER];
 
 /// A tensor as the header describes it.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
@@ -81,7 +79,7 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<(Scene, Vec<String>)> {
 /// # Errors
 /// [`crate::Error::Corrupt`].
 pub fn tensors(bytes: &[u8], path: &Path) -> Result<Vec<TensorInfo>> {
-    let (_, header) = read::header(bytes, path)?;
+    let (_, header) = parse_header(bytes, path)?;
     let mut infos: Vec<_> = header.tensors().into_iter().collect();
     // Empty tensors share an offset.
     infos.sort_by(|(a, x), (b, y)| x.data_offsets.cmp(&y.data_offsets).then_with(|| a.cmp(b)));

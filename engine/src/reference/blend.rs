@@ -10,7 +10,7 @@ use super::{ALPHA_MIN, ReferenceImage, TRANSMITTANCE_MIN};
 use crate::scene::{Camera, Rejected};
 
 /// Rows of a band.
-const BAND: usize = 8;
+pub(super) const BAND: usize = 8;
 
 /// Blends `splats`, given front to back, over `background`.
 pub(super) fn blend(splats: &[Splat], camera: &Camera, background: [f64; 3]) -> ReferenceImage {
@@ -42,7 +42,7 @@ pub(super) fn blend(splats: &[Splat], camera: &Camera, background: [f64; 3]) -> 
 }
 
 /// For each band the splats that may touch it, in the order given.
-fn band_lists(splats: &[Splat], height: usize) -> Vec<Vec<u32>> {
+pub(super) fn band_lists(splats: &[Splat], height: usize) -> Vec<Vec<u32>> {
     let mut lists = vec![Vec::new(); height.div_ceil(BAND)];
     for (i, splat) in splats.iter().enumerate() {
         let half = widened(Reach::of(splat).squared * splat.covariance[2], splat.mean.y);

@@ -4,6 +4,7 @@
 //!
 //! - mean(t) = Exp(r)·mean + τ, R(t) = Exp(r)·R(q/|q|), with r and τ interpolated linearly between key times and held
 //!   outside (or from network F); a static scene does not move.
+//! - with non-rigid offsets: mean(t) + dx, the rotation of norm(Exp(r)∘q/|q| + dq), exp(log_scale) + ds (at least 1e-13).
 //! - camera space p = W·(mean(t) − position); kept iff p.z > near.
 //! - Σ₂ = J W Σ Wᵀ Jᵀ + 0.3·I (px²), J taken at x/z and y/z clamped 0.3·tan(half field of view) outside the image.
 //! - colour = max(0, 0.5 + Σ SH(direction from the camera to mean(t))); SH are not rotated.
@@ -20,11 +21,18 @@ mod sh;
 #[cfg(test)]
 mod tests;
 
-use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
+<<<<<<< HEAD
 pub use motion::{Placed, Pose, exp, place, poses, rotation_of_quaternion, table_poses};
 pub use network::{NonrigidOffset, network_poses, nonrigid_offsets};
+=======
+pub use motion::{
+    Deformation, Offset, Placed, Pose, SCALE_MIN, exp, exp_quaternion, place, place_deformed, poses,
+    rotation_of_quaternion, table_poses,
+};
+pub use network::network_poses;
+>>>>>>> f7232ac
 pub use project::{Parameters, Splat, project};
 pub use sh::color_of;
 
@@ -152,9 +160,19 @@ pub fn render_gaussians(
     camera: &Camera,
     options: &ReferenceOptions,
 ) -> Result<ReferenceImage> {
+    render_deformed(gaussians, &Deformation::default(), camera, options)
+}
+
+/// [`render_gaussians`] of Gaussians that `deformation` moves.
+pub fn render_deformed(
+    gaussians: &Gaussians64,
+    deformation: &Deformation<'_>,
+    camera: &Camera,
+    options: &ReferenceOptions,
+) -> Result<ReferenceImage> {
     let parameters = Parameters::from(gaussians);
     parameters.check()?;
-    let placed = place(&parameters, None, None)?;
+    let placed = place_deformed(&parameters, deformation)?;
     let valid = vec![true; placed.mean.len()];
     render_placed(&parameters, &placed, &valid, camera, options)
 }
@@ -171,23 +189,23 @@ fn render_placed<T: Copy + Into<f64> + Sync>(
         let size = format!("{} x {}", camera.width, camera.height);
         return Err(Error::usage("image size", size, "at least 1 x 1"));
     }
-    let splats = sorted_splats(parameters, &placed.mean, &placed.rotation, valid, camera, options);
+    let splats = sorted_splats(parameters, placed, valid, camera, options);
     Ok(blend::blend(&splats, camera, options.background))
 }
 
 /// The visible splats, front to back by z, ties by index.
 fn sorted_splats<T: Copy + Into<f64> + Sync>(
     parameters: &Parameters<'_, T>,
-    mean: &[DVec3],
-    rotation: &[DMat3],
+    placed: &Placed,
     valid: &[bool],
     camera: &Camera,
     options: &ReferenceOptions,
 ) -> Vec<Splat> {
+    let Placed { mean, rotation, scale } = placed;
     let mut splats: Vec<Splat> = (0..mean.len())
         .into_par_iter()
         .filter(|&i| valid[i])
-        .filter_map(|i| project(parameters, i, mean[i], rotation[i], camera, options.near))
+        .filter_map(|i| project(parameters, i, mean[i], rotation[i], scale[i], camera, options.near))
         .collect();
     splats.par_sort_by(|a, b| a.depth.total_cmp(&b.depth).then(a.index.cmp(&b.index)));
     splats

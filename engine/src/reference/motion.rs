@@ -17,6 +17,33 @@ pub struct Pose {
     pub translation: DVec3,
 }
 
+/// Smallest standard deviation that a non-rigid offset can leave, world units: exp(−30), the smallest that a parameter
+/// can give. At it the gradient of the scale is 0.
+pub const SCALE_MIN: f64 = 9.357_622_968_840_175e-14;
+
+/// What network G adds to one rigidly moved Gaussian (SP-GS, section 3.5, as in the released code): μ + `mean`,
+/// norm(q + `rotation`) of the unit quaternion q = Exp(r)∘norm(q₀), exp(log_scale) + `scale`.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Offset {
+    /// World units.
+    pub mean: [f64; 3],
+    /// Quaternion w,x,y,z.
+    pub rotation: [f64; 4],
+    /// World units.
+    pub scale: [f64; 3],
+}
+
+/// What moves Gaussians; nothing of it is needed.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Deformation<'a> {
+    /// `[N]` superpoint of each Gaussian.
+    pub group: &'a [u32],
+    /// `[M]` poses of the superpoints.
+    pub poses: Option<&'a [Pose]>,
+    /// `[N]` non-rigid offsets.
+    pub offsets: Option<&'a [Offset]>,
+}
+
 /// Where the Gaussians are at a time.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Placed {
@@ -24,6 +51,8 @@ pub struct Placed {
     pub mean: Vec<DVec3>,
     /// `[N]` rotations from the Gaussian's axes to world space.
     pub rotation: Vec<DMat3>,
+    /// `[N]` standard deviations along the Gaussian's axes, world units.
+    pub scale: Vec<[f64; 3]>,
 }
 
 /// sin(x)/x, by its Taylor series near zero, where the quotient would lose digits or be 0/0.
@@ -79,17 +108,34 @@ pub fn poses(scene: &Scene, time: f64, source: MotionSource) -> Result<Option<Ve
     }
 }
 
+/// Unit quaternion of Exp(r), with cos(|r|/2) as its scalar part.
+pub fn exp_quaternion(r: DVec3) -> DQuat {
+    let theta = r.length();
+    let v = r * (0.5 * sinc(0.5 * theta));
+    DQuat::from_xyzw(v.x, v.y, v.z, (0.5 * theta).cos())
+}
+
 /// Moves every Gaussian with its superpoint; without poses it stays where it is.
 pub fn place<T: Copy + Into<f64> + Sync>(
     parameters: &Parameters<'_, T>,
     superpoints: Option<&Superpoints>,
     poses: Option<&[Pose]>,
 ) -> Result<Placed> {
+    let group = superpoints.map_or(&[][..], |s| &s.of_gaussian);
+    place_deformed(parameters, &Deformation { group, poses: superpoints.and(poses), offsets: None })
+}
+
+/// Moves every Gaussian with its superpoint and adds its non-rigid offset.
+pub fn place_deformed<T: Copy + Into<f64> + Sync>(
+    parameters: &Parameters<'_, T>,
+    deformation: &Deformation<'_>,
+) -> Result<Placed> {
     let count = parameters.count();
+    let mut placed = Placed { scale: (0..count).map(|i| parameters.scale(i)).collect(), ..Placed::default() };
     let still = |i: usize| (parameters.mean(i), rotation_of_quaternion(parameters.rotation(i)));
-    let (mean, rotation) = match (superpoints, poses) {
-        (Some(superpoints), Some(poses)) => {
-            let group = &superpoints.of_gaussian;
+    (placed.mean, placed.rotation) = match deformation.poses {
+        Some(poses) => {
+            let group = deformation.group;
             check_groups(group, count, poses.len())?;
             let turn: Vec<DMat3> = poses.iter().map(|p| exp(p.rotation)).collect();
             let moved = |i: usize| {
@@ -99,9 +145,29 @@ pub fn place<T: Copy + Into<f64> + Sync>(
             };
             (0..count).into_par_iter().map(moved).unzip()
         }
-        _ => (0..count).into_par_iter().map(still).unzip(),
+        None => (0..count).into_par_iter().map(still).unzip(),
     };
-    Ok(Placed { mean, rotation })
+    if let Some(offsets) = deformation.offsets {
+        if offsets.len() != count {
+            let expected = format!("{count} elements");
+            return Err(Error::usage("non-rigid offsets", offsets.len().to_string(), expected));
+        }
+        for (i, offset) in offsets.iter().enumerate() {
+            let pose = deformation.poses.map(|poses| poses[deformation.group[i] as usize]);
+            let q = rigid_quaternion(parameters.rotation(i), pose);
+            let [w, x, y, z] = offset.rotation;
+            placed.mean[i] += DVec3::from_array(offset.mean);
+            placed.rotation[i] = DMat3::from_quat((q + DQuat::from_xyzw(x, y, z, w)).normalize());
+            placed.scale[i] = std::array::from_fn(|k| (placed.scale[i][k] + offset.scale[k]).max(SCALE_MIN));
+        }
+    }
+    Ok(placed)
+}
+
+/// The unit quaternion Exp(r)∘norm(q) of a Gaussian with raw quaternion `q` (w,x,y,z).
+pub(super) fn rigid_quaternion(q: [f64; 4], pose: Option<Pose>) -> DQuat {
+    let unit = DQuat::from_xyzw(q[1], q[2], q[3], q[0]).normalize();
+    pose.map_or(unit, |pose| exp_quaternion(pose.rotation) * unit)
 }
 
 /// Every Gaussian has a superpoint, and that superpoint has a pose.

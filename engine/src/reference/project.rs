@@ -72,6 +72,17 @@ impl<T: Copy + Into<f64>> Parameters<'_, T> {
         DVec3::from_array(self.mean[i].map(Into::into))
     }
 
+    /// Standard deviations of Gaussian `i`.
+    pub(super) fn scale(&self, i: usize) -> [f64; 3] {
+        self.log_scale[i].map(|s| s.into().exp())
+    }
+
+    /// `[K,3]` SH coefficients of Gaussian `i`, and their degree.
+    pub(super) fn sh(&self, i: usize) -> (Vec<f64>, u32) {
+        let count = self.sh_values();
+        (self.sh[i * count..(i + 1) * count].iter().map(|&x| x.into()).collect(), self.sh_degree)
+    }
+
     /// Quaternion w,x,y,z of Gaussian `i`.
     pub(super) fn rotation(&self, i: usize) -> [f64; 4] {
         self.rotation[i].map(Into::into)
@@ -110,19 +121,20 @@ impl Splat {
 }
 
 /// Clamp range of x/z (or y/z): the image's own range widened by 0.3·tan(half field of view) on either side.
-fn tangent_limit(size: u32, focal: f64, center: f64) -> (f64, f64) {
+pub(super) fn tangent_limit(size: u32, focal: f64, center: f64) -> (f64, f64) {
     let size = f64::from(size);
     let margin = 0.3 * size / (2.0 * focal);
     (-(center / focal + margin), (size - center) / focal + margin)
 }
 
-/// Projects Gaussian `i`, which has centre `mean` and axes `rotation` in world space. `None` when it is behind the near
+/// Projects Gaussian `i`, which has centre `mean`, axes `rotation` and deviations `scale` in world space. `None` when it is behind the near
 /// plane, can nowhere reach α = 1/255, or is not finite. Conditions are phrased so that NaN fails.
 pub fn project<T: Copy + Into<f64>>(
     parameters: &Parameters<'_, T>,
     i: usize,
     mean: DVec3,
     rotation: DMat3,
+    scale: [f64; 3],
     camera: &Camera,
     near: f64,
 ) -> Option<Splat> {
@@ -132,9 +144,8 @@ pub fn project<T: Copy + Into<f64>>(
     if !(p.z > near && opacity >= ALPHA_MIN) {
         return None;
     }
-    let log_scale: [f64; 3] = parameters.log_scale[i].map(Into::into);
     let axes = camera.rotation * rotation;
-    let (covariance, determinant) = covariance_2d(p, axes, log_scale.map(f64::exp), camera);
+    let (covariance, determinant) = covariance_2d(p, axes, scale, camera);
     let [a, b, c] = covariance;
     let sh = parameters.sh_values();
     let splat = Splat {

@@ -40,7 +40,7 @@ fn assert_same_as_brute_force(scene: &Scene, camera: &Camera, time: f64, options
     let placed = place(&parameters, scene.superpoints.as_ref(), poses.as_deref()).unwrap();
     let valid: Vec<bool> =
         (0..scene.gaussians.len()).map(|i| scene.gaussians.is_valid(i, &mut Rejected::default())).collect();
-    let splats = sorted_splats(&parameters, &placed.mean, &placed.rotation, &valid, camera, options);
+    let splats = sorted_splats(&parameters, &placed, &valid, camera, options);
     let expected = brute_force(&splats, camera, options.background);
     let found = render(scene, camera, time, options).unwrap();
     assert!(found.rgb == expected.rgb && found.alpha == expected.alpha && found.depth == expected.depth);

@@ -2,7 +2,8 @@
 //!
 //! Reads `ranges uint[2·tiles]` (first and last + 1 instance of a tile), `values uint[instances]` (the Gaussian of each
 //! instance, in depth order within a tile) and `splats`. Writes every pixel of `color vec4[H·W]` (Σ c α T + T·background,
-//! 1 − T) and, when `WITH_DEPTH` is 1, `depth float[H·W]` (Σ z α T; else a dummy of any size).
+//! 1 − T) and, when `WITH_DEPTH` is 1, `depth float[H·W]` (Σ z α T; else a dummy of any size). When `WITH_SLOTS` is 1,
+//! `values` are slots and `gaussian_of_slot` leads to the Gaussians (see [`SlotBuffers`](super::tiles::SlotBuffers)).
 //!
 //! One subgroup blends one subtile ([`subtile`]); the formulas are those of 3D Gaussian splatting's forward pass with the
 //! threshold α ≥ 1/255 tested before exp2, in the log2 domain.
@@ -11,6 +12,7 @@ use super::ellipse::{Ellipse, LOG2_255};
 use super::frame::Frame;
 use super::limits::TILE_SIZE;
 use super::twin::{set_f32, set_vec4, spec, struct_at, vec4_at};
+use crate::gpu::Gpu;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
 
 /// Threads per workgroup: one subgroup of the largest size, several of a smaller one.
@@ -33,12 +35,19 @@ pub enum Stage {
     Reread = 2,
 }
 
+impl Stage {
+    /// The stage for a device: on a CPU a shuffle is an extract; on a GPU shared memory broadcasts a word for free.
+    pub fn of_device(gpu: &Gpu) -> Self {
+        if gpu.info().is_cpu() { Self::Shuffle } else { Self::Shared }
+    }
+}
+
 /// Blends each tile's splats front to back.
 pub static BLEND: Kernel = Kernel {
     name: "blend",
     doc: "front-to-back blending, one subgroup per subtile of pixels",
     local_size: BLEND_THREADS,
-    spec: &["SUBGROUP_SIZE", "WITH_DEPTH", "STAGE", "PIXELS_PER_LANE"],
+    spec: &["SUBGROUP_SIZE", "WITH_DEPTH", "STAGE", "PIXELS_PER_LANE", "WITH_SLOTS"],
     push: &[],
     bindings: &[
         Binding::of_struct("frame", Access::Read, Frame::FIELDS),
@@ -47,6 +56,7 @@ pub static BLEND: Kernel = Kernel {
         Binding::new("splats", Access::Read, Element::F32),
         Binding::new("color", Access::Write, Element::F32),
         Binding::new("depth", Access::Write, Element::F32),
+        Binding::new("gaussian_of_slot", Access::Read, Element::U32),
     ],
     twin: blend_twin,
     // exp2 may be off by units in the last place; a splat at the threshold of 1/255, or a pixel at the transmittance stop,
@@ -113,6 +123,7 @@ fn blend_splat(pixel: &mut Pixel, [first, second, third]: [[f32; 4]; 3], x: f32,
 fn blend_twin(call: &mut TwinCall<'_>) {
     let frame: Frame = struct_at(&call.buffers[0], 0);
     let with_depth = spec(call, 1) == 1;
+    let with_slots = spec(call, 4) == 1;
     let [columns, _, rows] = subtile(spec(call, 0), spec(call, 3));
     let [width, height, tiles_x, _] = frame.size;
     for tile in 0..frame.limits[1] {
@@ -126,7 +137,8 @@ fn blend_twin(call: &mut TwinCall<'_>) {
             let mut pixels =
                 vec![Pixel { transmittance: 1.0, colour: [0.0; 3], depth: 0.0 }; (columns * rows) as usize];
             for at in range.clone() {
-                let index = call.buffers[2][at] as usize;
+                let value = call.buffers[2][at];
+                let index = if with_slots { call.buffers[6][value as usize] } else { value } as usize;
                 let splat: [[f32; 4]; 3] = std::array::from_fn(|j| vec4_at(&call.buffers[3], 3 * index + j));
                 let x = Ellipse::of_splat(splat[0], splat[1]).row_interval(y_low, y_high);
                 if x[0] <= x_high && x[1] >= x_low && x[0] <= x[1] {

@@ -5,6 +5,9 @@
 //! Sums: `visible_block[b]` per workgroup and `[block_capacity + b / 256]` above it; `counters` 0 visible, 1–2 instances
 //! (64 bits), 4 rejected. `visible_block` and `counters` must be zeroed before.
 //!
+//! With `NONRIGID` = 1 it adds `nonrigid_offset float[10][N]`, planes dx 3, dq 4 (w,x,y,z), ds 3, to the moved Gaussian:
+//! μ + dx, norm(q + dq), max(exp(log_scale) + ds, exp(−30)).
+//!
 //! Source of the formulas: EWA projection as in 3D Gaussian splatting with gsplat's clamp of the Jacobian; motion of
 //! Superpoint Gaussian Splatting. Cholesky form and Cauchy–Binet determinant: see `conic_root`.
 
@@ -35,7 +38,7 @@ pub static DEFORM_PROJECT: Kernel = Kernel {
     name: "deform_project",
     doc: "motion, projection, culling, SH colour and exact tile count of each Gaussian",
     local_size: DEFORM_PROJECT_THREADS,
-    spec: &["SUBGROUP_SIZE", "SH_DEGREE", "MOTION"],
+    spec: &["SUBGROUP_SIZE", "SH_DEGREE", "MOTION", "NONRIGID"],
     push: DeformProjectPush::FIELDS,
     bindings: &[
         Binding::of_struct("frame", Access::Read, Frame::FIELDS),
@@ -53,6 +56,7 @@ pub static DEFORM_PROJECT: Kernel = Kernel {
         Binding::new("tile_count", Access::Write, Element::U32),
         Binding::new("visible_block", Access::Atomic, Element::U32),
         Binding::new("counters", Access::Atomic, Element::U32),
+        Binding::new("nonrigid_offset", Access::Read, Element::F32),
     ],
     twin: deform_project_twin,
     // exp, log2 and sqrt may be off by some units in the last place on a GPU (Vulkan 1.2, table of precision); a tile
@@ -78,6 +82,8 @@ const MAX_ABS_LOG_SCALE: f32 = 30.0;
 const MAX_ABS_TRANSLATION: f32 = 1e15;
 const MAX_ABS_COLOUR: f32 = 1e9;
 const MIN_ROTATION_NORM2: f32 = 1e-24;
+const MIN_SCALE: f32 = 9.357_623e-14;
+const MAX_SCALE: f32 = 1.1e13;
 
 const SH_0: f32 = 0.282_094_8;
 const SH_1: f32 = 0.488_602_5;
@@ -206,7 +212,33 @@ fn pose_of(buffers: &[Vec<u32>], frame: &Frame, g: usize) -> Option<([f32; 4], [
     Some((quaternion::exp(r), translation))
 }
 
-fn project(buffers: &[Vec<u32>], frame: &Frame, degree: u32, motion: u32, g: usize) -> Outcome {
+/// Unit quaternion and standard deviations of Gaussian `g`; `turn` is its superpoint's rotation.
+fn shape_of(buffers: &[Vec<u32>], n: usize, nonrigid: bool, turn: [f32; 4], g: usize) -> Option<([f32; 4], [f32; 3])> {
+    let log_s = planes(&buffers[2], 0, n, g);
+    let q = vec4_at(&buffers[3], g);
+    let norm2 = dot4(q, q);
+    if !within(log_s, MAX_ABS_LOG_SCALE) || !norm2.is_finite() || norm2 <= MIN_ROTATION_NORM2 {
+        return None;
+    }
+    let q = quaternion::product(turn, q.map(|v| v / norm2.sqrt()));
+    let scale = log_s.map(f32::exp);
+    if !nonrigid {
+        return Some((q, scale));
+    }
+    let sum: [f32; 4] = std::array::from_fn(|i| q[i] + f32_at(&buffers[15], (3 + i) * n + g));
+    let sum2 = dot4(sum, sum);
+    let added = add(scale, planes(&buffers[15], 7, n, g));
+    if !sum2.is_finite() || sum2 <= MIN_ROTATION_NORM2 || !within(added, MAX_SCALE) {
+        return None;
+    }
+    Some((sum.map(|v| v / sum2.sqrt()), added.map(|s| s.max(MIN_SCALE))))
+}
+
+fn dot4(a: [f32; 4], b: [f32; 4]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+}
+
+fn project(buffers: &[Vec<u32>], frame: &Frame, degree: u32, motion: u32, nonrigid: bool, g: usize) -> Outcome {
     let n = frame.counts[0] as usize;
     let canonical = planes(&buffers[1], 0, n, g);
     let logit = f32_at(&buffers[4], g);
@@ -221,6 +253,13 @@ fn project(buffers: &[Vec<u32>], frame: &Frame, degree: u32, motion: u32, g: usi
         turn = rotation;
         d = add(d, add(quaternion::displacement(turn, canonical), translation));
     }
+    if nonrigid {
+        let dx = planes(&buffers[15], 0, n, g);
+        if !within(dx, MAX_ABS_TRANSLATION) {
+            return Outcome::Rejected;
+        }
+        d = add(d, dx);
+    }
     let rows = [frame.world_to_camera_0, frame.world_to_camera_1, frame.world_to_camera_2].map(xyz);
     let p = rows.map(|row| dot(row, d));
     if !p.iter().all(|v| v.is_finite()) {
@@ -234,20 +273,13 @@ fn project(buffers: &[Vec<u32>], frame: &Frame, degree: u32, motion: u32, g: usi
         return Outcome::Culled;
     }
 
-    let log_s = planes(&buffers[2], 0, n, g);
-    let q = vec4_at(&buffers[3], g);
-    let norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
-    let long_enough = norm2 > MIN_ROTATION_NORM2;
-    if !within(log_s, MAX_ABS_LOG_SCALE) || !norm2.is_finite() || !long_enough {
-        return Outcome::Rejected;
-    }
-    let q = quaternion::product(turn, q.map(|v| v / norm2.sqrt()));
+    let Some((q, scale)) = shape_of(buffers, n, nonrigid, turn, g) else { return Outcome::Rejected };
     let columns = quaternion::columns(q).map(|axis| rows.map(|row| dot(row, axis)));
     let slope = [p[0] / p[2], p[1] / p[2]];
     let limit = frame.tan_limit;
     let tangent = [slope[0].max(limit[0]).min(limit[1]), slope[1].max(limit[2]).min(limit[3])];
     let [fx, fy, cx, cy] = frame.intrinsics;
-    let root = conic_root(columns, log_s.map(|s| s.exp() / p[2]), tangent, [fx, fy]);
+    let root = conic_root(columns, scale.map(|s| s / p[2]), tangent, [fx, fy]);
     e = Ellipse { mean: [fx * slope[0] + cx, fy * slope[1] + cy], l11: root[0], l12: root[1], l22: root[2], ..e };
     let positive = root[0] > 0.0 && root[2] > 0.0;
     if !e.mean.iter().chain(&root[..3]).all(|v| v.is_finite()) || !positive {
@@ -272,7 +304,7 @@ fn project(buffers: &[Vec<u32>], frame: &Frame, degree: u32, motion: u32, g: usi
 fn deform_project_twin(call: &mut TwinCall<'_>) {
     let DeformProjectPush { block_capacity } = push(call);
     let frame: Frame = struct_at(&call.buffers[0], 0);
-    let (degree, motion) = (spec(call, 1), spec(call, 2));
+    let (degree, motion, nonrigid) = (spec(call, 1), spec(call, 2), spec(call, 3) == 1);
     for group in 0..group_count(call) as usize {
         let first = group * DEFORM_PROJECT_THREADS as usize;
         let last = (first + DEFORM_PROJECT_THREADS as usize).min(frame.counts[0] as usize);
@@ -281,7 +313,7 @@ fn deform_project_twin(call: &mut TwinCall<'_>) {
         }
         let (mut visible, mut rejected, mut total) = (0, 0, 0_u32);
         for g in first..last {
-            let outcome = project(call.buffers, &frame, degree, motion, g);
+            let outcome = project(call.buffers, &frame, degree, motion, nonrigid, g);
             call.buffers[12][g] = 0;
             match outcome {
                 Outcome::Culled => {}

@@ -17,19 +17,23 @@ pub mod deform_project;
 pub mod ellipse;
 pub mod frame;
 pub mod limits;
+<<<<<<< HEAD
 pub mod nonrigid_network;
 mod pipeline;
+=======
+pub(crate) mod pipeline;
+>>>>>>> f7232ac
 pub mod quaternion;
 pub mod radix_sort;
 mod renderer;
-mod scene_buffers;
+pub(crate) mod scene_buffers;
 #[cfg(test)]
 mod sort_tests;
 #[cfg(test)]
 mod tile_tests;
 pub mod tiles;
 pub mod twin;
-mod work_buffers;
+pub(crate) mod work_buffers;
 
 pub use pipeline::KERNELS;
 pub use renderer::{FrameId, FrameStatistics, MemoryUse, RenderOptions, Renderer};

@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::gpu::kernel::Kernel;
-use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, Slice};
+use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, SLICE_ALIGNMENT, Slice};
 
 use super::blend::{self, BLEND};
 use super::compact::{
@@ -13,59 +13,84 @@ use super::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjec
 use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
 use super::radix_sort::{SORT_SCATTER, SORT_SPINE, SPINE_GROUPS, rank_by_ballot};
 use super::scene_buffers::{Poses, SceneBuffers};
-use super::tiles::{EMIT_TILES, EmitTilesPush, SUM_TILE_COUNTS, SumTileCountsPush, TILE_RANGES};
+use super::tiles::{EMIT_TILES, EmitTilesPush, SUM_TILE_COUNTS, SlotBuffers, SumTileCountsPush, TILE_RANGES};
 use super::work_buffers::{SortBuffers, WorkBuffers};
 
 /// Buffers of one frame in flight.
 #[derive(Debug)]
-pub(super) struct FrameBuffers {
+pub(crate) struct FrameBuffers {
     /// `Frame`, written by the host.
-    pub(super) frame: Buffer,
+    pub(crate) frame: Buffer,
     /// Poses of this frame from the host, when the scene needs them so.
-    pub(super) host_pose: Option<Buffer>,
+    pub(crate) host_pose: Option<Buffer>,
     /// `[H,W,4]` float.
-    pub(super) color: Buffer,
+    pub(crate) color: Buffer,
     /// `[H,W]` float, or a dummy.
-    pub(super) depth: Buffer,
+    pub(crate) depth: Buffer,
     /// Copy of the counters for the host, looked at after the frame.
-    pub(super) counters: Buffer,
+    pub(crate) counters: Buffer,
 }
 
 /// What else decides the recording.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Shape {
-    pub(super) tiles: u32,
-    pub(super) with_depth: bool,
-    pub(super) profile: bool,
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Shape {
+    /// Tiles of the image.
+    pub(crate) tiles: u32,
+    /// The weighted depth is rendered too.
+    pub(crate) with_depth: bool,
+    /// Tile lists of slots, for the backward pass.
+    pub(crate) slots: Option<SlotBuffers>,
+    /// `[10][N]` non-rigid offsets that are added after the rigid motion.
+    pub(crate) nonrigid_offset: Option<Slice>,
 }
 
-/// Records a frame.
+/// Records a frame that the host looks at.
 pub(super) fn record(
     gpu: &Gpu,
     scene: &SceneBuffers,
     work: &WorkBuffers,
     frame: &FrameBuffers,
-    shape: Shape,
+    shape: &Shape,
+    profile: bool,
 ) -> Result<Commands> {
-    let mut r = gpu.recorder("frame").with_timestamps(shape.profile);
+    let mut r = gpu.recorder("frame").with_timestamps(profile);
+    record_forward(gpu, &mut r, scene, work, frame, shape)?;
+    r.copy(&work.counters, frame.counters.slice(0, work.counters.bytes))?;
+    r.host_read(&frame.counters);
+    r.finish()
+}
+
+/// Appends the whole way from the scene to `frame.color`. Network F runs first when it is the scene's source of poses; else
+/// `scene.pose` (or `frame.host_pose`) must hold them.
+pub(crate) fn record_forward(
+    gpu: &Gpu,
+    r: &mut Recorder,
+    scene: &SceneBuffers,
+    work: &WorkBuffers,
+    frame: &FrameBuffers,
+    shape: &Shape,
+) -> Result<()> {
     r.fill(&work.zeroed, 0)?;
     if let Poses::Network { weights, superpoint_position } = &scene.poses {
         let buffers = slices(&[&frame.frame, superpoint_position, weights, &scene.pose]);
         let groups = u64::from(scene.superpoints.div_ceil(DEFORM_NETWORK_SUPERPOINTS));
         r.dispatch(&DEFORM_NETWORK, &[u32::from(scene.fp16_weights)], &[], &buffers, Groups::Direct(groups))?;
     }
-    deform_project(&mut r, scene, work, frame)?;
-    compact(&mut r, scene, work, frame)?;
-    sort(&mut r, "depth", &work.depth, work, COUNT_VISIBLE, INDIRECT_DEPTH_SORT)?;
-    emit(&mut r, work, frame)?;
-    sort(&mut r, "tile", &work.tile, work, COUNT_INSTANCES, INDIRECT_TILE_SORT)?;
-    ranges_and_blend(gpu, &mut r, work, frame, shape)?;
-    r.copy(&work.counters, frame.counters.slice(0, work.counters.bytes))?;
-    r.host_read(&frame.counters);
-    r.finish()
+    deform_project(r, scene, work, frame, shape)?;
+    compact(r, scene, work, frame)?;
+    sort(r, "depth", &work.depth, work, COUNT_VISIBLE, INDIRECT_DEPTH_SORT)?;
+    emit(r, work, frame, shape)?;
+    sort(r, "tile", &work.tile, work, COUNT_INSTANCES, INDIRECT_TILE_SORT)?;
+    ranges_and_blend(gpu, r, work, frame, shape)
 }
 
-fn deform_project(r: &mut Recorder, scene: &SceneBuffers, work: &WorkBuffers, frame: &FrameBuffers) -> Result<()> {
+fn deform_project(
+    r: &mut Recorder,
+    scene: &SceneBuffers,
+    work: &WorkBuffers,
+    frame: &FrameBuffers,
+    shape: &Shape,
+) -> Result<()> {
     let pose = frame.host_pose.as_ref().unwrap_or(&scene.pose);
     let [sh_0, sh_1, sh_2, sh_3] = &scene.sh;
     let mut buffers = slices(&[
@@ -83,11 +108,14 @@ fn deform_project(r: &mut Recorder, scene: &SceneBuffers, work: &WorkBuffers, fr
         &work.splats,
         &work.tile_count,
     ]);
-    buffers.extend([work.visible_block.clone(), work.counters.clone()]);
+    // Without non-rigid offsets any buffer that is only read stands in for them.
+    let nonrigid_offset = shape.nonrigid_offset.clone().unwrap_or_else(|| Slice::from(&scene.mean));
+    buffers.extend([work.visible_block.clone(), work.counters.clone(), nonrigid_offset]);
     let motion = if scene.moves() { MOTION_TABLE } else { MOTION_STATIC };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
     let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS));
-    r.dispatch(&DEFORM_PROJECT, &[scene.sh_degree, motion], bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+    let spec = [scene.sh_degree, motion, u32::from(shape.nonrigid_offset.is_some())];
+    r.dispatch(&DEFORM_PROJECT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
 }
 
 fn compact(r: &mut Recorder, scene: &SceneBuffers, work: &WorkBuffers, frame: &FrameBuffers) -> Result<()> {
@@ -154,13 +182,18 @@ fn sort(
     Ok(())
 }
 
-fn emit(r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers) -> Result<()> {
+fn emit(r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: &Shape) -> Result<()> {
     let order = &work.depth.values[work.depth.plan.result_in()];
     let groups = || Groups::Indirect(work.indirect.clone(), u64::from(INDIRECT_EMIT) * 4);
     let push = SumTileCountsPush { block_capacity: work.block_capacity };
     let buffers =
         [work.counters.clone(), Slice::from(&work.tile_count), Slice::from(order), work.instance_block.clone()];
     r.dispatch(&SUM_TILE_COUNTS, &[], bytemuck::bytes_of(&push), &buffers, groups())?;
+    let unused = |i: u64| work.unused.slice(i * SLICE_ALIGNMENT, SLICE_ALIGNMENT);
+    let (gaussian_of_slot, first_slot) = match &shape.slots {
+        Some(slots) => (Slice::from(&slots.gaussian_of_slot), Slice::from(&slots.first_slot)),
+        None => (unused(0), unused(1)),
+    };
     let push = EmitTilesPush { block_capacity: work.block_capacity, digit_bits: work.tile.plan.digits[0].bits };
     let buffers = [
         Slice::from(&frame.frame),
@@ -172,11 +205,19 @@ fn emit(r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers) -> Result<()
         Slice::from(&work.tile.keys[0]),
         Slice::from(&work.tile.values[0]),
         work.tile.histograms[0].clone(),
+        gaussian_of_slot,
+        first_slot,
     ];
-    r.dispatch(&EMIT_TILES, &[], bytemuck::bytes_of(&push), &buffers, groups())
+    r.dispatch(&EMIT_TILES, &[u32::from(shape.slots.is_some())], bytemuck::bytes_of(&push), &buffers, groups())
 }
 
-fn ranges_and_blend(gpu: &Gpu, r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: Shape) -> Result<()> {
+fn ranges_and_blend(
+    gpu: &Gpu,
+    r: &mut Recorder,
+    work: &WorkBuffers,
+    frame: &FrameBuffers,
+    shape: &Shape,
+) -> Result<()> {
     let sorted = work.tile.plan.result_in();
     let buffers =
         [Slice::from(&frame.frame), work.counters.clone(), Slice::from(&work.tile.keys[sorted]), work.ranges.clone()];
@@ -184,16 +225,18 @@ fn ranges_and_blend(gpu: &Gpu, r: &mut Recorder, work: &WorkBuffers, frame: &Fra
     r.dispatch(&TILE_RANGES, &[], &[], &buffers, groups)?;
     let size = gpu.subgroup_size();
     let pixels_per_lane = blend::pixels_per_lane(size);
-    // On a CPU device a shuffle is an extract; on a GPU shared memory broadcasts a word to all lanes for free.
-    let stage = if gpu.info().is_cpu() { blend::Stage::Shuffle } else { blend::Stage::Shared };
-    let spec = [u32::from(shape.with_depth), stage as u32, pixels_per_lane];
+    let stage = blend::Stage::of_device(gpu) as u32;
+    let spec = [u32::from(shape.with_depth), stage, pixels_per_lane, u32::from(shape.slots.is_some())];
+    let values = Slice::from(work.tile_values());
+    let gaussian_of_slot = shape.slots.as_ref().map_or_else(|| values.clone(), |s| Slice::from(&s.gaussian_of_slot));
     let buffers = [
         Slice::from(&frame.frame),
         work.ranges.clone(),
-        Slice::from(&work.tile.values[sorted]),
+        values,
         Slice::from(&work.splats),
         Slice::from(&frame.color),
         Slice::from(&frame.depth),
+        gaussian_of_slot,
     ];
     let groups = Groups::Direct(blend::groups(shape.tiles, size, pixels_per_lane));
     r.dispatch(&BLEND, &spec, &[], &buffers, groups)

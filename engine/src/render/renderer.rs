@@ -305,11 +305,11 @@ impl Renderer {
     fn make_targets(&self, size: [u32; 2], capacity: u32) -> Result<Targets> {
         let tiles = size[0].div_ceil(TILE_SIZE) * size[1].div_ceil(TILE_SIZE);
         let work = WorkBuffers::new(&self.gpu, self.scene.gaussians, tiles, capacity)?;
-        let shape = Shape { tiles, with_depth: self.options.depth, profile: self.options.profile };
+        let shape = Shape { tiles, with_depth: self.options.depth, ..Shape::default() };
         let slots = (0..FRAMES_IN_FLIGHT)
             .map(|_| {
                 let buffers = self.frame_buffers(size)?;
-                let commands = pipeline::record(&self.gpu, &self.scene, &work, &buffers, shape)?;
+                let commands = pipeline::record(&self.gpu, &self.scene, &work, &buffers, &shape, self.options.profile)?;
                 Ok(Slot { buffers, commands, frame: 0 })
             })
             .collect::<Result<_>>()?;

@@ -14,13 +14,15 @@ const RECENTRE_RATIO: f64 = 64.0;
 
 /// How poses reach the kernels.
 #[derive(Debug)]
-pub(super) enum Poses {
+pub(crate) enum Poses {
     /// Nothing moves.
     Static,
     /// The key-time table lies on the device; two keys are interpolated in `deform_project`.
     Table(Motion),
     /// Poses of each frame come from the host in f64 (a moving scene far from the world's origin).
     Host(Motion),
+    /// `pose` is written by somebody else before the frame (training).
+    Given,
     /// Network F runs on the device each frame.
     Network {
         /// Packed weights.
@@ -32,28 +34,28 @@ pub(super) enum Poses {
 
 /// The model's arrays on the device.
 #[derive(Debug)]
-pub(super) struct SceneBuffers {
-    pub(super) gaussians: u32,
-    pub(super) superpoints: u32,
-    pub(super) sh_degree: u32,
+pub(crate) struct SceneBuffers {
+    pub(crate) gaussians: u32,
+    pub(crate) superpoints: u32,
+    pub(crate) sh_degree: u32,
     /// World position of the coordinates' origin.
-    pub(super) origin: DVec3,
-    pub(super) poses: Poses,
+    pub(crate) origin: DVec3,
+    pub(crate) poses: Poses,
     /// Network F's hidden matrices are stored in half precision.
-    pub(super) fp16_weights: bool,
-    pub(super) rejected: Rejected,
-    pub(super) mean: Buffer,
-    pub(super) log_scale: Buffer,
-    pub(super) rotation: Buffer,
-    pub(super) opacity_logit: Buffer,
-    pub(super) superpoint_of_gaussian: Buffer,
+    pub(crate) fp16_weights: bool,
+    pub(crate) rejected: Rejected,
+    pub(crate) mean: Buffer,
+    pub(crate) log_scale: Buffer,
+    pub(crate) rotation: Buffer,
+    pub(crate) opacity_logit: Buffer,
+    pub(crate) superpoint_of_gaussian: Buffer,
     /// `[T,M,2]` vec4 of the table, or `[M,2]` written by network F.
-    pub(super) pose: Buffer,
-    pub(super) sh: [Buffer; 4],
+    pub(crate) pose: Buffer,
+    pub(crate) sh: [Buffer; 4],
 }
 
 impl SceneBuffers {
-    pub(super) fn new(gpu: &Gpu, scene: &Scene, source: MotionSource, fp16_weights: bool) -> Result<Self> {
+    pub(crate) fn new(gpu: &Gpu, scene: &Scene, source: MotionSource, fp16_weights: bool) -> Result<Self> {
         let g = &scene.gaussians;
         check_lengths(g)?;
         let motion = select_motion(scene, source)?;
@@ -95,18 +97,18 @@ impl SceneBuffers {
     }
 
     /// Whether `deform_project` reads poses.
-    pub(super) fn moves(&self) -> bool {
+    pub(crate) fn moves(&self) -> bool {
         !matches!(self.poses, Poses::Static)
     }
 
     /// Key interval of a time in the pose table that the kernels see.
-    pub(super) fn interval(&self, time: f64) -> KeyInterval {
+    pub(crate) fn interval(&self, time: f64) -> KeyInterval {
         if let Poses::Table(motion) = &self.poses { motion.interval(time) } else { KeyInterval::default() }
     }
 
     /// Poses at `time` as `[M,2]` vec4, relative to the origin: Exp(r)(μ' + o) + τ − o = Exp(r)μ' + τ'. Only for
     /// [`Poses::Host`].
-    pub(super) fn host_poses(&self, time: f64) -> Option<Vec<[f32; 4]>> {
+    pub(crate) fn host_poses(&self, time: f64) -> Option<Vec<[f32; 4]>> {
         let Poses::Host(motion) = &self.poses else { return None };
         let interval = motion.interval(time);
         let m = motion.superpoint_count();
@@ -128,7 +130,7 @@ impl SceneBuffers {
     }
 
     /// Bytes of the model on the device.
-    pub(super) fn bytes(&self) -> u64 {
+    pub(crate) fn bytes(&self) -> u64 {
         let shared = [
             &self.mean,
             &self.log_scale,
@@ -220,12 +222,12 @@ fn upload_motion(gpu: &Gpu, scene: &Scene, selected: Selected, origin: DVec3, fp
 }
 
 /// `[N,3]` → three planes of N.
-fn planes(values: &[[f32; 3]]) -> Vec<f32> {
+pub(crate) fn planes(values: &[[f32; 3]]) -> Vec<f32> {
     (0..3).flat_map(|axis| values.iter().map(move |v| v[axis])).collect()
 }
 
 /// Coefficients of one SH band as planes of N: plane = (k − b²)·3 + channel. Empty above the scene's degree.
-fn sh_band(g: &Gaussians, band: u32) -> Vec<f32> {
+pub(crate) fn sh_band(g: &Gaussians, band: u32) -> Vec<f32> {
     if band > g.sh_degree {
         return Vec::new();
     }

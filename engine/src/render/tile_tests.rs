@@ -224,10 +224,22 @@ impl Chain {
         call(&SUM_TILE_COUNTS, &[], bytemuck::bytes_of(&push), emit_groups, &mut buffers);
         let [counters, tile_count, order, blocks] = buffers;
         let out = vec![POISON; capacity as usize];
-        let mut buffers = [frame.clone(), counters, tile_count, order, splats, blocks, out.clone(), out, rows(&tile)];
+        let mut buffers = [
+            frame.clone(),
+            counters,
+            tile_count,
+            order,
+            splats,
+            blocks,
+            out.clone(),
+            out,
+            rows(&tile),
+            vec![0; 4],
+            vec![0; 4],
+        ];
         let push = EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits };
         call(&EMIT_TILES, &[], bytemuck::bytes_of(&push), emit_groups, &mut buffers);
-        let [_, counters, _, _, _, _, keys, values, histogram] = buffers;
+        let [_, counters, _, _, _, _, keys, values, histogram, _, _] = buffers;
         let instances = counters[5] as usize;
         assert!(keys[instances..].iter().all(|k| *k == POISON), "written past the instances");
         let (keys, values) = sort_by_twins(&tile, &keys[..instances], Some(&values[..instances]), Some(histogram));

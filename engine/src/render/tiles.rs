@@ -5,7 +5,9 @@ use super::ellipse::Ellipse;
 use super::frame::Frame;
 use super::limits::*;
 use super::twin;
+use crate::error::Result;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
+use crate::gpu::{Buffer, Gpu, Memory};
 
 crate::gpu_struct! {
     /// Push constants of `sum_tile_counts`.
@@ -73,13 +75,38 @@ fn sum_tile_counts_twin(call: &mut TwinCall<'_>) {
     }
 }
 
-/// Tile instances in depth order. Dispatch ceil(visible / 256) workgroups; `next_histogram` must be zero.
+/// Where training finds the instances of a Gaussian: slot = position in the order of emission, in which they follow one
+/// another (`tile_count` of them from `first_slot` on). With slots, the tile lists hold slots instead of Gaussians.
+#[derive(Debug, Clone)]
+pub struct SlotBuffers {
+    /// `uint[instance capacity]`.
+    pub gaussian_of_slot: Buffer,
+    /// `uint[N]`; undefined for a Gaussian that is not visible.
+    pub first_slot: Buffer,
+}
+
+impl SlotBuffers {
+    /// Buffers for `gaussians` and at most `instances` (Gaussian, tile) pairs.
+    ///
+    /// # Errors
+    /// `OutOfMemory` and the like.
+    pub fn new(gpu: &Gpu, gaussians: u32, instances: u32) -> Result<Self> {
+        let words = |name: &str, n: u32| gpu.buffer(name, u64::from(n.max(1)) * 4, Memory::Device);
+        Ok(Self {
+            gaussian_of_slot: words("gaussian_of_slot", instances)?,
+            first_slot: words("first_slot", gaussians)?,
+        })
+    }
+}
+
+/// Tile instances in depth order. Dispatch ceil(visible / 256) workgroups; `next_histogram` must be zero. `WITH_SLOTS`: see
+/// [`SlotBuffers`]; without, the last two bindings are dummies of any size.
 pub static EMIT_TILES: Kernel = Kernel {
     name: "emit_tiles",
     doc: "writes one (tile, Gaussian) pair for each tile a visible Gaussian reaches, in depth order, and counts the \
           first tile digit",
     local_size: 256,
-    spec: &["SUBGROUP_SIZE"],
+    spec: &["SUBGROUP_SIZE", "WITH_SLOTS"],
     push: EmitTilesPush::FIELDS,
     bindings: &[
         Binding::of_struct("frame", Access::Read, Frame::FIELDS),
@@ -91,6 +118,8 @@ pub static EMIT_TILES: Kernel = Kernel {
         Binding::new("keys", Access::Write, Element::U32),
         Binding::new("values", Access::Write, Element::U32),
         Binding::new("next_histogram", Access::Atomic, Element::U32),
+        Binding::new("gaussian_of_slot", Access::Write, Element::U32),
+        Binding::new("first_slot", Access::Write, Element::U32),
     ],
     twin: emit_tiles_twin,
     tolerance: Tolerance::EXACT,
@@ -101,7 +130,10 @@ pub static EMIT_TILES: Kernel = Kernel {
 fn emit_tiles_twin(call: &mut TwinCall<'_>) {
     let push: EmitTilesPush = twin::push(call);
     let groups = twin::group_count(call);
-    let [frame, counters, tile_count, order, splats, instance_block, keys, values, histogram] = call.buffers else {
+    let with_slots = twin::spec(call, 1) == 1;
+    let [frame, counters, tile_count, order, splats, instance_block, keys, values, histogram, of_slot, first_slot] =
+        call.buffers
+    else {
         return;
     };
     let visible = visible_of(counters);
@@ -114,10 +146,16 @@ fn emit_tiles_twin(call: &mut TwinCall<'_>) {
             let gaussian = order[i as usize];
             let g = gaussian as usize;
             let e = Ellipse::of_splat(twin::vec4_at(splats, 3 * g), twin::vec4_at(splats, 3 * g + 1));
+            if with_slots {
+                first_slot[g] = to;
+            }
             for tile in tiles_of(&e, tile_count[g], frame.size, frame.limits[1]) {
                 if to < capacity {
                     keys[to as usize] = tile;
-                    values[to as usize] = gaussian;
+                    values[to as usize] = if with_slots { to } else { gaussian };
+                    if with_slots {
+                        of_slot[to as usize] = gaussian;
+                    }
                     histogram[(to / SORT_PARTITION * SORT_DIGITS + (tile & mask)) as usize] += 1;
                 }
                 to += 1;

@@ -9,39 +9,41 @@ use super::radix_sort::SortPlan;
 use super::tiles::{block_words, tile_key_bits};
 
 /// Words of `counters`.
-pub(super) const COUNTER_WORDS: u64 = 8;
+pub(crate) const COUNTER_WORDS: u64 = 8;
 /// Bits of a depth key: the whole positive float.
 const DEPTH_KEY_BITS: u32 = 32;
 
 /// Keys and values, twice, for a sort that goes back and forth.
 #[derive(Debug)]
-pub(super) struct SortBuffers {
-    pub(super) plan: SortPlan,
-    pub(super) keys: [Buffer; 2],
-    pub(super) values: [Buffer; 2],
+pub(crate) struct SortBuffers {
+    pub(crate) plan: SortPlan,
+    pub(crate) keys: [Buffer; 2],
+    pub(crate) values: [Buffer; 2],
     /// One histogram per pass, inside the zeroed arena.
-    pub(super) histograms: Vec<Slice>,
+    pub(crate) histograms: Vec<Slice>,
 }
 
 /// Everything between the scene and the image.
 #[derive(Debug)]
-pub(super) struct WorkBuffers {
-    pub(super) zeroed: Buffer,
-    pub(super) counters: Slice,
-    pub(super) visible_block: Slice,
-    pub(super) instance_block: Slice,
-    pub(super) ranges: Slice,
-    pub(super) block_capacity: u32,
-    pub(super) indirect: Buffer,
-    pub(super) splats: Buffer,
-    pub(super) tile_count: Buffer,
-    pub(super) depth: SortBuffers,
-    pub(super) tile: SortBuffers,
+pub(crate) struct WorkBuffers {
+    pub(crate) zeroed: Buffer,
+    pub(crate) counters: Slice,
+    pub(crate) visible_block: Slice,
+    pub(crate) instance_block: Slice,
+    pub(crate) ranges: Slice,
+    pub(crate) block_capacity: u32,
+    pub(crate) indirect: Buffer,
+    pub(crate) splats: Buffer,
+    pub(crate) tile_count: Buffer,
+    pub(crate) depth: SortBuffers,
+    pub(crate) tile: SortBuffers,
+    /// Stands for buffers that a kernel declares but does not use as specialised.
+    pub(crate) unused: Buffer,
 }
 
 impl WorkBuffers {
     /// Buffers for `gaussians`, `tiles` of the image and at most `instances` (Gaussian, tile) pairs.
-    pub(super) fn new(gpu: &Gpu, gaussians: u32, tiles: u32, instances: u32) -> Result<Self> {
+    pub(crate) fn new(gpu: &Gpu, gaussians: u32, tiles: u32, instances: u32) -> Result<Self> {
         let depth_plan = SortPlan::new(gaussians.max(1), DEPTH_KEY_BITS)?;
         let tile_plan = SortPlan::new(instances.max(1), tile_key_bits(tiles))?;
         let (words, block_capacity) = block_words(gaussians);
@@ -84,6 +86,7 @@ impl WorkBuffers {
             indirect: word("indirect", INDIRECT_WORDS)?,
             splats: gpu.buffer("splats", u64::from(gaussians.max(1)) * 48, Memory::Device)?,
             tile_count: word("tile_count", gaussians)?,
+            unused: gpu.buffer("unused", 2 * SLICE_ALIGNMENT, Memory::Device)?,
             depth: sort(
                 ["depth_keys_a", "depth_keys_b", "depth_values_a", "depth_values_b"],
                 depth_plan,
@@ -94,8 +97,13 @@ impl WorkBuffers {
         })
     }
 
+    /// The tile lists: per instance in tile order its Gaussian (or its slot), in depth order within a tile.
+    pub(crate) fn tile_values(&self) -> &Buffer {
+        &self.tile.values[self.tile.plan.result_in()]
+    }
+
     /// Bytes that grow with the number of Gaussians, and bytes that grow with the number of tile instances.
-    pub(super) fn bytes(&self) -> (u64, u64) {
+    pub(crate) fn bytes(&self) -> (u64, u64) {
         let sort = |s: &SortBuffers| {
             let arrays = s.keys.iter().chain(&s.values).map(Buffer::bytes).sum::<u64>();
             arrays + s.histograms.iter().map(|h| h.bytes).sum::<u64>()

@@ -2,7 +2,9 @@
 
 pub mod adam;
 pub mod association;
+pub mod bake;
 pub mod blend_backward;
+pub mod config;
 pub mod deform_project_backward;
 pub mod density;
 pub mod farthest_point;
@@ -10,7 +12,9 @@ pub mod image_loss;
 pub mod linear;
 pub mod network_f;
 pub mod network_g;
+mod parameters;
 pub mod property_loss;
+pub mod schedule;
 pub mod status;
 pub mod step;
 

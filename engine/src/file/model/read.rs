@@ -3,35 +3,28 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
-use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorView};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
-use super::{FORMAT, RESERVED, VERSION, checksum};
+use super::{FORMAT, VERSION};
 use crate::error::{Error, Result};
+<<<<<<< HEAD
 use crate::file::check;
 use crate::scene::network::{
     DeformNetwork, HIDDEN_LAYERS, HIDDEN_WIDTH, Linear, NONRIGID_HEADS, NONRIGID_LAYERS, NONRIGID_WIDTH,
     NonrigidNetwork,
 };
+=======
+use crate::file::tensors::{check_format, own_metadata, parse_header};
+use crate::file::{check, checksum};
+use crate::scene::network::{DeformNetwork, HIDDEN_LAYERS, HIDDEN_WIDTH, Linear};
+>>>>>>> f7232ac
 use crate::scene::{Association, Gaussians, Motion, Scene, Superpoints, Tensor};
 
-/// Parses the header; returns where the data begin.
-pub(super) fn header(bytes: &[u8], path: &Path) -> Result<(usize, Metadata)> {
-    let (length, header) = SafeTensors::read_metadata(bytes).map_err(|e| {
-        let length = bytes.first_chunk().map(|b| u64::from_le_bytes(*b));
-        let found = match length {
-            Some(length) => format!("{e} (header of {length} bytes in a file of {})", bytes.len()),
-            None => format!("{e} (a file of {} bytes)", bytes.len()),
-        };
-        Error::corrupt(path, "byte 0 (header)", found, "a safetensors header that covers the file exactly")
-    })?;
-    Ok((8 + length, header))
-}
-
 pub(super) fn model(bytes: &[u8], path: &Path) -> Result<(Scene, Vec<String>)> {
-    let (data_begin, header) = header(bytes, path)?;
+    let (data_begin, header) = parse_header(bytes, path)?;
     let empty = HashMap::new();
     let metadata = header.metadata().as_ref().unwrap_or(&empty);
-    check_format(metadata, path)?;
+    check_format(metadata, [FORMAT, VERSION], path)?;
     let mut warnings = Vec::new();
     if !checksum::verify(metadata, &header, &bytes[data_begin..], path)? {
         warnings.push(format!("{}: the file has no checksums: damage cannot be detected", path.display()));
@@ -46,26 +39,19 @@ pub(super) fn model(bytes: &[u8], path: &Path) -> Result<(Scene, Vec<String>)> {
     let deform = deform(&mut tensors)?;
     let nonrigid = nonrigid(&mut tensors)?;
     let extra = tensors.rest(&mut warnings)?;
+<<<<<<< HEAD
     let metadata = metadata
         .iter()
         .filter(|(key, _)| !RESERVED.contains(&key.as_str()))
         .map(|(key, value)| (key.clone(), value.clone()))
         .collect();
     let scene = Scene { gaussians, superpoints, motion, association, deform, nonrigid, extra, metadata };
+=======
+    let metadata = own_metadata(metadata);
+    let scene = Scene { gaussians, superpoints, motion, association, deform, extra, metadata };
+>>>>>>> f7232ac
     check::scene(&scene).map_err(|problem| problem.corrupt(path))?;
     Ok((scene, warnings))
-}
-
-fn check_format(metadata: &HashMap<String, String>, path: &Path) -> Result<()> {
-    for (key, expected) in [("format", FORMAT), ("version", VERSION)] {
-        let found = metadata.get(key);
-        if found.is_none_or(|f| f != expected) {
-            let found = found.map_or("nothing".into(), |f| format!("{key} `{f}`"));
-            let at = format!("metadata entry `{key}`");
-            return Err(Error::corrupt(path, at, found, format!("{key} `{expected}`")));
-        }
-    }
-    Ok(())
 }
 
 /// The tensors not taken yet.

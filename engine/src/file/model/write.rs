@@ -1,25 +1,12 @@
 //! A [`Scene`] to tensors by name.
 
-use std::borrow::Cow;
-use std::collections::BTreeMap;
 use std::path::Path;
 
-use rayon::prelude::*;
-use serde_json::{Map, Value, json};
-
-use super::{FORMAT, RESERVED, VERSION, checksum};
-use crate::error::{Error, Result};
+use super::{FORMAT, VERSION};
+use crate::error::Result;
 use crate::file::check;
-use crate::file::durable::write_atomic;
+use crate::file::tensors::{self, NamedTensor, floats, indices};
 use crate::scene::{Linear, Scene};
-
-/// A tensor to be written.
-struct Out<'a> {
-    name: Cow<'a, str>,
-    dtype: &'static str,
-    shape: Vec<usize>,
-    bytes: Cow<'a, [u8]>,
-}
 
 /// Writes a model, durably. Equal scenes give equal bytes: tensors are in the order of their names.
 ///
@@ -55,53 +42,10 @@ struct Out<'a> {
 /// [`Error::Usage`] naming the tensor when the scene is inconsistent; [`Error::Io`].
 pub fn write(path: &Path, scene: &Scene) -> Result<()> {
     check::scene(scene).map_err(|problem| problem.usage(path))?;
-    let mut tensors = tensors(scene);
-    tensors.sort_by(|a, b| a.name.cmp(&b.name));
-    let header = header(&tensors, scene, path)?;
-    write_atomic(path, |out| {
-        out.write_all(&(header.len() as u64).to_le_bytes())?;
-        out.write_all(&header)?;
-        tensors.iter().try_for_each(|tensor| out.write_all(&tensor.bytes))
-    })
+    tensors::write(path, [FORMAT, VERSION], tensors(scene), &scene.metadata)
 }
 
-/// The JSON header, padded with spaces so that the data are 8-byte aligned.
-fn header(tensors: &[Out<'_>], scene: &Scene, path: &Path) -> Result<Vec<u8>> {
-    let sums: BTreeMap<&str, String> =
-        tensors.par_iter().map(|t| (t.name.as_ref(), checksum::of_bytes(&t.bytes))).collect();
-    let sums = json!(sums).to_string();
-    let mut metadata: BTreeMap<&str, &str> =
-        scene.metadata.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect();
-    metadata.retain(|key, _| !RESERVED.contains(key));
-    metadata.extend([("format", FORMAT), ("version", VERSION), (checksum::TENSORS, sums.as_str())]);
-
-    let mut entries = Map::new();
-    let mut descriptions = BTreeMap::new();
-    let mut begin = 0;
-    for tensor in tensors {
-        let offsets = [begin, begin + tensor.bytes.len()];
-        begin = offsets[1];
-        let texts = [tensor.dtype.into(), format!("{:?}", tensor.shape), format!("{offsets:?}")];
-        descriptions.insert(tensor.name.as_ref(), texts);
-        let entry = json!({ "dtype": tensor.dtype, "shape": tensor.shape, "data_offsets": offsets });
-        entries.insert(tensor.name.to_string(), entry);
-    }
-    let header_sum = checksum::of_header(&metadata, &descriptions);
-    metadata.insert(checksum::HEADER, &header_sum);
-    let mut all = Map::from_iter([("__metadata__".to_string(), json!(metadata))]);
-    all.append(&mut entries);
-    let mut text = Value::Object(all).to_string().into_bytes();
-    text.resize(text.len().next_multiple_of(8), b' ');
-    // The limit of the format's readers.
-    const MAX_HEADER: usize = 100_000_000;
-    if text.len() > MAX_HEADER {
-        let what = format!("{} (bytes of header and metadata)", path.display());
-        return Err(Error::Limit { what, need: text.len() as u128, have: MAX_HEADER as u128 });
-    }
-    Ok(text)
-}
-
-fn tensors(scene: &Scene) -> Vec<Out<'_>> {
+fn tensors(scene: &Scene) -> Vec<NamedTensor<'_>> {
     let g = &scene.gaussians;
     let n = g.len();
     let mut out = vec![
@@ -135,27 +79,9 @@ fn tensors(scene: &Scene) -> Vec<Out<'_>> {
     out
 }
 
-fn linear<'a>(name: &str, layer: &'a Linear) -> [Out<'a>; 2] {
+fn linear<'a>(name: &str, layer: &'a Linear) -> [NamedTensor<'a>; 2] {
     [
         floats(format!("{name}.weight"), vec![layer.outputs, layer.inputs], &layer.weight),
         floats(format!("{name}.bias"), vec![layer.outputs], &layer.bias),
     ]
-}
-
-fn floats<'a>(name: impl Into<Cow<'a, str>>, shape: Vec<usize>, values: &'a [f32]) -> Out<'a> {
-    let bytes = if cfg!(target_endian = "little") {
-        Cow::Borrowed(bytemuck::cast_slice(values))
-    } else {
-        Cow::Owned(values.iter().flat_map(|v| v.to_le_bytes()).collect())
-    };
-    Out { name: name.into(), dtype: "F32", shape, bytes }
-}
-
-fn indices<'a>(name: &'a str, shape: Vec<usize>, values: &'a [u32]) -> Out<'a> {
-    let bytes = if cfg!(target_endian = "little") {
-        Cow::Borrowed(bytemuck::cast_slice(values))
-    } else {
-        Cow::Owned(values.iter().flat_map(|v| v.to_le_bytes()).collect())
-    };
-    Out { name: name.into(), dtype: "U32", shape, bytes }
 }

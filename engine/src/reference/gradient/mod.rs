@@ -2,7 +2,15 @@
 //! differences of the reference itself.
 
 pub mod association;
+pub mod image;
+pub mod loss;
+pub mod motion;
 pub mod network;
+pub mod project;
 pub mod property;
+pub mod sh;
+pub mod splats;
 #[cfg(test)]
 mod test_numbers;
+#[cfg(test)]
+mod tests;

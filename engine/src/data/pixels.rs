@@ -1,0 +1,152 @@
+//! Pictures of a data set as 8-bit pixels: decoded, undistorted, scaled down.
+
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use image::{ImageReader, RgbaImage};
+
+use super::MAX_IMAGE_SIDE;
+use super::lens::Lens;
+use super::resample::{self, Plane};
+use crate::error::{Error, Result};
+
+/// Colour premultiplied by alpha, 8 bits a channel, row-major, top row first.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Pixels {
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+    /// `[height, width]`: r in the low byte, then g, b, a; r, g, b ≤ a. Opaque pictures have a = 255.
+    pub rgba: Vec<u32>,
+}
+
+impl Pixels {
+    /// Bytes of the pixels.
+    pub fn bytes(&self) -> u64 {
+        4 * self.rgba.len() as u64
+    }
+
+    /// Premultiplied R, G, B, A of pixel (x, y) in [0, 1].
+    pub fn at(&self, x: u32, y: u32) -> Option<[f32; 4]> {
+        let index = (x < self.width).then_some(y as usize * self.width as usize + x as usize)?;
+        self.rgba.get(index).map(|p| p.to_le_bytes().map(|c| f32::from(c) / 255.0))
+    }
+}
+
+/// A stored picture and what to do with it on decoding: undistort at the stored size, then average down to `size`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImageSource {
+    /// The file.
+    pub path: PathBuf,
+    /// Width and height of the stored picture; another size is an error.
+    pub stored: [u32; 2],
+    /// Width and height of the decoded picture.
+    pub size: [u32; 2],
+    /// Lens of the stored picture; `None` for a pinhole.
+    pub lens: Option<Lens>,
+    /// Mask picture of the stored size, if the data set has one.
+    pub mask: Option<PathBuf>,
+}
+
+impl ImageSource {
+    /// The picture, premultiplied. Undistortion samples bilinearly, pixels beyond the photo repeat its edge; scaling
+    /// down averages the area of each pixel. Both work on premultiplied values, rounded once, at the end.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] for a file that is no picture or has another size; [`Error::Io`]. Both name the file.
+    pub fn decode(&self) -> Result<Pixels> {
+        self.process(self.read(&self.path)?)
+    }
+
+    /// The mask at the picture's size, `[height, width]`, as the file has it (what 0 and 255 mean is the data set's
+    /// matter); `None` where there is none.
+    ///
+    /// # Errors
+    /// As [`ImageSource::decode`].
+    pub fn decode_mask(&self) -> Result<Option<Vec<u8>>> {
+        let Some(path) = &self.mask else { return Ok(None) };
+        let mut mask = self.read(path)?;
+        // Grey of an opaque picture; where the file has colours, their mean says least wrong.
+        for pixel in mask.pixels_mut() {
+            let [r, g, b, _] = pixel.0.map(u16::from);
+            let grey = ((r + g + b + 1) / 3) as u8;
+            pixel.0 = [grey, grey, grey, u8::MAX];
+        }
+        Ok(Some(self.process(mask)?.rgba.into_iter().map(|p| p as u8).collect()))
+    }
+
+    /// Bytes of the decoded picture.
+    pub fn decoded_bytes(&self) -> u64 {
+        4 * u64::from(self.size[0]) * u64::from(self.size[1])
+    }
+
+    /// Share of the undistorted picture that lies beyond the photo, where its edge is repeated; `None` for a pinhole.
+    pub fn share_beyond_the_photo(&self) -> Option<f64> {
+        let lens = self.lens.as_ref()?;
+        let valid = lens.distortion.valid_radius(lens.picture_radius(self.stored));
+        // A grid of 64 x 64 places is exact to a quarter of a percent.
+        let [w, h] = self.stored.map(f64::from);
+        let place = |i: u32, side: f64| (f64::from(i) + 0.5) / 64.0 * side;
+        let outside = (0..64 * 64).filter(|i| {
+            let [u, v] = resample::source_pixel(lens, valid, place(i % 64, w), place(i / 64, h));
+            !((0.0..=w).contains(&u) && (0.0..=h).contains(&v))
+        });
+        Some(outside.count() as f64 / (64.0 * 64.0))
+    }
+
+    fn read(&self, path: &Path) -> Result<RgbaImage> {
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let picture = decode(&bytes, path)?;
+        let found = [picture.width(), picture.height()];
+        if found != self.stored {
+            let text = |[w, h]: [u32; 2]| format!("{w} x {h} pixels");
+            return Err(Error::corrupt(path, "picture size", text(found), text(self.stored)));
+        }
+        Ok(picture)
+    }
+
+    fn process(&self, picture: RgbaImage) -> Result<Pixels> {
+        let [width, height] = self.size;
+        let rgba = match &self.lens {
+            None => match resample::whole_factor(self.stored, self.size) {
+                Some(factor) => resample::average_blocks(picture.as_raw(), self.stored, factor),
+                None => Plane::premultiplied(picture.as_raw(), self.stored).averaged(self.size).packed(),
+            },
+            Some(lens) => {
+                let flat = Plane::premultiplied(picture.as_raw(), self.stored).undistorted(lens);
+                drop(picture);
+                if self.size == self.stored { flat.packed() } else { flat.averaged(self.size).packed() }
+            }
+        };
+        Ok(Pixels { width, height, rgba })
+    }
+}
+
+/// Width and height by the header of a picture.
+pub(super) fn dimensions(path: &Path) -> Result<[u32; 2]> {
+    let reader = ImageReader::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let reader = reader.with_guessed_format().map_err(|e| Error::io(path, "read", e))?;
+    let (width, height) = reader.into_dimensions().map_err(|e| not_a_picture(path, &e))?;
+    check_size(path, width, height)
+}
+
+fn check_size(path: &Path, width: u32, height: u32) -> Result<[u32; 2]> {
+    if [width, height].iter().all(|side| (1..=MAX_IMAGE_SIDE).contains(side)) {
+        return Ok([width, height]);
+    }
+    let expected = format!("1 to {MAX_IMAGE_SIDE} pixels a side");
+    Err(Error::corrupt(path, "picture size", format!("{width} x {height} pixels"), expected))
+}
+
+fn not_a_picture(path: &Path, e: &image::ImageError) -> Error {
+    Error::corrupt(path, "content", e.to_string(), "a valid PNG or JPEG picture")
+}
+
+fn decode(bytes: &[u8], path: &Path) -> Result<RgbaImage> {
+    let reader = || ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| Error::io(path, "read", e));
+    // The header first: a hostile one must not make the decoder take memory.
+    let (width, height) = reader()?.into_dimensions().map_err(|e| not_a_picture(path, &e))?;
+    check_size(path, width, height)?;
+    Ok(reader()?.decode().map_err(|e| not_a_picture(path, &e))?.into_rgba8())
+}

@@ -1,0 +1,190 @@
+//! Backward of one Gaussian: from its splat to all its parameters.
+//!
+//! Everything is taken in whitened coordinates, where nothing cancels. With the columns eₖ = J·aₖ (px per world unit; aₖ the
+//! k-th axis in camera space), M = (sₖeₖ), Σ₂ = MMᵀ + δI and its inverse's root L (LᵀL = Σ₂⁻¹, upper), let pₖ = L·eₖ and
+//! nₖ = sₖpₖ, |nₖ| ≤ 1. From the splat's moments g = Σh(u,v) and H = Σh(u,v)(u,v)ᵀ:
+//!
+//! - dL/d mean2d = Lᵀg, dL/dΣ₂ = ½LᵀHL, dL/d(sₖeₖ) = LᵀHnₖ;
+//! - dL/d ln sₖ = nₖᵀHnₖ;
+//! - by a right tangent of the rotation about axis k: (sᵢ² − sⱼ²)·pᵢᵀHpⱼ with i, j, k cyclic (0 for a sphere, exactly);
+//! - through z of 1/z in J: −Σ nₖᵀHnₖ / z; through the tangents x/z, y/z of J: −f/z·Lᵀ Σ sₖaₖ.z·Hnₖ, 0 where clamped.
+//!
+//! The first component of L·eₖ is (δ·eₖ.x + Σⱼ sⱼ²eⱼ.y·(eₖ × eⱼ)) / √(c·det): the difference l₁₁eₖ.x + l₁₂eₖ.y of two large
+//! numbers, for a needle, written as a sum of minors.
+
+use glam::{DMat3, DQuat, DVec2, DVec3};
+
+use super::motion::{rotation_gradient, turned};
+use super::sh::color_gradient;
+use super::splats::SplatGradient;
+use crate::reference::motion::rigid_quaternion;
+use crate::reference::project::tangent_limit;
+use crate::reference::{DILATION, Offset, Pose, SCALE_MIN, exp_quaternion};
+use crate::scene::Camera;
+
+/// A camera as the projection sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    /// World → camera.
+    pub rotation: DMat3,
+    /// Camera centre, world units.
+    pub position: DVec3,
+    /// fx, fy, px.
+    pub focal: DVec2,
+    /// Ranges in which x/z and y/z enter J: x min, x max, y min, y max.
+    pub tangent: [f64; 4],
+}
+
+impl From<&Camera> for View {
+    fn from(camera: &Camera) -> Self {
+        let (x_min, x_max) = tangent_limit(camera.width, camera.fx, camera.cx);
+        let (y_min, y_max) = tangent_limit(camera.height, camera.fy, camera.cy);
+        Self {
+            rotation: camera.rotation,
+            position: camera.position,
+            focal: DVec2::new(camera.fx, camera.fy),
+            tangent: [x_min, x_max, y_min, y_max],
+        }
+    }
+}
+
+/// The parameters of one Gaussian and what moves it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OneGaussian {
+    /// Canonical centre.
+    pub mean: DVec3,
+    /// Raw quaternion w,x,y,z.
+    pub rotation: [f64; 4],
+    /// Log of the standard deviations.
+    pub log_scale: [f64; 3],
+    /// Before the sigmoid.
+    pub opacity_logit: f64,
+    /// `[K,3]`.
+    pub sh: Vec<f64>,
+    /// Of `sh`.
+    pub sh_degree: u32,
+    /// Its superpoint's pose.
+    pub pose: Option<Pose>,
+    /// Its non-rigid offset.
+    pub offset: Option<Offset>,
+}
+
+/// Gradients of one Gaussian.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct OneGradient {
+    /// Of the canonical centre.
+    pub mean: DVec3,
+    /// Of the raw quaternion w,x,y,z.
+    pub rotation: [f64; 4],
+    /// Of the log of the standard deviations.
+    pub log_scale: [f64; 3],
+    /// Of the opacity before the sigmoid.
+    pub opacity_logit: f64,
+    /// `[K,3]`.
+    pub sh: Vec<f64>,
+    /// Of the projected centre, px.
+    pub mean2d: DVec2,
+    /// By a left tangent of its superpoint's rotation: dL = ω·δφ for Exp(δφ)Exp(r).
+    pub omega: DVec3,
+    /// Of its superpoint's translation.
+    pub translation: DVec3,
+    /// Of the non-rigid offset.
+    pub offset: Offset,
+    /// Larger eigenvalue of Σ₂, px².
+    pub variance: f64,
+}
+
+/// The projected covariance in whitened coordinates.
+struct Whitened {
+    /// pₖ = L·eₖ.
+    axes: [DVec2; 3],
+    /// L = [[x, y], [0, z]].
+    factor: DVec3,
+    /// Larger eigenvalue of Σ₂.
+    variance: f64,
+}
+
+fn whiten(axes: [DVec2; 3], scale: [f64; 3]) -> Whitened {
+    let m: [DVec2; 3] = std::array::from_fn(|k| axes[k] * scale[k]);
+    let sum = |f: fn(DVec2) -> f64| m.iter().map(|&v| f(v)).sum::<f64>();
+    let (xx, xy, yy) = (sum(|v| v.x * v.x), sum(|v| v.x * v.y), sum(|v| v.y * v.y));
+    let minor = |i: usize, j: usize| (axes[i].perp_dot(axes[j]) * scale[i] * scale[j]).powi(2);
+    let det = minor(0, 1) + minor(0, 2) + minor(1, 2) + DILATION * (xx + yy) + DILATION * DILATION;
+    let c = yy + DILATION;
+    let whitened = |k: usize| {
+        let e = axes[k];
+        let across: f64 = (0..3).map(|j| m[j].y * scale[j] * e.perp_dot(axes[j])).sum();
+        DVec2::new((DILATION * e.x + across) / (c.sqrt() * det.sqrt()), e.y / c.sqrt())
+    };
+    let half = 0.5 * (xx - yy);
+    // 3DGS takes at least √0.1 px² for the root, so that a round splat's radius is a little larger.
+    let root = (half * half + xy * xy).max(0.1).sqrt();
+    Whitened {
+        axes: [whitened(0), whitened(1), whitened(2)],
+        factor: DVec3::new((c / det).sqrt(), -xy / (c.sqrt() * det.sqrt()), 1.0 / c.sqrt()),
+        variance: 0.5 * (xx + yy) + DILATION + root,
+    }
+}
+
+/// Backward of one visible Gaussian. `color` is dL/d colour behind the clamp: 0 in channels that are clamped at 0.
+pub fn backward(g: &OneGaussian, view: &View, splat: &SplatGradient, color: [f64; 3]) -> OneGradient {
+    let turned_mean = turned(g.pose.as_ref(), g.mean);
+    let shift = g.pose.map_or(DVec3::ZERO, |p| p.translation) + g.offset.map_or(DVec3::ZERO, |o| o.mean.into());
+    let offset = turned_mean + shift - view.position;
+    let p = view.rotation * offset;
+    let turn = g.pose.map_or(DQuat::IDENTITY, |p| exp_quaternion(p.rotation));
+    let quaternion = rigid_quaternion(g.rotation, g.pose) + g.offset.map_or(DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), dq);
+    let axes = view.rotation * DMat3::from_quat(quaternion.normalize());
+    let own: [f64; 3] = g.log_scale.map(f64::exp);
+    let added: [f64; 3] = std::array::from_fn(|k| own[k] + g.offset.map_or(0.0, |o| o.scale[k]));
+    let scale: [f64; 3] = if g.offset.is_some() { added.map(|s| s.max(SCALE_MIN)) } else { own };
+
+    let slope = DVec2::new(p.x / p.z, p.y / p.z);
+    let [x_min, x_max, y_min, y_max] = view.tangent;
+    let tangent = DVec2::new(slope.x.max(x_min).min(x_max), slope.y.max(y_min).min(y_max));
+    let axis = |k: usize| view.focal / p.z * (axes.col(k).truncate() - tangent * axes.col(k).z);
+    let w = whiten([axis(0), axis(1), axis(2)], scale);
+
+    let [uu, uv, vv] = splat.second;
+    let times_h = |a: DVec2| DVec2::new(uu * a.x + uv * a.y, uv * a.x + vv * a.y);
+    let times_factor = |a: DVec2| DVec2::new(w.factor.x * a.x, w.factor.y * a.x + w.factor.z * a.y);
+    let mean2d = times_factor(DVec2::from_array(splat.first));
+    let relative: [f64; 3] = std::array::from_fn(|k| scale[k] * scale[k] * w.axes[k].dot(times_h(w.axes[k])));
+    let turn_about =
+        |i: usize, j: usize| (scale[i] - scale[j]) * (scale[i] + scale[j]) * w.axes[i].dot(times_h(w.axes[j]));
+    let local = DVec3::new(turn_about(1, 2), turn_about(2, 0), turn_about(0, 1));
+    let depth_weighted: DVec2 = (0..3).map(|k| times_h(w.axes[k]) * (scale[k] * scale[k] * axes.col(k).z)).sum();
+    let mut slope_gradient = -view.focal / p.z * times_factor(depth_weighted);
+    let inside = |at: f64, low: f64, high: f64| f64::from(u8::from(at > low && at < high));
+    slope_gradient *= DVec2::new(inside(slope.x, x_min, x_max), inside(slope.y, y_min, y_max));
+    slope_gradient += view.focal * mean2d;
+    let camera_gradient = DVec3::new(
+        slope_gradient.x / p.z,
+        slope_gradient.y / p.z,
+        -(slope_gradient.dot(slope) + relative.iter().sum::<f64>()) / p.z,
+    );
+
+    let (sh, direction) = color_gradient(&g.sh, g.sh_degree, offset, color);
+    let moved = view.rotation.transpose() * camera_gradient + direction;
+    let rotation = rotation_gradient(g.rotation, turn, g.offset.map(|o| o.rotation), local);
+    // dL/ds; clamped standard deviations do not depend on anything.
+    let free: [f64; 3] = std::array::from_fn(|k| if scale[k] > added[k] { 0.0 } else { relative[k] / scale[k] });
+    let back = g.pose.map_or(moved, |pose| crate::reference::exp(pose.rotation).transpose() * moved);
+    OneGradient {
+        mean: back,
+        rotation: rotation.raw,
+        log_scale: std::array::from_fn(|k| free[k] * own[k]),
+        opacity_logit: splat.h / (1.0 + g.opacity_logit.exp()),
+        sh,
+        mean2d,
+        omega: rotation.world + turned_mean.cross(moved),
+        translation: moved,
+        offset: Offset { mean: moved.to_array(), rotation: rotation.offset, scale: free },
+        variance: w.variance,
+    }
+}
+
+fn dq(offset: Offset) -> DQuat {
+    let [w, x, y, z] = offset.rotation;
+    DQuat::from_xyzw(x, y, z, w)
+}

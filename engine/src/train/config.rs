@@ -1,0 +1,433 @@
+//! Every hyper-parameter of training, with unit, default and source; read from TOML, written beside the model.
+//!
+//! Where the paper ("paper") and its released code ("code", SP_GS fa1c609) disagree there is a named switch with one default
+//! and the reason for it. Iterations are given for a run of [`Schedule::reference_iterations`]; a run of another length
+//! scales them in proportion (see [`Config::scaled`]).
+
+mod preset;
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+pub use preset::Preset;
+
+/// Which form of a formula is used where paper and code disagree.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Form {
+    /// As the paper's equations say.
+    Paper,
+    /// As the released code does.
+    Code,
+}
+
+/// All of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// The preset that these values started from.
+    pub preset: Preset,
+    /// Length of the run, in iterations of one image each.
+    pub iterations: u64,
+    /// Seed of every random choice (image order, first points, time noise, split positions, network weights).
+    pub seed: u64,
+    /// Bit-identical results from run to run: fixed reduction orders instead of float atomics.
+    pub deterministic: bool,
+    /// Colour behind the scene; images with alpha are composited on it. The released code uses black everywhere.
+    pub background: [f32; 3],
+    /// Gaussians nearer than this to the camera plane are not drawn, world units (the reference rasteriser's 0.2).
+    pub near: f32,
+    /// When things happen.
+    pub schedule: Schedule,
+    /// The Gaussians' model.
+    pub gaussians: GaussiansConfig,
+    /// Superpoints, network F and the association.
+    pub motion: MotionConfig,
+    /// The non-rigid stage.
+    pub nonrigid: NonrigidConfig,
+    /// Weights of the losses.
+    pub loss: LossConfig,
+    /// Step sizes.
+    pub learning_rate: LearningRates,
+    /// Adam's constants.
+    pub adam: AdamConfig,
+    /// Adaptive density control.
+    pub density: DensityConfig,
+    /// Hard limits.
+    pub budget: BudgetConfig,
+    /// What is measured and written during the run.
+    pub log: LogConfig,
+    /// What the exported model keeps.
+    pub export: ExportConfig,
+}
+
+/// When things happen; iterations.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Schedule {
+    /// The length of run that the other iterations are meant for (paper: 40 k).
+    pub reference_iterations: u64,
+    /// Whether a run of another length scales them in proportion; off: they are taken as they stand.
+    pub scale: bool,
+    /// Iterations without motion; then superpoints are initialised (paper and code: 3 k).
+    pub warm_up: u64,
+    /// The SH degree grows by one every so often (code: 1000).
+    pub sh_degree_interval: u64,
+    /// The noise on time fades to nothing over this many iterations (code: 20 k).
+    pub time_noise_iterations: u64,
+}
+
+/// The Gaussians' model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GaussiansConfig {
+    /// Largest SH degree, 0–3.
+    pub sh_degree: u32,
+    /// First points where the data has none: uniform in a cube. Paper: 10 k (appendix); code: 100 k. Default 10 k, as the
+    /// paper: density control fills in what is missing, and far fewer are pruned again.
+    pub random_points: u32,
+    /// Half the edge of that cube, world units (code: 1.3).
+    pub random_extent: f32,
+    /// At most this many of the data's points are used (evenly thinned).
+    pub max_points: u32,
+    /// Opacity of the first Gaussians (3DGS: 0.1).
+    pub initial_opacity: f32,
+}
+
+/// Superpoints, network F and the association.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MotionConfig {
+    /// Off: the scene is trained as plain 3DGS. A data set with one time only is always trained so.
+    pub enabled: bool,
+    /// Superpoints M. Paper: not stated (ablation 50–500); code: 300, the default.
+    pub superpoints: u32,
+    /// Superpoints K that a Gaussian is associated with. Paper: not stated (ablation 1–6); code: 5, the default.
+    pub neighbors: u32,
+    /// Slots per Gaussian that remember association values, ≥ `neighbors`: a superpoint that leaves the neighbourhood and
+    /// comes back finds its value as long as its slot was not needed.
+    pub association_slots: u32,
+    /// First association values. Paper: 0.9 for the Gaussian's own superpoint, 0.1 else; code: 1.0 and 0.1. Default code: it
+    /// made the published numbers.
+    pub association_init: Form,
+    /// Whether network F's heads start at zero, so that motion starts from rest. Paper: yes; code: no (its initialiser is
+    /// never called). Default yes: a canonical space that already fits is not thrown away at the end of warm-up.
+    pub zero_heads: bool,
+    /// Noise on time (annealed smooth training). Paper: not mentioned; code: yes unless `--is_blender`. Default yes for real
+    /// captures, no for synthetic data (see the presets), where times are exact.
+    pub time_noise: bool,
+    /// Size of that noise at the start, in units of the frame spacing (code: 0.1).
+    pub time_noise_scale: f64,
+}
+
+/// The non-rigid stage (network G).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct NonrigidConfig {
+    /// Iterations of the stage (paper: 20 k).
+    pub iterations: u64,
+    /// Whether G changes scales too. Paper: no; code: yes, the default (its tables were made so).
+    pub scale: bool,
+    /// Density control goes on until this iteration of the stage (code: 10 k for D-NeRF and NeRF-DS, none for HyperNeRF).
+    pub density_until: u64,
+    /// Learning rate of G at the start (code: 8e-4).
+    pub rate: f64,
+    /// Learning rate of G at the end (code: 1.6e-6).
+    pub rate_final: f64,
+}
+
+/// Weights of the losses.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LossConfig {
+    /// λ: image loss = (1−λ) L1 + λ (1−SSIM) (paper: 0.2).
+    pub lambda_dssim: f32,
+    /// Form of the property reconstruction loss. Paper: v' = round trip Gaussian → superpoint → Gaussian; code: v' = Σ a·(output
+    /// of network F). Default code: it made the published numbers and needs no second pass over the Gaussians.
+    pub prop_loss: Form,
+    /// λ of the position property (paper and code: 1e-3).
+    pub lambda_position: f32,
+    /// λ of the rotation property. Paper: 1; code: 100. Default 100, the weight that belongs to the default form.
+    pub lambda_rotation: f32,
+    /// λ of the translation property. Paper: 1; code: 100. Default 100.
+    pub lambda_translation: f32,
+}
+
+/// Step sizes. Log-linear from the first to the `_final` value.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LearningRates {
+    /// Centres at the start, before `spatial_scale` (3DGS: 1.6e-4).
+    pub mean: f64,
+    /// Centres at the end (3DGS: 1.6e-6).
+    pub mean_final: f64,
+    /// Iterations over which it decays (code: 30 k).
+    pub mean_iterations: u64,
+    /// Factor on the centres' and scales' rates. 0: the extent of the data set's cameras, as 3DGS; code: 5 for every scene,
+    /// the default.
+    pub spatial_scale: f64,
+    /// Log scales, before `spatial_scale` (code: 1e-3; times 5 this is 3DGS's 5e-3).
+    pub log_scale: f64,
+    /// Quaternions (1e-3).
+    pub rotation: f64,
+    /// Opacity logits (0.05).
+    pub opacity_logit: f64,
+    /// SH degree 0 (2.5e-3).
+    pub sh_0: f64,
+    /// SH degrees 1–3 (2.5e-3 / 20).
+    pub sh_rest: f64,
+    /// Network F at the start (1e-3).
+    pub deform: f64,
+    /// Network F at the end. Paper: 1e-5; code: 1.6e-6. Default 1e-5, as the paper: the code's value is that of the centres,
+    /// passed by accident, and stops F early.
+    pub deform_final: f64,
+    /// Iterations over which F's rate decays (40 k).
+    pub deform_iterations: u64,
+    /// Association values (code: 1e-3).
+    pub association: f64,
+    /// Whether the association's rate decays as F's. Paper: silent; code: means to, but never does. Default no, as the code.
+    pub association_decay: bool,
+}
+
+/// Adam's constants.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AdamConfig {
+    /// Decay of the first moment.
+    pub beta_1: f64,
+    /// Decay of the second moment.
+    pub beta_2: f64,
+    /// Added to the denominator (3DGS: 1e-15).
+    pub epsilon: f64,
+}
+
+/// Adaptive density control.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DensityConfig {
+    /// Off: the Gaussians stay as they are in number.
+    pub enabled: bool,
+    /// First iteration at which it may run (3DGS: after 500).
+    pub from: u64,
+    /// Last iteration (paper: 15 k; the code's HyperNeRF script: 10 k).
+    pub until: u64,
+    /// Every so many iterations. D-NeRF: 100; HyperNeRF: 1000 (paper and script). Not scaled with the run's length.
+    pub interval: u64,
+    /// Opacities are reset every so many iterations, until `until`. D-NeRF: 3000; HyperNeRF: paper 6000, script 3000 (it never
+    /// sets it); 0: never.
+    pub opacity_reset_interval: u64,
+    /// Prune only every so many iterations; 0: whenever Gaussians grow. NVIDIA: paper 8000; the code has no such interval.
+    pub prune_interval: u64,
+    /// Mean screen-space gradient above which a Gaussian grows, NDC units (2e-4).
+    pub gradient_threshold: f32,
+    /// Gaussians of at most this share of the scene's extent are cloned, larger ones split (0.01).
+    pub clone_extent: f32,
+    /// Opacity below which a Gaussian goes (0.005).
+    pub min_opacity: f32,
+    /// Radius on screen above which a Gaussian goes, pixels, once opacities were reset for the first time; 0: no limit (20).
+    pub max_radius_px: f32,
+    /// World size above which it goes then too, as a share of the scene's extent (0.1).
+    pub max_extent: f32,
+}
+
+/// Hard limits; growth stops there and training goes on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BudgetConfig {
+    /// Most Gaussians.
+    pub max_gaussians: u32,
+    /// Most bytes of device memory; 0: what the device offers.
+    pub max_bytes: u64,
+    /// Most bytes of decoded images kept in host memory.
+    pub image_bytes: u64,
+}
+
+/// What is measured and written during the run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LogConfig {
+    /// Held-out views are evaluated every so many iterations; 0: only at the end.
+    pub evaluate_interval: u64,
+    /// How many of them.
+    pub evaluate_views: u32,
+    /// A line in `run.jsonl` every so many iterations.
+    pub interval: u64,
+    /// A checkpoint every so many iterations; 0: only at the end and when interrupted.
+    pub checkpoint_interval: u64,
+    /// Parameters, moments and gradients are searched for numbers that are not finite every so many iterations.
+    pub finite_interval: u64,
+}
+
+/// What the exported model keeps.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ExportConfig {
+    /// Largest error of the key-time table on the training cameras, pixels.
+    pub motion_error_px: f64,
+    /// Keep network F and the association in the model (then every superpoint stays too).
+    pub keep_network: bool,
+    /// Largest change of a pixel that leaving out an SH degree may cause on the training cameras, in units of 1/255.
+    pub sh_error: f64,
+}
+
+impl Config {
+    /// Reads a TOML file over a preset: the file's own `preset` if it names one, else `fallback`.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] naming the file, the line and the key; [`Error::Usage`] for a value out of range; [`Error::Io`].
+    pub fn read(path: &Path, fallback: Preset) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        Self::parse(&text, fallback, path)
+    }
+
+    /// [`Config::read`] from a text; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`Config::read`].
+    pub fn parse(text: &str, fallback: Preset, path: &Path) -> Result<Self> {
+        let corrupt = |e: &toml::de::Error| {
+            let at =
+                e.span().map_or("the file".into(), |s| format!("line {}", text[..s.start].matches('\n').count() + 1));
+            let message = e.message().lines().collect::<Vec<_>>().join(" ");
+            Error::corrupt(path, at, message, "a training configuration (`spgs train --print-config`)")
+        };
+        let own: toml::Table = text.parse().map_err(|e| corrupt(&e))?;
+        let preset = match own.get("preset") {
+            Some(name) => name.clone().try_into().map_err(|e: toml::de::Error| corrupt(&e))?,
+            None => fallback,
+        };
+        // Parsed once alone, for the places of mistakes; then over the preset.
+        toml::from_str::<Self>(text).map_err(|e| corrupt(&e))?;
+        let mut merged =
+            toml::Table::try_from(preset.config()).map_err(|e| Error::usage("preset", e.to_string(), "TOML"))?;
+        merge(&mut merged, own);
+        let config: Self = merged.try_into().map_err(|e: toml::de::Error| corrupt(&e))?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// The whole configuration as TOML.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when a value has no TOML form.
+    pub fn to_toml(&self) -> Result<String> {
+        toml::to_string_pretty(self)
+            .map_err(|e| Error::usage("configuration", e.to_string(), "values that TOML can hold"))
+    }
+
+    /// Whether every value makes sense.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] naming the key, what was found and what is allowed.
+    pub fn check(&self) -> Result<()> {
+        let wrong = |key: &str, found: String, expected: &str| Err(Error::usage(key, found, expected));
+        if self.gaussians.sh_degree > 3 {
+            return wrong("gaussians.sh_degree", self.gaussians.sh_degree.to_string(), "0 to 3");
+        }
+        if !(1..=65_536).contains(&self.motion.superpoints) {
+            return wrong("motion.superpoints", self.motion.superpoints.to_string(), "1 to 65536");
+        }
+        if !(1..=7).contains(&self.motion.neighbors) {
+            return wrong("motion.neighbors", self.motion.neighbors.to_string(), "1 to 7");
+        }
+        if !(self.motion.neighbors..=16).contains(&self.motion.association_slots) {
+            let found = self.motion.association_slots.to_string();
+            return wrong("motion.association_slots", found, "motion.neighbors to 16");
+        }
+        if self.iterations == 0 || self.schedule.reference_iterations == 0 || self.density.interval == 0 {
+            return wrong("iterations", "0".into(), "at least 1 (also reference_iterations and density.interval)");
+        }
+        if self.budget.max_gaussians == 0 {
+            return wrong("budget.max_gaussians", "0".into(), "at least 1");
+        }
+        for (key, value, low, high) in [
+            ("loss.lambda_dssim", f64::from(self.loss.lambda_dssim), 0.0, 1.0),
+            ("loss.lambda_position", f64::from(self.loss.lambda_position), 0.0, 1e6),
+            ("loss.lambda_rotation", f64::from(self.loss.lambda_rotation), 0.0, 1e6),
+            ("loss.lambda_translation", f64::from(self.loss.lambda_translation), 0.0, 1e6),
+            ("near", f64::from(self.near), 0.0, 1e6),
+            ("gaussians.initial_opacity", f64::from(self.gaussians.initial_opacity), 1e-6, 0.999_999),
+            ("gaussians.random_extent", f64::from(self.gaussians.random_extent), 1e-6, 1e9),
+            ("adam.beta_1", self.adam.beta_1, 0.0, 0.999_999_9),
+            ("adam.beta_2", self.adam.beta_2, 0.0, 0.999_999_9),
+            ("adam.epsilon", self.adam.epsilon, 1e-30, 1.0),
+            ("learning_rate.mean", self.learning_rate.mean, 0.0, 1.0),
+            ("learning_rate.mean_final", self.learning_rate.mean_final, 0.0, 1.0),
+            ("learning_rate.spatial_scale", self.learning_rate.spatial_scale, 0.0, 1e6),
+            ("learning_rate.log_scale", self.learning_rate.log_scale, 0.0, 1.0),
+            ("learning_rate.rotation", self.learning_rate.rotation, 0.0, 1.0),
+            ("learning_rate.opacity_logit", self.learning_rate.opacity_logit, 0.0, 10.0),
+            ("learning_rate.sh_0", self.learning_rate.sh_0, 0.0, 1.0),
+            ("learning_rate.sh_rest", self.learning_rate.sh_rest, 0.0, 1.0),
+            ("learning_rate.deform", self.learning_rate.deform, 0.0, 1.0),
+            ("learning_rate.deform_final", self.learning_rate.deform_final, 0.0, 1.0),
+            ("learning_rate.association", self.learning_rate.association, 0.0, 1.0),
+            ("motion.time_noise_scale", self.motion.time_noise_scale, 0.0, 1e3),
+            ("export.motion_error_px", self.export.motion_error_px, 1e-6, 1e6),
+            ("export.sh_error", self.export.sh_error, 0.0, 255.0),
+        ] {
+            if !(low..=high).contains(&value) {
+                return wrong(key, value.to_string(), &format!("{low} to {high}"));
+            }
+        }
+        if let Some(c) = self.background.iter().find(|c| !(0.0..=1.0).contains(*c)) {
+            return wrong("background", c.to_string(), "three numbers from 0 to 1");
+        }
+        Ok(())
+    }
+
+    /// The configuration with its schedule in iterations of this run: every one that is given for
+    /// `schedule.reference_iterations` times `iterations / reference_iterations`. Intervals of density control, logs and
+    /// checkpoints stay.
+    pub fn scaled(&self) -> Self {
+        let mut c = self.clone();
+        if self.schedule.scale && self.iterations != self.schedule.reference_iterations {
+            let ratio = self.iterations as f64 / self.schedule.reference_iterations as f64;
+            let scale = |v: &mut u64| {
+                if *v > 0 {
+                    *v = ((*v as f64 * ratio).round() as u64).max(1);
+                }
+            };
+            [
+                &mut c.schedule.warm_up,
+                &mut c.schedule.sh_degree_interval,
+                &mut c.schedule.time_noise_iterations,
+                &mut c.density.from,
+                &mut c.density.until,
+                &mut c.density.opacity_reset_interval,
+                &mut c.density.prune_interval,
+                &mut c.learning_rate.mean_iterations,
+                &mut c.learning_rate.deform_iterations,
+            ]
+            .into_iter()
+            .for_each(scale);
+            c.schedule.reference_iterations = self.iterations;
+        }
+        c
+    }
+}
+
+/// Puts `over` onto `base`, table by table.
+fn merge(base: &mut toml::Table, over: toml::Table) {
+    for (key, value) in over {
+        match (base.get_mut(&key), value) {
+            (Some(toml::Value::Table(b)), toml::Value::Table(o)) => merge(b, o),
+            (_, value) => {
+                base.insert(key, value);
+            }
+        }
+    }
+}
+
+/// Log-linear decay from `first` to `last` over `steps`, held afterwards (Plenoxels' schedule, as 3DGS uses it).
+pub fn decayed(first: f64, last: f64, step: u64, steps: u64) -> f64 {
+    if first <= 0.0 || last <= 0.0 || steps == 0 {
+        return first;
+    }
+    let t = (step as f64 / steps as f64).clamp(0.0, 1.0);
+    (first.ln() * (1.0 - t) + last.ln() * t).exp()
+}

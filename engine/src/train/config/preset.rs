@@ -1,0 +1,205 @@
+//! The paper's settings by data set.
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    AdamConfig, BudgetConfig, Config, DensityConfig, ExportConfig, Form, GaussiansConfig, LearningRates, LogConfig,
+    LossConfig, MotionConfig, NonrigidConfig, Schedule,
+};
+
+/// A named set of values.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Preset {
+    /// Synthetic scenes with exact cameras and times (paper, appendix: D-NeRF).
+    #[default]
+    Dnerf,
+    /// Hand-held captures (paper, appendix: HyperNeRF).
+    Hypernerf,
+    /// Specular objects (NeRF-DS); trained as D-NeRF in the code's scripts.
+    Nerfds,
+    /// Twelve cameras, twelve times (NVIDIA Dynamic Scene).
+    Nvidia,
+}
+
+impl Preset {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Dnerf, Self::Hypernerf, Self::Nerfds, Self::Nvidia];
+
+    /// Its name, as in the configuration file.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Dnerf => "dnerf",
+            Self::Hypernerf => "hypernerf",
+            Self::Nerfds => "nerfds",
+            Self::Nvidia => "nvidia",
+        }
+    }
+
+    /// The preset's values.
+    pub fn config(self) -> Config {
+        let mut c = Config { preset: self, ..Config::default() };
+        match self {
+            Self::Dnerf => {}
+            Self::Hypernerf => {
+                c.density.from = 1000;
+                c.density.interval = 1000;
+                c.density.opacity_reset_interval = 6000;
+                c.nonrigid.density_until = 0;
+                c.motion.time_noise = true;
+            }
+            Self::Nerfds => c.motion.time_noise = true,
+            Self::Nvidia => {
+                c = Config { preset: self, ..Self::Hypernerf.config() };
+                c.density.opacity_reset_interval = 3000;
+                c.density.prune_interval = 8000;
+            }
+        }
+        c
+    }
+}
+
+impl Default for Config {
+    /// The preset `dnerf`.
+    fn default() -> Self {
+        Self {
+            preset: Preset::Dnerf,
+            iterations: 40_000,
+            seed: 0,
+            deterministic: false,
+            background: [0.0; 3],
+            near: 0.2,
+            schedule: Schedule::default(),
+            gaussians: GaussiansConfig::default(),
+            motion: MotionConfig::default(),
+            nonrigid: NonrigidConfig::default(),
+            loss: LossConfig::default(),
+            learning_rate: LearningRates::default(),
+            adam: AdamConfig::default(),
+            density: DensityConfig::default(),
+            budget: BudgetConfig::default(),
+            log: LogConfig::default(),
+            export: ExportConfig::default(),
+        }
+    }
+}
+
+impl Default for Schedule {
+    fn default() -> Self {
+        Self {
+            reference_iterations: 40_000,
+            scale: true,
+            warm_up: 3000,
+            sh_degree_interval: 1000,
+            time_noise_iterations: 20_000,
+        }
+    }
+}
+
+impl Default for GaussiansConfig {
+    fn default() -> Self {
+        Self { sh_degree: 3, random_points: 10_000, random_extent: 1.3, max_points: 200_000, initial_opacity: 0.1 }
+    }
+}
+
+impl Default for MotionConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            superpoints: 300,
+            neighbors: 5,
+            association_slots: 8,
+            association_init: Form::Code,
+            zero_heads: true,
+            time_noise: false,
+            time_noise_scale: 0.1,
+        }
+    }
+}
+
+impl Default for NonrigidConfig {
+    fn default() -> Self {
+        Self { iterations: 20_000, scale: true, density_until: 10_000, rate: 8e-4, rate_final: 1.6e-6 }
+    }
+}
+
+impl Default for LossConfig {
+    fn default() -> Self {
+        Self {
+            lambda_dssim: 0.2,
+            prop_loss: Form::Code,
+            lambda_position: 1e-3,
+            lambda_rotation: 100.0,
+            lambda_translation: 100.0,
+        }
+    }
+}
+
+impl Default for LearningRates {
+    fn default() -> Self {
+        Self {
+            mean: 1.6e-4,
+            mean_final: 1.6e-6,
+            mean_iterations: 30_000,
+            spatial_scale: 5.0,
+            log_scale: 1e-3,
+            rotation: 1e-3,
+            opacity_logit: 0.05,
+            sh_0: 2.5e-3,
+            sh_rest: 1.25e-4,
+            deform: 1e-3,
+            deform_final: 1e-5,
+            deform_iterations: 40_000,
+            association: 1e-3,
+            association_decay: false,
+        }
+    }
+}
+
+impl Default for AdamConfig {
+    fn default() -> Self {
+        Self { beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15 }
+    }
+}
+
+impl Default for DensityConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            from: 500,
+            until: 15_000,
+            interval: 100,
+            opacity_reset_interval: 3000,
+            prune_interval: 0,
+            gradient_threshold: 2e-4,
+            clone_extent: 0.01,
+            min_opacity: 0.005,
+            max_radius_px: 20.0,
+            max_extent: 0.1,
+        }
+    }
+}
+
+impl Default for BudgetConfig {
+    fn default() -> Self {
+        Self { max_gaussians: 2_000_000, max_bytes: 0, image_bytes: 4 << 30 }
+    }
+}
+
+impl Default for LogConfig {
+    fn default() -> Self {
+        Self {
+            evaluate_interval: 1000,
+            evaluate_views: 4,
+            interval: 10,
+            checkpoint_interval: 1000,
+            finite_interval: 100,
+        }
+    }
+}
+
+impl Default for ExportConfig {
+    fn default() -> Self {
+        Self { motion_error_px: 0.1, keep_network: false, sh_error: 0.5 }
+    }
+}

@@ -1,0 +1,57 @@
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+use super::*;
+
+fn parse(text: &str) -> Result<Config> {
+    Config::parse(text, Preset::Dnerf, Path::new("run.toml"))
+}
+
+#[test]
+fn every_preset_is_valid_and_survives_toml() {
+    for preset in Preset::ALL {
+        let config = preset.config();
+        config.check().unwrap();
+        assert_eq!(Config::parse(&config.to_toml().unwrap(), Preset::Dnerf, Path::new("x")).unwrap(), config);
+    }
+}
+
+#[test]
+fn a_file_changes_only_what_it_names() {
+    let c = parse("preset = \"hypernerf\"\nseed = 7\n[density]\nuntil = 10000\n").unwrap();
+    let expected = Config { seed: 7, ..Preset::Hypernerf.config() };
+    assert_eq!(c.density.until, 10_000);
+    assert_eq!(Config { density: expected.density.clone(), ..c }, expected);
+}
+
+#[test]
+fn mistakes_name_file_line_and_key() {
+    for (text, wanted) in [
+        ("seed = 1\n[density]\nintervall = 3\n", ["run.toml", "line 3", "intervall"]),
+        ("seed = 1\nseed = 2\n", ["run.toml", "line 2", "duplicate"]),
+        ("iterations = \"many\"", ["run.toml", "line 1", "invalid type"]),
+        ("preset = \"nerf\"", ["run.toml", "nerf", "dnerf"]),
+        ("[motion]\nneighbors = 0\n", ["motion.neighbors", "0", "1 to 7"]),
+        ("[loss]\nlambda_dssim = nan\n", ["loss.lambda_dssim", "NaN", "0 to 1"]),
+    ] {
+        let message = parse(text).unwrap_err().to_string();
+        for part in wanted {
+            assert!(message.contains(part), "{text:?}: `{part}` is not in: {message}");
+        }
+    }
+}
+
+#[test]
+fn the_schedule_scales_with_the_length_of_the_run() {
+    let c = Config { iterations: 4000, ..Config::default() }.scaled();
+    assert_eq!([c.schedule.warm_up, c.density.until, c.density.interval], [300, 1500, 100]);
+    assert_eq!(c.scaled(), c, "scaling twice is scaling once");
+    let mut fixed = Config { iterations: 4000, ..Config::default() };
+    fixed.schedule.scale = false;
+    assert_eq!(fixed.scaled().schedule.warm_up, 3000);
+}
+
+#[test]
+fn rates_decay_log_linearly() {
+    assert!((decayed(1e-2, 1e-4, 50, 100) - 1e-3).abs() < 1e-12);
+    assert_eq!(decayed(1e-2, 1e-4, 500, 100), decayed(1e-2, 1e-4, 100, 100));
+    assert_eq!(decayed(0.0, 1e-4, 5, 10), 0.0);
+}

@@ -1,0 +1,174 @@
+//! The Gaussians under training: the renderer's own buffers, updated in place, with Adam's moments and the statistics of
+//! density control.
+
+use glam::DVec3;
+
+use crate::error::{Error, Result};
+use crate::gpu::{Buffer, Gpu, Memory};
+use crate::render::scene_buffers::{Poses, SceneBuffers, planes, sh_band};
+use crate::scene::{Gaussians, Rejected};
+
+/// Planes before the SH bands: mean 3, log_scale 3, rotation 4, opacity_logit 1.
+const PLANES_BEFORE_SH: u32 = 11;
+
+/// Planes of parameters for an SH degree: 14, 23, 38 or 59.
+pub fn plane_count(sh_degree: u32) -> u32 {
+    PLANES_BEFORE_SH + 3 * (sh_degree + 1) * (sh_degree + 1)
+}
+
+/// Gaussians on the device.
+#[derive(Debug)]
+pub(crate) struct Parameters {
+    /// What the forward pass reads; `sh_degree` is the degree in use.
+    pub(crate) scene: SceneBuffers,
+    /// SH degree that the buffers hold.
+    pub(crate) sh_degree: u32,
+    /// First moments, `[P,N]`.
+    pub(crate) moment_1: Buffer,
+    /// Second moments, `[P,N]`.
+    pub(crate) moment_2: Buffer,
+    /// Σ of screen-gradient norms, visible count, `[2,N]`.
+    pub(crate) density: Buffer,
+    /// Largest radius on screen, px, `[N]`.
+    pub(crate) max_radius: Buffer,
+}
+
+/// What the device holds, on the host.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ParameterState {
+    /// The Gaussians, at the allocated SH degree.
+    pub gaussians: Gaussians,
+    /// First moments, `[P,N]`.
+    pub moment_1: Vec<f32>,
+    /// Second moments, `[P,N]`.
+    pub moment_2: Vec<f32>,
+    /// Density statistics, `[2,N]`.
+    pub density: Vec<f32>,
+    /// Largest radius on screen, px, `[N]`.
+    pub max_radius: Vec<f32>,
+    /// Superpoint of each Gaussian, `[N]`; 0 while there are none.
+    pub superpoint_of_gaussian: Vec<u32>,
+}
+
+impl ParameterState {
+    /// Gaussians without a history. SH coefficients are padded or cut to `sh_degree`.
+    pub fn new(gaussians: &Gaussians, sh_degree: u32) -> Self {
+        let n = gaussians.len();
+        let planes = n * plane_count(sh_degree) as usize;
+        Self {
+            gaussians: with_sh_degree(gaussians, sh_degree),
+            moment_1: vec![0.0; planes],
+            moment_2: vec![0.0; planes],
+            density: vec![0.0; 2 * n],
+            max_radius: vec![0.0; n],
+            superpoint_of_gaussian: vec![0; n],
+        }
+    }
+}
+
+/// The same Gaussians with SH coefficients up to `sh_degree`: zeros are added, or the rest is left out.
+pub fn with_sh_degree(g: &Gaussians, sh_degree: u32) -> Gaussians {
+    let (from, to) = (g.sh_coefficients() * 3, ((sh_degree + 1) * (sh_degree + 1) * 3) as usize);
+    let row = |i: usize| (0..to).map(move |k| if k < from { g.sh[i * from + k] } else { 0.0 });
+    Gaussians { sh_degree, sh: (0..g.len()).flat_map(row).collect(), ..g.clone() }
+}
+
+impl Parameters {
+    /// Uploads a state.
+    ///
+    /// # Errors
+    /// `Usage` when lengths differ; `OutOfMemory`.
+    pub(crate) fn upload(gpu: &Gpu, s: &ParameterState) -> Result<Self> {
+        let g = &s.gaussians;
+        let (n, p) = (g.len(), plane_count(g.sh_degree) as usize);
+        for (name, found, expected) in [
+            ("moment_1", s.moment_1.len(), n * p),
+            ("moment_2", s.moment_2.len(), n * p),
+            ("density", s.density.len(), 2 * n),
+            ("max_radius", s.max_radius.len(), n),
+            ("superpoint_of_gaussian", s.superpoint_of_gaussian.len(), n),
+        ] {
+            if found != expected {
+                return Err(Error::usage(name, format!("{found} values"), format!("{expected}")));
+            }
+        }
+        let floats = |name: &str, data: &[f32]| gpu.buffer_with(name, bytemuck::cast_slice(data));
+        let band = |b: u32| floats(&format!("sh_{b}"), &sh_band(g, b));
+        let scene = SceneBuffers {
+            gaussians: n as u32,
+            superpoints: 0,
+            sh_degree: g.sh_degree,
+            origin: DVec3::ZERO,
+            poses: Poses::Static,
+            fp16_weights: false,
+            rejected: Rejected::default(),
+            mean: floats("mean", &planes(&g.mean))?,
+            log_scale: floats("log_scale", &planes(&g.log_scale))?,
+            rotation: floats("rotation", g.rotation.as_flattened())?,
+            opacity_logit: floats("opacity_logit", &g.opacity_logit)?,
+            superpoint_of_gaussian: gpu
+                .buffer_with("superpoint_of_gaussian", bytemuck::cast_slice(&s.superpoint_of_gaussian))?,
+            pose: gpu.buffer("pose", 32, Memory::Device)?,
+            sh: [band(0)?, band(1)?, band(2)?, band(3)?],
+        };
+        Ok(Self {
+            scene,
+            sh_degree: g.sh_degree,
+            moment_1: floats("moment_1", &s.moment_1)?,
+            moment_2: floats("moment_2", &s.moment_2)?,
+            density: floats("density", &s.density)?,
+            max_radius: floats("max_radius", &s.max_radius)?,
+        })
+    }
+
+    /// N.
+    pub(crate) fn count(&self) -> u32 {
+        self.scene.gaussians
+    }
+
+    /// Downloads everything.
+    pub(crate) fn download(&self, gpu: &Gpu) -> Result<ParameterState> {
+        let n = self.count() as usize;
+        let p = plane_count(self.sh_degree) as usize;
+        Ok(ParameterState {
+            gaussians: self.download_gaussians(gpu)?,
+            moment_1: words(gpu, &self.moment_1, n * p)?,
+            moment_2: words(gpu, &self.moment_2, n * p)?,
+            density: words(gpu, &self.density, 2 * n)?,
+            max_radius: words(gpu, &self.max_radius, n)?,
+            superpoint_of_gaussian: words(gpu, &self.scene.superpoint_of_gaussian, n)?,
+        })
+    }
+
+    /// Downloads the Gaussians.
+    pub(crate) fn download_gaussians(&self, gpu: &Gpu) -> Result<Gaussians> {
+        let (n, s) = (self.count() as usize, &self.scene);
+        let mut sh_planes: Vec<f32> = Vec::new();
+        for band in 0..=self.sh_degree {
+            sh_planes.extend(words::<f32>(gpu, &s.sh[band as usize], n * 3 * (2 * band as usize + 1))?);
+        }
+        let planes_of_sh = sh_planes.len() / n.max(1);
+        Ok(Gaussians {
+            mean: rows(&words(gpu, &s.mean, 3 * n)?, n),
+            log_scale: rows(&words(gpu, &s.log_scale, 3 * n)?, n),
+            rotation: words(gpu, &s.rotation, 4 * n)?.as_chunks().0.to_vec(),
+            opacity_logit: words(gpu, &s.opacity_logit, n)?,
+            sh_degree: self.sh_degree,
+            sh: (0..n).flat_map(|i| (0..planes_of_sh).map(move |k| (i, k))).map(|(i, k)| sh_planes[k * n + i]).collect(),
+        })
+    }
+}
+
+/// The first `count` words of a buffer.
+pub(crate) fn words<T: bytemuck::AnyBitPattern>(gpu: &Gpu, buffer: &Buffer, count: usize) -> Result<Vec<T>> {
+    if count == 0 {
+        return Ok(Vec::new());
+    }
+    let bytes = gpu.download(buffer.slice(0, 4 * count as u64))?;
+    Ok(bytes.chunks_exact(4).map(bytemuck::pod_read_unaligned).collect())
+}
+
+/// Three planes of N → `[N,3]`.
+fn rows(planes: &[f32], n: usize) -> Vec<[f32; 3]> {
+    (0..n).map(|i| [planes[i], planes[n + i], planes[2 * n + i]]).collect()
+}

@@ -1,0 +1,224 @@
+//! What happens at an iteration: a pure function of the configuration and the iteration number (from 1, as the reference
+//! code counts). Resuming needs nothing but that number.
+
+use super::config::{Config, decayed};
+use super::step::{Step, bias_corrections};
+
+/// The part of the method that a run is in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Stage {
+    /// Nothing moves, ever.
+    Static,
+    /// Gaussians, superpoints, network F.
+    Rigid,
+    /// Gaussians and network G; network F and the association are frozen.
+    Nonrigid,
+}
+
+/// The schedule of one stage.
+#[derive(Debug, Clone)]
+pub struct Schedule {
+    config: Config,
+    stage: Stage,
+    extent: f64,
+}
+
+/// Sizes that a step depends on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// N.
+    pub gaussians: u32,
+    /// M.
+    pub superpoints: u32,
+    /// K', slots of the association.
+    pub slots: u32,
+}
+
+impl Schedule {
+    /// Of a scaled configuration ([`Config::scaled`]); `extent`: radius of the cameras, world units.
+    pub fn new(config: &Config, stage: Stage, extent: f64) -> Self {
+        Self { config: config.clone(), stage, extent }
+    }
+
+    /// Its configuration, scaled.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// The stage.
+    pub fn stage(&self) -> Stage {
+        self.stage
+    }
+
+    /// Number of iterations of the stage.
+    pub fn iterations(&self) -> u64 {
+        if self.stage == Stage::Nonrigid { self.config.nonrigid.iterations } else { self.config.iterations }
+    }
+
+    /// Whether superpoints move the Gaussians at `iteration`.
+    pub fn moves(&self, iteration: u64) -> bool {
+        match self.stage {
+            Stage::Static => false,
+            Stage::Rigid => iteration >= self.config.schedule.warm_up.max(1),
+            Stage::Nonrigid => true,
+        }
+    }
+
+    /// Whether superpoints, association and network F begin at `iteration`.
+    pub fn superpoints_begin(&self, iteration: u64) -> bool {
+        self.stage == Stage::Rigid && iteration == self.config.schedule.warm_up.max(1)
+    }
+
+    /// SH degree in use at `iteration`: grows by one every `sh_degree_interval`; all of it in the non-rigid stage.
+    pub fn sh_degree(&self, iteration: u64) -> u32 {
+        let most = self.config.gaussians.sh_degree;
+        match (self.stage, self.config.schedule.sh_degree_interval) {
+            (Stage::Nonrigid, _) | (_, 0) => most,
+            (_, interval) => most.min((iteration / interval).min(3) as u32),
+        }
+    }
+
+    fn density_until(&self) -> u64 {
+        let d = &self.config.density;
+        if self.stage == Stage::Nonrigid { self.config.nonrigid.density_until } else { d.until }
+    }
+
+    fn density_from(&self) -> u64 {
+        if self.stage == Stage::Nonrigid { 0 } else { self.config.density.from }
+    }
+
+    /// Whether density statistics are kept.
+    pub fn density_statistics(&self, iteration: u64) -> bool {
+        self.config.density.enabled && iteration <= self.density_until()
+    }
+
+    /// Whether Gaussians grow after `iteration`.
+    pub fn grows(&self, iteration: u64) -> bool {
+        let d = &self.config.density;
+        d.enabled
+            && iteration > self.density_from()
+            && iteration < self.density_until()
+            && iteration.is_multiple_of(d.interval)
+    }
+
+    /// Whether Gaussians are pruned after `iteration`, when they grow or at the interval for pruning alone.
+    pub fn prunes(&self, iteration: u64) -> bool {
+        let d = &self.config.density;
+        match d.prune_interval {
+            0 => self.grows(iteration),
+            interval => d.enabled && iteration < self.density_until() && iteration.is_multiple_of(interval),
+        }
+    }
+
+    /// Whether size limits apply when pruning: only once opacities were reset.
+    pub fn prunes_large(&self, iteration: u64) -> bool {
+        let interval = self.config.density.opacity_reset_interval;
+        interval > 0 && iteration > interval
+    }
+
+    /// Whether opacities are reset after `iteration`.
+    pub fn resets_opacity(&self, iteration: u64) -> bool {
+        let d = &self.config.density;
+        let white = self.config.background == [1.0; 3] && self.stage != Stage::Nonrigid && iteration == d.from;
+        let regular = d.opacity_reset_interval > 0 && iteration.is_multiple_of(d.opacity_reset_interval);
+        d.enabled && iteration < self.density_until() && (regular || white)
+    }
+
+    /// Standard deviation of the noise on time at `iteration`, in units of time; `spacing`: between frames.
+    pub fn time_noise(&self, iteration: u64, spacing: f64) -> f64 {
+        let m = &self.config.motion;
+        if !m.time_noise || self.stage != Stage::Rigid {
+            return 0.0;
+        }
+        let fading = 1.0 - iteration as f64 / self.config.schedule.time_noise_iterations.max(1) as f64;
+        m.time_noise_scale * spacing * fading.max(0.0)
+    }
+
+    /// The factor on the rates of centres and scales.
+    pub fn spatial_scale(&self) -> f64 {
+        match self.config.learning_rate.spatial_scale {
+            0.0 => self.extent,
+            given => given,
+        }
+    }
+
+    /// The step's data for the kernels. `time`: given to the networks, and exact.
+    pub fn step(&self, iteration: u64, counts: Counts, time: [f64; 2]) -> Step {
+        let (c, r) = (&self.config, &self.config.learning_rate);
+        let scale = self.spatial_scale();
+        let before = iteration - 1;
+        let mean = decayed(r.mean * scale, r.mean_final * scale, before, self.mean_iterations());
+        let deform = decayed(r.deform, r.deform_final, before, r.deform_iterations);
+        let association =
+            if r.association_decay { r.association * deform / r.deform.max(1e-30) } else { r.association };
+        let nonrigid = decayed(c.nonrigid.rate, c.nonrigid.rate_final, before, c.nonrigid.iterations);
+        let bias = |t: u64| bias_corrections(c.adam.beta_1, c.adam.beta_2, t);
+        // Network F and the association take their first step at the end of warm-up.
+        let motion = bias((iteration + 1).saturating_sub(c.schedule.warm_up.max(1)).max(1));
+        let all = bias(iteration);
+        Step {
+            counts: [counts.gaussians, counts.superpoints, counts.slots, iteration as u32],
+            rate_0: [mean, r.log_scale * scale, r.rotation, r.opacity_logit].map(|v| v as f32),
+            rate_1: [r.sh_0, r.sh_rest, deform, association].map(|v| v as f32),
+            rate_2: [nonrigid as f32, 0.0, 0.0, 0.0],
+            adam: [c.adam.beta_1 as f32, c.adam.beta_2 as f32, c.adam.epsilon as f32, 0.0],
+            bias_0: [all[0], all[1], motion[0], motion[1]],
+            bias_1: [motion[0], motion[1], all[0], all[1]],
+            weights: [c.loss.lambda_dssim, c.loss.lambda_position, c.loss.lambda_rotation, c.loss.lambda_translation],
+            time: [time[0] as f32, time[1] as f32, f32::from(u8::from(self.density_statistics(iteration))), 0.0],
+        }
+    }
+
+    fn mean_iterations(&self) -> u64 {
+        match self.stage {
+            Stage::Nonrigid => self.config.nonrigid.iterations,
+            _ => self.config.learning_rate.mean_iterations,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+    use super::*;
+
+    fn schedule(stage: Stage) -> Schedule {
+        Schedule::new(&Config::default(), stage, 4.0)
+    }
+
+    #[test]
+    fn the_paper_s_schedule() {
+        let s = schedule(Stage::Rigid);
+        assert!(!s.moves(2999) && s.moves(3000) && s.superpoints_begin(3000) && !s.superpoints_begin(3001));
+        assert_eq!([999, 1000, 2999, 3000, 40_000].map(|i| s.sh_degree(i)), [0, 1, 2, 3, 3]);
+        let grown: Vec<u64> = (1..40_000).filter(|&i| s.grows(i)).collect();
+        assert_eq!((grown[0], *grown.last().unwrap(), grown.len()), (600, 14_900, 144));
+        assert_eq!((1..40_000).filter(|&i| s.resets_opacity(i)).collect::<Vec<_>>(), [3000, 6000, 9000, 12_000]);
+        assert!(!s.prunes_large(3000) && s.prunes_large(3100));
+    }
+
+    #[test]
+    fn rates_begin_and_end_as_the_table_says() {
+        let s = schedule(Stage::Rigid);
+        let at = |i: u64| s.step(i, Counts::default(), [0.0; 2]);
+        let near = |a: f32, b: f64| assert!((f64::from(a) / b - 1.0).abs() < 1e-3, "{a} {b}");
+        near(at(1).rate_0[0], 8e-4);
+        near(at(30_001).rate_0[0], 8e-6);
+        near(at(1).rate_0[1], 5e-3);
+        near(at(1).rate_1[2], 1e-3);
+        near(at(40_001).rate_1[2], 1e-5);
+        near(at(1).bias_0[0], 10.0);
+        near(at(3000).bias_0[2], 10.0);
+    }
+
+    #[test]
+    fn time_noise_fades() {
+        let mut config = Config::default();
+        config.motion.time_noise = true;
+        let s = Schedule::new(&config, Stage::Rigid, 1.0);
+        assert!((s.time_noise(10_000, 0.01) - 5e-4).abs() < 1e-12);
+        assert_eq!(s.time_noise(20_000, 0.01), 0.0);
+        assert_eq!(schedule(Stage::Rigid).time_noise(1, 0.01), 0.0);
+    }
+}

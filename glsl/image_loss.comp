@@ -1,0 +1,151 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_EXT_control_flow_attributes : require
+
+// Gradient of (1 - lambda) L1 + lambda (1 - SSIM) by the rendered image, and the sums of L1 and MSE. Through SSIM it is
+//   G*(dS/dmu_x) + 2 x G*(dS/dE[x^2 + y^2]) + 2 (x - y) G*(dS/dE[d^2])
+// with G* the convolution with the (symmetric) window. Twin: engine/src/train/image_loss/gradient.rs.
+
+layout(local_size_x = 128) in;
+layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
+layout(constant_id = 1) const uint TARGET = 0u;    // 0: RGBA8, 1: float bits
+layout(constant_id = 2) const uint WITH_SSIM = 1u; // 0: lambda is 0 and `ssim_maps` is not read
+
+#include "lib/frame.glsl"
+#include "lib/dispatch.glsl"
+#define STEP_BINDING 1
+#include "lib/step.glsl"
+#define COLOR_BINDING 2
+#define TARGET_BINDING 3
+#include "lib/image_target.glsl"
+#include "lib/ssim.glsl"
+
+layout(std430, set = 0, binding = 4) readonly buffer SsimMapsBlock { float ssim_maps[]; };
+layout(std430, set = 0, binding = 5) writeonly buffer ImageGradientBlock { float image_gradient[]; };
+layout(std430, set = 0, binding = 6) writeonly buffer LossPartialBlock { float loss_partial[]; };
+#define STATUS_BINDING 7
+#include "lib/status.glsl"
+
+shared float maps[3 * 42 * 33];
+shared vec2 sums[32]; // one per subgroup: 128 / 4
+
+const uint MAP_WORDS = 1386u; // 42 * 33
+
+// Row pass: the three maps of a run of pixels.
+void convolve_row(uint task, uvec2 corner, uint channel) {
+    uint pixels = frame.size.x * frame.size.y;
+    uint row = task % TILE_ROWS;
+    uint first = RUN * (task / TILE_ROWS);
+    int y = int(corner.y + row) - int(WINDOW_RADIUS);
+    int x = int(corner.x + first) - int(WINDOW_RADIUS);
+    bool row_inside = y >= 0 && y < int(frame.size.y);
+    vec3 sum[RUN];
+    [[unroll]] for (uint j = 0u; j < RUN; j++) {
+        sum[j] = vec3(0.0);
+    }
+    [[unroll]] for (uint i = 0u; i < RUN_INPUTS; i++) {
+        int column = x + int(i);
+        vec3 m = vec3(0.0);
+        if (row_inside && column >= 0 && column < int(frame.size.x)) {
+            uint at = 3u * channel * pixels + uint(y) * frame.size.x + uint(column);
+            m = vec3(ssim_maps[at], ssim_maps[at + pixels], ssim_maps[at + 2u * pixels]);
+        }
+        [[unroll]] for (uint k = 0u; k < WINDOW_SIZE; k++) {
+            if (i >= k && i - k < RUN) {
+                sum[i - k] += WINDOW[k] * m;
+            }
+        }
+    }
+    [[unroll]] for (uint j = 0u; j < RUN; j++) {
+        uint at = row * ROW_STRIDE + first + j;
+        maps[at] = sum[j].x;
+        maps[MAP_WORDS + at] = sum[j].y;
+        maps[2u * MAP_WORDS + at] = sum[j].z;
+    }
+}
+
+// Column pass: gradients of a run of pixels. Returns their sums of |d| and d^2.
+vec2 convolve_column(uint task, uvec2 corner, uint channel) {
+    uint kind = TARGET;
+    uint with_ssim = WITH_SSIM;
+    uint column = task % LOSS_TILE;
+    uint first = RUN * (task / LOSS_TILE);
+    vec3 sum[RUN];
+    [[unroll]] for (uint j = 0u; j < RUN; j++) {
+        sum[j] = vec3(0.0);
+    }
+    if (with_ssim == 1u) {
+        [[unroll]] for (uint i = 0u; i < RUN_INPUTS; i++) {
+            uint at = (first + i) * ROW_STRIDE + column;
+            vec3 m = vec3(maps[at], maps[MAP_WORDS + at], maps[2u * MAP_WORDS + at]);
+            [[unroll]] for (uint k = 0u; k < WINDOW_SIZE; k++) {
+                if (i >= k && i - k < RUN) {
+                    sum[i - k] += WINDOW[k] * m;
+                }
+            }
+        }
+    }
+    uint x = corner.x + column;
+    float lambda = with_ssim == 1u ? step_data.weights.x : 0.0;
+    float per_value = 1.0 / (3.0 * float(frame.size.x * frame.size.y));
+    vec2 total = vec2(0.0);
+    [[unroll]] for (uint j = 0u; j < RUN; j++) {
+        uint y = corner.y + first + j;
+        if (x < frame.size.x && y < frame.size.y) {
+            uint at = y * frame.size.x + x;
+            vec2 v = image_and_target(kind, at, channel);
+            float d = v.x - v.y;
+            float by_ssim = sum[j].x + 2.0 * v.x * sum[j].y + 2.0 * d * sum[j].z;
+            float gradient = per_value * ((1.0 - lambda) * sign(d) - lambda * by_ssim);
+            bool good = usable(color[4u * at + channel]) && usable(target_value(kind, at, channel))
+                && number_is_finite(gradient);
+            if (!good) {
+                report_not_finite(STATUS_IMAGE_GRADIENT, at);
+            }
+            image_gradient[4u * at + channel] = good ? gradient : 0.0;
+            if (channel == 2u) {
+                image_gradient[4u * at + 3u] = 0.0;
+            }
+            total += vec2(abs(d), d * d);
+        }
+    }
+    return total;
+}
+
+void main() {
+    uint with_ssim = WITH_SSIM;
+    uint group = workgroup_index();
+    uvec2 tiles = (frame.size.xy + LOSS_TILE - 1u) / LOSS_TILE;
+    uint groups = 3u * tiles.x * tiles.y;
+    uint channel = group % 3u;
+    uint tile = group / 3u;
+    uvec2 corner = LOSS_TILE * uvec2(tile % tiles.x, tile / tiles.x);
+    uint thread = gl_LocalInvocationID.x;
+    uint size = SUBGROUP_SIZE;
+
+    if (with_ssim == 1u) {
+        for (uint task = thread; task < ROW_TASKS; task += LOSS_THREADS) {
+            convolve_row(task, corner, channel);
+        }
+    }
+    barrier();
+    vec2 total = vec2(0.0);
+    for (uint task = thread; task < COLUMN_TASKS; task += LOSS_THREADS) {
+        total += convolve_column(task, corner, channel);
+    }
+    vec2 of_subgroup = subgroupAdd(total);
+    if (gl_SubgroupInvocationID == 0u) {
+        sums[gl_SubgroupID] = of_subgroup;
+    }
+    barrier();
+    if (thread == 0u && group < groups) {
+        vec2 sum = vec2(0.0);
+        for (uint s = 0u; s < LOSS_THREADS / size; s++) {
+            sum += sums[s];
+        }
+        loss_partial[groups + group] = sum.x;
+        loss_partial[2u * groups + group] = sum.y;
+    }
+}

@@ -1,0 +1,87 @@
+// Where a Gaussian is at the frame's time: rigidly moved by its superpoint, then shifted by its non-rigid offset. Shared by
+// `deform_project` and its backward, which declare the buffers mean, log_scale, rotation, superpoint_of_gaussian, pose and
+// nonrigid_offset and the constants MOTION and NONRIGID. Include lib/frame.glsl, quaternion.glsl and projection.glsl first.
+#ifndef SPGS_PLACE
+#define SPGS_PLACE
+
+// Camera-relative centre d and rotation `turn` of Exp(r); false when a number that enters is unusable.
+//
+// In two parts, d is exact for a camera and a Gaussian that share a large offset from the origin.
+bool place_mean(uint g, uint n, vec3 canonical, out vec3 d, out vec4 turn) {
+    precise vec3 relative = (canonical - frame.camera_position_high.xyz) - frame.camera_position_low.xyz;
+    d = relative;
+    turn = vec4(1.0, 0.0, 0.0, 0.0);
+    uint motion = MOTION;
+    if (motion == 1u) {
+        uint superpoint = superpoint_of_gaussian[g];
+        if (superpoint >= frame.counts.y) {
+            return false;
+        }
+        uint first = 2u * (frame.counts.z * frame.counts.y + superpoint);
+        uint second = 2u * (frame.counts.w * frame.counts.y + superpoint);
+        float weight = frame.camera_position_low.w;
+        vec3 r = pose[first].xyz * (1.0 - weight) + pose[second].xyz * weight;
+        vec3 translation = pose[first + 1u].xyz * (1.0 - weight) + pose[second + 1u].xyz * weight;
+        if (!within(r, MAX_ABS_TRANSLATION) || !within(translation, MAX_ABS_TRANSLATION)) {
+            return false;
+        }
+        turn = quaternion_exp(r);
+        d += quaternion_displacement(turn, canonical) + translation;
+    }
+    uint nonrigid = NONRIGID;
+    if (nonrigid == 1u) {
+        vec3 dx = vec3(nonrigid_offset[g], nonrigid_offset[n + g], nonrigid_offset[2u * n + g]);
+        if (!within(dx, MAX_ABS_TRANSLATION)) {
+            return false;
+        }
+        d += dx;
+    }
+    return true;
+}
+
+// Rotation and standard deviations, with what their backward needs.
+struct Shape {
+    vec4 unit;    // q0 / |q0|
+    float norm;   // |q0|
+    vec4 rigid;   // Exp(r) * unit
+    vec4 q;       // unit quaternion that is drawn
+    float sum;    // |rigid + dq|
+    vec3 own;     // exp(log_scale)
+    vec3 added;   // own + ds
+    vec3 scale;   // at least MIN_SCALE
+};
+
+// False when a number that enters is unusable.
+bool place_shape(uint g, uint n, vec4 turn, out Shape shape) {
+    vec3 log_s = vec3(log_scale[g], log_scale[n + g], log_scale[2u * n + g]);
+    vec4 q = rotation[g];
+    float norm2 = dot(q, q);
+    if (!within(log_s, MAX_ABS_LOG_SCALE) || !is_finite(norm2) || !(norm2 > MIN_ROTATION_NORM2)) {
+        return false;
+    }
+    shape.norm = sqrt(norm2);
+    shape.unit = q / shape.norm;
+    shape.rigid = quaternion_product(turn, shape.unit);
+    shape.q = shape.rigid;
+    shape.sum = 1.0;
+    shape.own = exp(log_s);
+    shape.added = shape.own;
+    shape.scale = shape.own;
+    uint nonrigid = NONRIGID;
+    if (nonrigid == 1u) {
+        vec4 dq = vec4(nonrigid_offset[3u * n + g], nonrigid_offset[4u * n + g], nonrigid_offset[5u * n + g],
+                       nonrigid_offset[6u * n + g]);
+        vec4 sum = shape.rigid + dq;
+        float sum2 = dot(sum, sum);
+        shape.added += vec3(nonrigid_offset[7u * n + g], nonrigid_offset[8u * n + g], nonrigid_offset[9u * n + g]);
+        if (!is_finite(sum2) || !(sum2 > MIN_ROTATION_NORM2) || !within(shape.added, MAX_SCALE)) {
+            return false;
+        }
+        shape.sum = sqrt(sum2);
+        shape.q = sum / shape.sum;
+        shape.scale = max(shape.added, vec3(MIN_SCALE));
+    }
+    return true;
+}
+
+#endif

@@ -1,0 +1,4 @@
+//! `spgs train`: posed images → model.
+
+pub mod log;
+pub mod report;
