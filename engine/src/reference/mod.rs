@@ -23,16 +23,11 @@ mod tests;
 
 use rayon::prelude::*;
 
-<<<<<<< HEAD
-pub use motion::{Placed, Pose, exp, place, poses, rotation_of_quaternion, table_poses};
-pub use network::{NonrigidOffset, network_poses, nonrigid_offsets};
-=======
 pub use motion::{
     Deformation, Offset, Placed, Pose, SCALE_MIN, exp, exp_quaternion, place, place_deformed, poses,
     rotation_of_quaternion, table_poses,
 };
-pub use network::network_poses;
->>>>>>> f7232ac
+pub use network::{NonrigidOffset, network_poses, nonrigid_offsets};
 pub use project::{Parameters, Splat, project};
 pub use sh::color_of;
 

@@ -17,12 +17,8 @@ pub mod deform_project;
 pub mod ellipse;
 pub mod frame;
 pub mod limits;
-<<<<<<< HEAD
 pub mod nonrigid_network;
-mod pipeline;
-=======
 pub(crate) mod pipeline;
->>>>>>> f7232ac
 pub mod quaternion;
 pub mod radix_sort;
 mod renderer;

@@ -154,7 +154,10 @@ impl Parameters {
             rotation: words(gpu, &s.rotation, 4 * n)?.as_chunks().0.to_vec(),
             opacity_logit: words(gpu, &s.opacity_logit, n)?,
             sh_degree: self.sh_degree,
-            sh: (0..n).flat_map(|i| (0..planes_of_sh).map(move |k| (i, k))).map(|(i, k)| sh_planes[k * n + i]).collect(),
+            sh: (0..n)
+                .flat_map(|i| (0..planes_of_sh).map(move |k| (i, k)))
+                .map(|(i, k)| sh_planes[k * n + i])
+                .collect(),
         })
     }
 }

@@ -7,17 +7,12 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
 use super::{FORMAT, VERSION};
 use crate::error::{Error, Result};
-<<<<<<< HEAD
-use crate::file::check;
+use crate::file::tensors::{check_format, own_metadata, parse_header};
+use crate::file::{check, checksum};
 use crate::scene::network::{
     DeformNetwork, HIDDEN_LAYERS, HIDDEN_WIDTH, Linear, NONRIGID_HEADS, NONRIGID_LAYERS, NONRIGID_WIDTH,
     NonrigidNetwork,
 };
-=======
-use crate::file::tensors::{check_format, own_metadata, parse_header};
-use crate::file::{check, checksum};
-use crate::scene::network::{DeformNetwork, HIDDEN_LAYERS, HIDDEN_WIDTH, Linear};
->>>>>>> f7232ac
 use crate::scene::{Association, Gaussians, Motion, Scene, Superpoints, Tensor};
 
 pub(super) fn model(bytes: &[u8], path: &Path) -> Result<(Scene, Vec<String>)> {
@@ -39,17 +34,8 @@ pub(super) fn model(bytes: &[u8], path: &Path) -> Result<(Scene, Vec<String>)> {
     let deform = deform(&mut tensors)?;
     let nonrigid = nonrigid(&mut tensors)?;
     let extra = tensors.rest(&mut warnings)?;
-<<<<<<< HEAD
-    let metadata = metadata
-        .iter()
-        .filter(|(key, _)| !RESERVED.contains(&key.as_str()))
-        .map(|(key, value)| (key.clone(), value.clone()))
-        .collect();
-    let scene = Scene { gaussians, superpoints, motion, association, deform, nonrigid, extra, metadata };
-=======
     let metadata = own_metadata(metadata);
-    let scene = Scene { gaussians, superpoints, motion, association, deform, extra, metadata };
->>>>>>> f7232ac
+    let scene = Scene { gaussians, superpoints, motion, association, deform, nonrigid, extra, metadata };
     check::scene(&scene).map_err(|problem| problem.corrupt(path))?;
     Ok((scene, warnings))
 }

@@ -3,6 +3,7 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
+use super::motion::{left_jacobian, rotation_gradient};
 use crate::reference::{Pose, exp, rotation_of_quaternion};
 
 /// `[N,K]` indices of the K positions nearest to each point, nearest first, ties by lowest index.
@@ -35,28 +36,6 @@ pub fn logit_gradient(weight: &[f64], d_weight: &[f64], k: usize) -> Vec<f64> {
         a.iter().zip(d).map(move |(a, d)| a * (d - mean))
     });
     gradient.collect()
-}
-
-/// dL/dr from the left-tangent gradient ω (dL = ω·δφ for Exp(δφ)Exp(r)): J_l(r)ᵀω with J_l = I + (1−cosθ)/θ²·K +
-/// (θ−sinθ)/θ³·K².
-pub fn rotation_vector_gradient(r: DVec3, omega: DVec3) -> DVec3 {
-    let theta2 = r.length_squared();
-    let theta = theta2.sqrt();
-    let half = if theta > 1e-8 { (0.5 * theta).sin() / theta } else { 0.5 };
-    // The closed form loses all digits as θ → 0.
-    let third = if theta2 < 0.25 {
-        let mut term = 1.0 / 6.0;
-        let mut sum = term;
-        for k in [20.0, 42.0, 72.0, 110.0, 156.0, 210.0] {
-            term *= -theta2 / k;
-            sum += term;
-        }
-        sum
-    } else {
-        (theta - theta.sin()) / (theta2 * theta)
-    };
-    let turned = r.cross(omega);
-    omega - 2.0 * half * half * turned + third * r.cross(turned)
 }
 
 /// Gaussians moved by superpoints, in f64.
@@ -108,24 +87,18 @@ impl Placement<'_> {
             let turning: DVec3 = pairs.map(|(r, d)| r.cross(d)).sum();
             let omega = turning + (turn * self.mean[i]).cross(d_mean[i]);
             out.mean.push(turn.transpose() * d_mean[i]);
-            out.rotation.push(quaternion_gradient(self.rotation[i], rotation_t.transpose() * turning));
+            let turn_quaternion = DQuat::from_scaled_axis(self.pose[j].rotation);
+            let local = rotation_t.transpose() * turning;
+            out.rotation.push(rotation_gradient(self.rotation[i], turn_quaternion, None, local).raw);
             out.tangent.push([omega, d_mean[i]]);
             tangent[j] += omega;
             out.pose[j].translation += d_mean[i];
         }
         for (j, omega) in tangent.into_iter().enumerate() {
-            out.pose[j].rotation = rotation_vector_gradient(self.pose[j].rotation, omega);
+            out.pose[j].rotation = left_jacobian(self.pose[j].rotation).transpose() * omega;
         }
         out
     }
-}
-
-/// dL/dq from the gradient `local` by a right tangent of q/|q|: 2q̂∘(0, local)/|q|.
-fn quaternion_gradient(q: [f64; 4], local: DVec3) -> [f64; 4] {
-    let raw = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
-    let length = raw.length();
-    let g = raw * (1.0 / length) * DQuat::from_xyzw(local.x, local.y, local.z, 0.0) * (2.0 / length);
-    [g.w, g.x, g.y, g.z]
 }
 
 #[cfg(test)]
