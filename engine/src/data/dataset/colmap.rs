@@ -38,6 +38,9 @@ pub(super) fn read(folder: &Path, model: &Path, options: &DatasetOptions) -> Res
         position: list.iter().map(|p| p.position.as_vec3().to_array()).collect(),
         colour: list.iter().map(|p| p.colour).collect(),
     });
+    if let Some(points) = &points {
+        decisions.push(format!("points: {} of the model", points.position.len()));
+    }
     let rule = match options.split {
         SplitRule::Auto | SplitRule::Lists => SplitRule::Hold(LLFF_HOLD),
         rule => rule,

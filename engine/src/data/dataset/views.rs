@@ -117,7 +117,7 @@ fn decisions(dataset: &Dataset, of_format: Vec<String>, options: &DatasetOptions
     let undistorted = all().filter(|v| v.image.lens.is_some()).count();
     if undistorted > 0 {
         lines.push(format!(
-            "lens: {undistorted} of {} pictures are undistorted on load (focal lengths and principal point kept{})",
+            "undistortion: of {undistorted} of {} pictures, on load (focal lengths and principal point kept{})",
             train + test + val,
             beyond_the_photo(dataset),
         ));
@@ -126,10 +126,9 @@ fn decisions(dataset: &Dataset, of_format: Vec<String>, options: &DatasetOptions
     if masks > 0 {
         lines.push(format!("masks: {masks} of {} pictures have one", train + test + val));
     }
-    lines.push(match &dataset.points {
-        Some(points) => format!("points: {} to start from", points.position.len()),
-        None => "points: none in the data set, random ones are used".into(),
-    });
+    if dataset.points.is_none() {
+        lines.push("points: none in the data set, random ones are used".into());
+    }
     lines.push(format!("extent: {:.6} (1.1 × largest distance of a training camera from their mean)", dataset.extent));
     lines
 }
