@@ -40,7 +40,11 @@ pub(super) fn downscale(options: &DatasetOptions, default: u32) -> Result<u32> {
 
 pub(super) fn dataset(source: Source, options: &DatasetOptions) -> Result<Dataset> {
     let downscale = downscale(options, source.default_downscale)?;
-    let views = |posed: &[Posed]| posed.par_iter().map(|p| view(p, downscale, options)).collect::<Result<Vec<View>>>();
+    let views = |posed: &[Posed]| -> Result<Vec<View>> {
+        let all: Vec<Result<View>> = posed.par_iter().map(|p| view(p, downscale, options)).collect();
+        // The first error in the order of the frames, whichever thread was first.
+        all.into_iter().collect()
+    };
     let (train, test, val) = (views(&source.train)?, views(&source.test)?, views(&source.val)?);
     if train.is_empty() {
         return Err(Error::usage("training views", "none", "at least one"));
