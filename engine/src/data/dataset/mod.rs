@@ -5,9 +5,9 @@
 //!
 //! | file | format |
 //! |---|---|
-//! | `transforms_train.json` | D-NeRF ([`blender`]) |
+//! | `transforms_train.json` | D-NeRF |
 //! | `dataset.json` | Nerfies, HyperNeRF, NeRF-DS |
-//! | `transforms.json` | nerfstudio, instant-ngp ([`blender`]) |
+//! | `transforms.json` | nerfstudio, instant-ngp |
 //! | `precomputed.json`, `poses_bounds.npy` | LLFF, nonrigid_nerf, NVIDIA Dynamic Scene |
 //! | `cameras` and `images`, `.bin` or `.txt`, here or in `sparse/0` or `sparse` | COLMAP |
 
