@@ -1,8 +1,6 @@
 //! The kernels of networks F and G in training against their twins.
 
-use engine::gpu::Gpu;
 use engine::render::frame::Frame;
-use engine::render::limits::COUNT_FAILED;
 use engine::render::nonrigid_network::{self, NONRIGID_NETWORK, NonrigidPush};
 use engine::scene::NonrigidNetwork;
 use engine::train::linear::{
@@ -81,75 +79,40 @@ fn forward_and_backward_input_match_their_twins() {
     }
 }
 
-struct WeightCase {
-    rows: u32,
-    inputs: [u32; 2],
-    outputs: u32,
-    rows_per_slice: u32,
-    output: Output,
-    network: u32,
-}
-
-impl WeightCase {
-    fn run(&self, gpu: &Gpu, stage: Stage, failed: u32) -> tests_harness::KernelResult {
-        let mut r = Random(u64::from(self.rows));
-        let [i0, i1] = self.inputs;
-        let weights = self.outputs * (i0 + i1 + 1);
-        let slices = self.rows.div_ceil(self.rows_per_slice);
-        let input_1_at = self.rows * i0 + 3;
-        let push = WeightPush {
-            rows: self.rows,
-            outputs: self.outputs,
-            inputs_0: i0,
-            inputs_1: i1,
-            input_1_at,
-            rows_per_slice: self.rows_per_slice,
-            first_slice: 1,
-            slice_stride: weights,
-            first_index: 64,
-        };
-        let mut counters = vec![0; 8];
-        counters[COUNT_FAILED as usize] = failed;
-        let squares = floats(&mut r, weights as usize, 1.0).into_iter().map(|w| f32::from_bits(w).powi(2) + 0.5);
-        let case = KernelCase {
-            kernel: &LINEAR_BACKWARD_WEIGHT,
-            spec: vec![stage as u32, self.output as u32, self.network],
-            push: bytemuck::bytes_of(&push).to_vec(),
-            buffers: vec![
-                step_words(),
-                counters,
-                floats(&mut r, (self.rows * self.outputs) as usize, 1.0),
-                floats(&mut r, (input_1_at + self.rows * i1) as usize, 1.0),
-                floats(&mut r, weights as usize, 1.0),
-                floats(&mut r, weights as usize, 1.0),
-                squares.map(f32::to_bits).collect(),
-                vec![0; ((slices + 1) * weights) as usize],
-                status::clear().to_vec(),
-            ],
-            groups: linear::product_groups(stage, gpu.subgroup_size(), self.outputs, i0 + i1, slices) as u32,
-        };
-        case.run(gpu)
-    }
-}
-
 #[test]
 fn weight_gradients_match_their_twins() {
     let gpu = tests_harness::gpu();
-    for stage in STAGES {
-        for (rows, inputs, outputs, rows_per_slice) in
-            [(1, [1, 0], 1, 1), (100, [76, 256], 33, 100), (300, [64, 0], 64, 70), (65, [84, 0], 12, 64)]
-        {
-            for (output, network) in [(Output::Gradient, 0), (Output::Adam, 0), (Output::Adam, 1)] {
-                let rows_per_slice = if output == Output::Adam { rows } else { rows_per_slice };
-                let case = WeightCase { rows, inputs, outputs, rows_per_slice, output, network };
-                let context = format!("{rows} rows, {inputs:?} -> {outputs}, {output:?}, {stage:?}");
-                let result = case.run(&gpu, stage, 0);
-                result.assert_equal(&LINEAR_BACKWARD_WEIGHT, &context);
-                let failed = case.run(&gpu, stage, 1);
-                failed.assert_equal(&LINEAR_BACKWARD_WEIGHT, &context);
-                let changed = (4..9).any(|b| failed.gpu[b] != result.gpu[b]);
-                assert!(changed, "{context}: a failed frame must change nothing, another something");
-            }
+    let mut r = Random(7);
+    for (rows, [i0, i1], outputs, rows_per_slice) in
+        [(1_u32, [1_u32, 0_u32], 1_u32, 1), (100, [76, 256], 33, 100), (300, [64, 0], 64, 70), (65, [84, 0], 12, 64)]
+    {
+        for stage in STAGES {
+            let weights = outputs * (i0 + i1 + 1);
+            let slices = rows.div_ceil(rows_per_slice);
+            let input_1_at = rows * i0 + 3;
+            let push = WeightPush {
+                rows,
+                outputs,
+                inputs_0: i0,
+                inputs_1: i1,
+                input_1_at,
+                rows_per_slice,
+                first_slice: 1,
+                slice_stride: weights,
+            };
+            let case = KernelCase {
+                kernel: &LINEAR_BACKWARD_WEIGHT,
+                spec: vec![stage as u32],
+                push: bytemuck::bytes_of(&push).to_vec(),
+                buffers: vec![
+                    floats(&mut r, (rows * outputs) as usize, 1.0),
+                    floats(&mut r, (input_1_at + rows * i1) as usize, 1.0),
+                    vec![0; ((slices + 1) * weights) as usize],
+                ],
+                groups: linear::product_groups(stage, gpu.subgroup_size(), outputs, i0 + i1, slices) as u32,
+            };
+            let context = format!("{rows} rows, {} -> {outputs}, {stage:?}", i0 + i1);
+            case.run(&gpu).assert_equal(&LINEAR_BACKWARD_WEIGHT, &context);
         }
     }
 }
