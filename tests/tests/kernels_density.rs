@@ -341,7 +341,7 @@ fn kernels_equal_twins() {
         let push = EmitPush { gaussians: n, rows };
         let buffers = vec![action, row_block, zeros(rows)];
         let source = run(&gpu, &DENSITY_EMIT, bytemuck::bytes_of(&push), buffers, groups).remove(2);
-        let mut gather = |old: &[u32], planes: u32, width: u32, zero_new: u32| {
+        let gather = |old: &[u32], planes: u32, width: u32, zero_new: u32| {
             let push = GatherPush { old_count: n, new_count: rows, planes, width, zero_new };
             let buffers = vec![source.clone(), old.to_vec(), zeros(rows * planes * width)];
             let groups = (rows * width).div_ceil(256) + 1;
