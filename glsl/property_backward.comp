@@ -78,7 +78,7 @@ void main() {
         float d_mean = 0.0;
         [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
             if (k < neighbors) {
-                uint j = neighbor[i * slots + k];
+                uint j = min(neighbor[i * slots + k], step_data.counts.y - 1u);
                 vec3 p, r, t;
                 mean_properties(j, p, r, t);
                 vec3 s_p = pulled(4u, j);

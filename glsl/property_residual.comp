@@ -92,7 +92,7 @@ void main() {
         vec3 mean_t = vec3(0.0);
         [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
             if (k < neighbors) {
-                superpoint_properties(neighbor[i * slots + k], p[k], r[k], t[k]);
+                superpoint_properties(min(neighbor[i * slots + k], step_data.counts.y - 1u), p[k], r[k], t[k]);
                 a[k] = weight[k * n + i];
                 mean_p += a[k] * p[k];
                 mean_r += a[k] * r[k];

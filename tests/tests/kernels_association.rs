@@ -5,7 +5,8 @@
 use engine::gpu::kernel::Kernel;
 use engine::gpu::{Memory, Slice};
 use engine::reference::Pose;
-use engine::reference::gradient::association::{nearest, rotation_vector_gradient, weights};
+use engine::reference::gradient::association::{nearest, weights};
+use engine::reference::gradient::motion::left_jacobian;
 use engine::reference::gradient::property::PropertyInput;
 use engine::train::adam;
 use engine::train::association::nearest::*;
@@ -458,7 +459,7 @@ fn a_step_agrees_with_the_f64_reference() {
             total[j].translation += DVec3::new(at(3), at(4), at(5));
         }
         for j in 0..m {
-            total[j].rotation += rotation_vector_gradient(pose[j].rotation, tangent[j]);
+            total[j].rotation += left_jacobian(pose[j].rotation).transpose() * tangent[j];
         }
         let gradient = floats(&download(&gpu, &device.state.gradient, 6 * m));
         for (part, first) in [("rotation", 0), ("translation", 3)] {

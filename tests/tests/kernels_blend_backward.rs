@@ -148,7 +148,7 @@ impl Rendered {
                 rows,
                 vec![0; (ROW_WORDS * gaussians) as usize],
             ],
-            groups: (ROW_WORDS * gaussians).div_ceil(256).max(1),
+            groups: (3 * gaussians).div_ceil(256).max(1),
         }
     }
 

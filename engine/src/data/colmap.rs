@@ -233,7 +233,7 @@ fn calibration(camera: &RawCamera, path: &Path) -> Result<Calibration> {
         return corrupt(format!("fx fy cx cy = {:?}", [fx, fy, cx, cy]), "focal lengths above 0, finite numbers");
     }
     let coefficients = &p[focal_lengths + 2..];
-    if coefficients.iter().any(|c| !(c.abs() < 1.0e9)) {
+    if !coefficients.iter().all(|c| c.abs() < 1.0e9) {
         return corrupt(format!("distortion {coefficients:?}"), "finite numbers");
     }
     let distortion = distortion(name, coefficients);

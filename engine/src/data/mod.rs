@@ -65,7 +65,7 @@ pub fn load_cameras(path: &Path, split: Option<&str>, size_override: Option<[u32
         None if dataset::is_known(path) => return dataset::cameras(path, split, size_override),
         None => {
             return match colmap::find(path) {
-                Some(model) => colmap_set(&model, split, size_override),
+                Some(model) => colmap_set(path, &model, split, size_override),
                 None => Err(nothing_found(path, split)),
             };
         }
@@ -101,8 +101,11 @@ fn nothing_found(folder: &Path, split: Option<&str>) -> Error {
     Error::usage(format!("cameras in {}", folder.display()), found, expected)
 }
 
-fn colmap_set(folder: &Path, split: Option<&str>, size_override: Option<[u32; 2]>) -> Result<CameraSet> {
+fn colmap_set(data: &Path, folder: &Path, split: Option<&str>, size_override: Option<[u32; 2]>) -> Result<CameraSet> {
     let mut set = colmap::read(folder)?;
+    let names: Vec<&str> = set.cameras.iter().map(|c| c.name.as_str()).collect();
+    let times = dataset::colmap_times(data, &names)?;
+    set.cameras.iter_mut().zip(times).for_each(|(c, t)| c.time = t);
     let test = |i: usize| i.is_multiple_of(LLFF_HOLD);
     let mut index = 0;
     let mut keep = |wanted: &dyn Fn(usize) -> bool| {

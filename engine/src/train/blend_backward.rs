@@ -111,7 +111,7 @@ crate::gpu_struct! {
     }
 }
 
-/// Sums of the instances' rows. Dispatch ceil(12 N / 256) workgroups.
+/// Sums of the instances' rows. Dispatch ceil(3 N / 256) workgroups.
 pub static SUM_INSTANCE_GRADIENTS: Kernel = Kernel {
     name: "sum_instance_gradients",
     doc: "sums the gradient rows of each Gaussian's instances in slot order",
@@ -234,8 +234,11 @@ pub fn record(
             rows.clone(),
             splat_gradient.clone(),
         ];
-        let groups = (u64::from(input.gaussians) * u64::from(ROW_WORDS)).div_ceil(256).max(1);
+        let groups = (u64::from(input.gaussians) * 3).div_ceil(256).max(1);
         r.dispatch(&SUM_INSTANCE_GRADIENTS, &[], bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))?;
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests;

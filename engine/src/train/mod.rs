@@ -11,8 +11,10 @@ pub mod density;
 pub mod evaluate;
 pub mod export;
 pub mod farthest_point;
+pub mod finite;
 pub mod gradient;
 pub mod image_loss;
+pub mod init;
 pub mod linear;
 pub mod network_f;
 pub mod network_g;
@@ -21,6 +23,7 @@ pub mod property_loss;
 pub mod rng;
 mod sampler;
 pub mod schedule;
+pub mod start;
 pub mod status;
 pub mod step;
 mod target;
@@ -35,6 +38,7 @@ static BY_MODULE: &[&[&Kernel]] = &[
     image_loss::KERNELS,
     adam::KERNELS,
     density::KERNELS,
+    finite::KERNELS,
     linear::KERNELS,
     network_f::KERNELS,
     network_g::KERNELS,

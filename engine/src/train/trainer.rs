@@ -30,7 +30,7 @@ use crate::render::scene_buffers::Poses;
 use crate::scene::{DeformNetwork, Gaussians, Motion, Scene};
 
 /// Random stream of the noise on time.
-const TIME_STREAM: u64 = 0x5449_4d45;
+const TIME_STREAM: u32 = 0x5449_4d45;
 /// Photos announced ahead of their use.
 const PREFETCH: u64 = 8;
 /// Tile instances that the first step has room for, per Gaussian.
@@ -617,6 +617,11 @@ impl Trainer {
             }
         }
         Ok(Some(motion))
+    }
+
+    /// What density control did since the last call.
+    pub fn take_density_change(&mut self) -> Option<u32> {
+        None
     }
 
     fn adapt_density(&mut self, _iteration: u64) -> Result<()> {

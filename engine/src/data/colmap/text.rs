@@ -105,7 +105,7 @@ pub(super) fn images(bytes: &[u8], path: &Path) -> Result<Vec<RawImage>> {
 
 fn observations(text: &str, line: usize, path: &Path) -> Result<Vec<Observation>> {
     let count = text.split_whitespace().count();
-    if count % 3 != 0 {
+    if !count.is_multiple_of(3) {
         let expected = "the image's 2-D points, three numbers each (the line may be empty)";
         return Err(Error::corrupt(path, format!("line {line}"), format!("{count} words"), expected));
     }

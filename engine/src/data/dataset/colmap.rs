@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use super::views::{self, Stored};
 use super::{DatasetKind, DatasetOptions, Points, Posed, Source, SplitRule, pictures};
-use crate::data::{LLFF_HOLD, colmap, json};
+use crate::data::{LLFF_HOLD, colmap, json, uniform_time};
 use crate::error::{Error, Result};
 
 pub(super) fn read(folder: &Path, model: &Path, options: &DatasetOptions) -> Result<Source> {
@@ -33,11 +33,17 @@ pub(super) fn read(folder: &Path, model: &Path, options: &DatasetOptions) -> Res
         posed.push(Posed { frame, image: Stored { path, factor, mask } });
     }
     let mut decisions = vec![format!("model: {}, {} images", model.display(), posed.len())];
-    times(folder, &mut posed, &mut decisions)?;
+    let names: Vec<&str> = posed.iter().map(|p| p.frame.name.as_str()).collect();
+    let (times, rule) = times(folder, &names)?;
+    decisions.push(rule);
+    posed.iter_mut().zip(times).for_each(|(p, t)| p.frame.time = t);
     let points = colmap::points(model)?.filter(|p| !p.is_empty()).map(|list| Points {
         position: list.iter().map(|p| p.position.as_vec3().to_array()).collect(),
         colour: list.iter().map(|p| p.colour).collect(),
     });
+    if let Some(points) = &points {
+        decisions.push(format!("points: {} of the model", points.position.len()));
+    }
     let rule = match options.split {
         SplitRule::Auto | SplitRule::Lists => SplitRule::Hold(LLFF_HOLD),
         rule => rule,
@@ -49,30 +55,28 @@ pub(super) fn read(folder: &Path, model: &Path, options: &DatasetOptions) -> Res
 
 // ------------------------------------------------------------------------------------------------ times
 
-/// Sets the times of frames that are in the order of their names, uniform so far.
-fn times(folder: &Path, posed: &mut [Posed], decisions: &mut Vec<String>) -> Result<()> {
+/// Times of images that are in the order of their names, and the rule that was found.
+pub(super) fn times(folder: &Path, names: &[&str]) -> Result<(Vec<f64>, String)> {
     for (name, read) in [("times.json", json_list as ReadTimes), ("times.txt", text_list)] {
         let path = folder.join(name);
         if path.is_file() {
-            let list = read(&path)?;
-            list.apply(&path, posed)?;
-            decisions.push(format!("time rule: {name}"));
-            return Ok(());
+            return Ok((read(&path)?.of_all(&path, names)?, format!("time rule: {name}")));
         }
     }
-    let numbers: Option<Vec<f64>> = posed.iter().map(|p| last_number(&p.frame.name)).collect();
-    let range = numbers.as_ref().map(|n| {
-        let least = n.iter().copied().fold(f64::INFINITY, f64::min);
-        (least, n.iter().copied().fold(f64::NEG_INFINITY, f64::max) - least)
-    });
-    match (numbers, range) {
-        (Some(numbers), Some((first, span))) if span > 0.0 => {
-            posed.iter_mut().zip(numbers).for_each(|(p, n)| p.frame.time = (n - first) / span);
-            decisions.push(format!("time rule: the last number in each name, ({first} to {}) to [0, 1]", first + span));
+    let numbers: Option<Vec<f64>> = names.iter().map(|name| last_number(name)).collect();
+    let least = |n: &[f64]| n.iter().copied().fold(f64::INFINITY, f64::min);
+    let largest = |n: &[f64]| n.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    match numbers {
+        Some(numbers) if largest(&numbers) > least(&numbers) => {
+            let (first, last) = (least(&numbers), largest(&numbers));
+            let times = numbers.iter().map(|n| (n - first) / (last - first)).collect();
+            Ok((times, format!("time rule: the last number in each name, {first} to {last}, scaled to [0, 1]")))
         }
-        _ => decisions.push("time rule: uniform in the order of the names".into()),
+        _ => {
+            let times = (0..names.len()).map(|i| uniform_time(i, names.len())).collect();
+            Ok((times, "time rule: uniform in the order of the names".into()))
+        }
     }
-    Ok(())
 }
 
 type ReadTimes = fn(&Path) -> Result<Times>;
@@ -83,21 +87,19 @@ enum Times {
 }
 
 impl Times {
-    fn apply(&self, path: &Path, posed: &mut [Posed]) -> Result<()> {
-        if let Self::InOrder(times) = self {
-            if times.len() != posed.len() {
-                let expected = format!("one for each of {} images", posed.len());
-                return Err(Error::corrupt(path, "number of times", times.len().to_string(), expected));
+    fn of_all(&self, path: &Path, names: &[&str]) -> Result<Vec<f64>> {
+        match self {
+            Self::InOrder(times) if times.len() == names.len() => Ok(times.clone()),
+            Self::InOrder(times) => {
+                let expected = format!("one for each of {} images", names.len());
+                Err(Error::corrupt(path, "number of times", times.len().to_string(), expected))
             }
-            posed.iter_mut().zip(times).for_each(|(p, t)| p.frame.time = *t);
-            return Ok(());
+            Self::ByName(_) => {
+                let missing =
+                    |name| Error::corrupt(path, format!("image `{name}`"), "no time", "a time for each image");
+                names.iter().map(|name| self.of(name).ok_or_else(|| missing(*name))).collect()
+            }
         }
-        for p in posed {
-            p.frame.time = self.of(&p.frame.name).ok_or_else(|| {
-                Error::corrupt(path, format!("image `{}`", p.frame.name), "no time", "a time for each image")
-            })?;
-        }
-        Ok(())
     }
 
     /// By name, with or without the extension.

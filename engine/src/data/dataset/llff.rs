@@ -79,7 +79,7 @@ pub(super) fn read(folder: &Path, file: &Path, options: &DatasetOptions) -> Resu
     ];
     let points = random_points(&rows, &posed);
     decisions.push(format!(
-        "points: none stored, {} random ones between the bounds of the cameras, grey",
+        "points: none stored, {} random grey ones between the depth bounds of the cameras",
         points.position.len()
     ));
     let (train, test) = split(kind, folder, posed, options, &mut decisions);

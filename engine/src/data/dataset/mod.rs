@@ -5,9 +5,9 @@
 //!
 //! | file | format |
 //! |---|---|
-//! | `transforms_train.json` | D-NeRF ([`blender`]) |
+//! | `transforms_train.json` | D-NeRF |
 //! | `dataset.json` | Nerfies, HyperNeRF, NeRF-DS |
-//! | `transforms.json` | nerfstudio, instant-ngp ([`blender`]) |
+//! | `transforms.json` | nerfstudio, instant-ngp |
 //! | `precomputed.json`, `poses_bounds.npy` | LLFF, nonrigid_nerf, NVIDIA Dynamic Scene |
 //! | `cameras` and `images`, `.bin` or `.txt`, here or in `sparse/0` or `sparse` | COLMAP |
 
@@ -171,9 +171,15 @@ fn read(path: &Path, options: &DatasetOptions) -> Result<Source> {
     Err(unknown(path))
 }
 
-/// Whether [`cameras`] reads the folder: it holds a data set of a format that only this module knows.
+/// Times of the images of a COLMAP model by the rules of its data set; names in natural order.
+pub(super) fn colmap_times(folder: &Path, names: &[&str]) -> Result<Vec<f64>> {
+    Ok(colmap::times(folder, names)?.0)
+}
+
+/// Whether [`cameras`] reads the folder: it holds a data set whose splits only this module knows.
 pub(super) fn is_known(folder: &Path) -> bool {
-    folder.join("dataset.json").is_file() || llff::file(folder).is_some()
+    let has = |name: &str| folder.join(name).is_file();
+    has("dataset.json") || llff::file(folder).is_some() || has("transforms.json") && !has("transforms_train.json")
 }
 
 /// The cameras of a split at the data set's default size, or at another; pictures need not be there. No split means

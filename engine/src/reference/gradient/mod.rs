@@ -11,4 +11,6 @@ pub mod property;
 pub mod sh;
 pub mod splats;
 #[cfg(test)]
+mod test_numbers;
+#[cfg(test)]
 mod tests;

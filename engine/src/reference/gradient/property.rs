@@ -2,7 +2,8 @@
 
 use glam::DVec3;
 
-use super::association::{logit_gradient, rotation_vector_gradient, weights};
+use super::association::{logit_gradient, weights};
+use super::motion::left_jacobian;
 use crate::reference::{Pose, exp};
 use crate::train::property_loss::PropertyLoss;
 
@@ -145,7 +146,7 @@ impl PropertyInput<'_> {
 
     fn add_tangents(&self, tangent: &[DVec3], out: &mut PropertyGradient) {
         for ((pose, gradient), &omega) in self.pose.iter().zip(&mut out.pose).zip(tangent) {
-            gradient.rotation += rotation_vector_gradient(pose.rotation, omega);
+            gradient.rotation += left_jacobian(pose.rotation).transpose() * omega;
         }
     }
 }

@@ -88,10 +88,10 @@ pub(super) fn blend_backward_twin(call: &mut TwinCall<'_>) {
 
 pub(super) fn sum_instance_gradients_twin(call: &mut TwinCall<'_>) {
     let push: SumInstanceGradientsPush = push(call);
-    let threads = group_count(call) * 256;
+    let words = group_count(call) * 256 * 4;
     let [counters, tile_count, first_slot, instance_gradient, splat_gradient] = call.buffers else { return };
     let instances = counters[COUNT_INSTANCES as usize];
-    for word in 0..(push.gaussians * ROW_WORDS).min(threads) {
+    for word in 0..(push.gaussians * ROW_WORDS).min(words) {
         let [gaussian, c] = [word / ROW_WORDS, word % ROW_WORDS];
         let count = if counters[COUNT_FAILED as usize] == 0 { tile_count[gaussian as usize] } else { 0 };
         let first = if count > 0 { first_slot[gaussian as usize].min(instances) } else { 0 };

@@ -105,7 +105,7 @@ fn property_backward_twin(call: &mut TwinCall<'_>) {
         let (mut d_a, mut d_total) = (vec![0.0_f32; k], 0.0);
         let a: Vec<f32> = (0..k).map(|k| twin::f32_at(weight, k * n + i)).collect();
         for k in 0..k {
-            let j = neighbor[i * slots + k] as usize;
+            let j = neighbor[i * slots + k].min(step.counts[1] - 1) as usize;
             let u = mean_properties(sums, m, j);
             let inverse = inverse_weight(sums, j);
             for p in 0..3 {

@@ -84,7 +84,7 @@ fn property_residual_twin(call: &mut TwinCall<'_>) {
         let Properties { value, .. } = moved_properties(pose, s, planes(mean, 0, n, i));
         let a: Vec<f32> = (0..k).map(|k| twin::f32_at(weight, k * n + i)).collect();
         let u: Vec<[[f32; 3]; 3]> = (0..k)
-            .map(|k| match neighbor[i * slots + k] as usize {
+            .map(|k| match neighbor[i * slots + k].min(step.counts[1] - 1) as usize {
                 j if paper != 0 => mean_properties(sums, m, j),
                 j => moved_properties(pose, j, [0, 1, 2].map(|c| twin::f32_at(position, 3 * j + c))).value,
             })

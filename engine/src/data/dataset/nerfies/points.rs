@@ -33,7 +33,7 @@ pub(super) fn read(
         let matrix = npy::read(&path, 3)?;
         let place = |row: &[f64]| scene.apply(DVec3::new(row[0], row[1], row[2])).as_vec3().to_array();
         let position: Vec<[f32; 3]> = matrix.rows().map(place).collect();
-        decisions.push("points: points.npy, world units (no colours: grey)".into());
+        decisions.push(format!("points: {} of points.npy, world units (no colours: grey)", position.len()));
         points = Some(Points { colour: vec![GREY; position.len()], position });
     }
     let folders = ["colmap/sparse/0", "colmap/sparse", "colmap", "sparse/0", "sparse"];
@@ -57,7 +57,8 @@ pub(super) fn read(
     if points.is_some() {
         return Ok(points);
     }
-    decisions.push(format!("points: {name}, world units (its cameras are where the frames are)"));
+    let count = model_points.len();
+    decisions.push(format!("points: {count} of {name}, world units (its cameras are where the frames are)"));
     let position = model_points.iter().map(|p| scene.apply(p.position).as_vec3().to_array()).collect();
     Ok(Some(Points { position, colour: model_points.iter().map(|p| p.colour).collect() }))
 }
