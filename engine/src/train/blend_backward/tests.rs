@@ -66,7 +66,7 @@ impl Step {
     /// Forward and backward; the splats' gradients and the times.
     fn run(&self, target: &BackwardTarget) -> (Vec<f32>, Commands) {
         let slots = matches!(target, BackwardTarget::Instances(..)).then(|| self.slots.clone());
-        let shape = Shape { tiles: self.tiles, with_depth: false, slots };
+        let shape = Shape { tiles: self.tiles, with_depth: false, slots, nonrigid_offset: None };
         let mut r = self.gpu.recorder("step").with_timestamps(true);
         record_forward(&self.gpu, &mut r, &self.scene, &self.work, &self.buffers, &shape).unwrap();
         let input = BackwardInput {
