@@ -110,7 +110,7 @@ fn model(rows: &[Row], options: &DensityOptions) -> (Vec<Row>, [u32; 4]) {
     };
     let largest = |r: &Row| f64::from(r.log_scale.iter().fold(f32::MIN, |a, b| a.max(*b))).exp();
     let opacity = |r: &Row| 1.0 / (1.0 + f64::from(-r.opacity_logit).exp());
-    let too_large = |scale: f64| options.prune_world_size && scale > 0.1 * options.extent;
+    let too_large = |scale: f64| options.world_size.is_some_and(|share| scale > share * options.extent);
     let splits = |r: &Row| largest(r) > options.percent_dense * options.extent;
     let wants = |r: &Row| gradient(r) >= options.gradient_threshold;
     let gone = |r: &Row| {
@@ -201,7 +201,7 @@ fn passes_equal_the_model() {
     for (n, seed) in [(1, 1), (2, 2), (255, 3), (256, 4), (257, 5), (1000, 6), (3000, 7)] {
         let rows = random_rows(n, seed);
         check(&gpu, &rows, &options());
-        check(&gpu, &rows, &DensityOptions { prune_world_size: true, max_screen_radius: Some(20.0), ..options() });
+        check(&gpu, &rows, &DensityOptions { world_size: Some(0.1), max_screen_radius: Some(20.0), ..options() });
         check(&gpu, &rows, &DensityOptions { gradient_threshold: f32::INFINITY, ..options() });
     }
 }

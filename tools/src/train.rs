@@ -18,6 +18,7 @@ use engine::render::RenderOptions;
 use engine::train::checkpoint::Checkpoint;
 use engine::train::config::Config;
 use engine::train::evaluate::{self, ViewScore};
+use engine::train::schedule::Stage;
 use engine::train::trainer::{StepReport, Trainer, TrainingData};
 use indicatif::ProgressBar;
 use serde_json::json;
@@ -62,7 +63,8 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
         return Err(Error::usage("spgs train", "no data set or no --out", "both"));
     };
     let checkpoints = out.join("checkpoints");
-    let saved = if args.resume { Some(newest(&checkpoints)?) } else { None };
+    // The non-rigid stage begins with what the rigid one left.
+    let saved = if args.resume || args.nonrigid { Some(newest(&checkpoints)?) } else { None };
     let (data, config) = match &saved {
         Some(c) => (load(path, &c.config.data, args)?, decide::resumed(args, &c.config)?),
         None => {
@@ -78,7 +80,11 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     }
     let gpu = gpu_session::open(global)?;
     let training = TrainingData { views: data.train.clone().into(), extent: data.extent, is_static: data.is_static };
+    let stage = saved.as_ref().map(|c| c.stage);
     let trainer = match saved {
+        Some(checkpoint) if args.nonrigid && checkpoint.stage != Stage::Nonrigid => {
+            Trainer::nonrigid(&gpu, &config, &training, &checkpoint)?
+        }
         Some(mut checkpoint) => {
             checkpoint.config = config;
             Trainer::resume(&gpu, &training, &checkpoint)?
@@ -91,6 +97,7 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
             Trainer::new(&gpu, &config, &training, &first)?
         }
     };
+    let trainer = trainer.with_profile(true);
     create_folder(out)?;
     let text = trainer.config().to_toml()?;
     write_atomic(&out.join("config.toml"), |f| f.write_all(text.as_bytes()))?;
@@ -100,7 +107,8 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     let held_out = if data.test.is_empty() { &data.train } else { &data.test };
     let held_out = ImageLoader::new(held_out.clone().into(), trainer.config().budget.image_bytes, 1)?;
     let bar = progress::training(trainer.schedule().iterations(), trainer.iteration(), global.quiet);
-    let log = RunLog::open(out, trainer.iteration())?;
+    let kept = if stage.is_some() { log::Kept::UpTo(trainer.iteration()) } else { log::Kept::Nothing };
+    let log = RunLog::open(out, kept, trainer.schedule().stage())?;
     let rate = Rate { since: std::time::Instant::now(), iterations: 0, per_second: 0.0 };
     let smooth = [f64::NAN; 2];
     let mut run =

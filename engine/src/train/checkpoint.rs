@@ -11,7 +11,7 @@ use super::parameters::{ParameterState, plane_count};
 use super::schedule::Stage;
 use crate::error::{Error, Result};
 use crate::file::tensors::{self, NamedTensor, StoredTensor, floats, indices};
-use crate::scene::{Association, DeformNetwork, Gaussians};
+use crate::scene::{Association, DeformNetwork, Gaussians, NonrigidNetwork};
 
 /// Value of the metadata entry `format`.
 const FORMAT: [&str; 2] = ["spgs-checkpoint", "1"];
@@ -215,6 +215,14 @@ impl NetworkState {
     /// [`Error::Usage`] for another number of weights.
     pub fn deform(&self) -> Result<DeformNetwork> {
         DeformNetwork::from_flat(&self.weights)
+    }
+
+    /// Network G with these weights.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for another number of weights.
+    pub fn nonrigid(&self) -> Result<NonrigidNetwork> {
+        NonrigidNetwork::from_flat(&self.weights)
     }
 }
 

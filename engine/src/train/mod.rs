@@ -1,6 +1,7 @@
 //! Posed images → scene, on the GPU.
 
 pub mod adam;
+pub mod adapt;
 pub mod association;
 pub mod bake;
 pub mod blend_backward;

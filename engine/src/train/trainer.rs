@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::adapt::DensityChange;
 use super::association::{AssociationInit, AssociationOptions, StepBuffers, SuperpointState};
 use super::blend_backward::{self, BackwardInput, BackwardTarget, ROW_WORDS};
 use super::checkpoint::{Checkpoint, MotionState, NetworkState};
@@ -10,6 +11,7 @@ use super::deform_project_backward::{DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BAC
 use super::image_loss::{ImageLossBuffers, LOSS_WORDS, TargetFormat};
 use super::linear::Output;
 use super::network_f::{Backward, NetworkF};
+use super::network_g::{self, NetworkG};
 use super::parameters::{ParameterState, Parameters};
 use super::property_loss::PropertyLoss;
 use super::rng;
@@ -27,7 +29,7 @@ use crate::render::frame::{Frame, FrameOptions};
 use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE};
 use crate::render::pipeline::record_forward;
 use crate::render::scene_buffers::Poses;
-use crate::scene::{DeformNetwork, Gaussians, Motion, Scene};
+use crate::scene::{DeformNetwork, Gaussians, Motion, NonrigidNetwork, Scene};
 
 /// Random stream of the noise on time.
 const TIME_STREAM: u32 = 0x5449_4d45;
@@ -83,34 +85,44 @@ pub struct StepReport {
 
 /// Superpoints, association, network F.
 #[derive(Debug)]
-struct Moving {
-    superpoints: SuperpointState,
-    network: NetworkF,
-    pose: Buffer,
+pub(super) struct Moving {
+    pub(super) superpoints: SuperpointState,
+    pub(super) network: NetworkF,
+    pub(super) pose: Buffer,
+}
+
+/// Network G with what it gives and gets.
+#[derive(Debug)]
+pub(super) struct Nonrigid {
+    pub(super) network: NetworkG,
+    pub(super) offset: Buffer,
+    pub(super) gradient: Buffer,
 }
 
 /// Trains one scene.
 #[derive(Debug)]
 pub struct Trainer {
-    gpu: Gpu,
-    config: Config,
-    schedule: Schedule,
-    views: Arc<[View]>,
-    loader: ImageLoader,
-    sampler: ViewSampler,
-    iteration: u64,
-    parameters: Parameters,
-    moving: Option<Moving>,
-    targets: Vec<Target>,
-    capacity: u64,
-    step: Buffer,
-    status: Buffer,
-    readback: Buffer,
-    splat_gradient: Buffer,
-    pose_gradient: Buffer,
+    pub(super) gpu: Gpu,
+    pub(super) config: Config,
+    pub(super) schedule: Schedule,
+    pub(super) views: Arc<[View]>,
+    pub(super) loader: ImageLoader,
+    pub(super) sampler: ViewSampler,
+    pub(super) iteration: u64,
+    pub(super) parameters: Parameters,
+    pub(super) moving: Option<Moving>,
+    pub(super) nonrigid: Option<Nonrigid>,
+    pub(super) density_change: Option<DensityChange>,
+    pub(super) targets: Vec<Target>,
+    pub(super) capacity: u64,
+    pub(super) step: Buffer,
+    pub(super) status: Buffer,
+    pub(super) readback: Buffer,
+    pub(super) splat_gradient: Buffer,
+    pub(super) pose_gradient: Buffer,
     /// Stand for buffers that a kernel declares but does not use as specialised.
-    unused: [Buffer; 3],
-    profile: bool,
+    pub(super) unused: [Buffer; 3],
+    pub(super) profile: bool,
 }
 
 impl Trainer {
@@ -133,15 +145,51 @@ impl Trainer {
     pub fn resume(gpu: &Gpu, data: &TrainingData, checkpoint: &Checkpoint) -> Result<Self> {
         let c = checkpoint;
         let mut trainer = Self::assemble(gpu, &c.config, data, c.stage, c.iteration, &c.parameters)?;
-        if let Some(m) = &c.motion {
-            let [first, second] = &m.association_moments;
-            let options = trainer.association_options();
-            let superpoints = SuperpointState::from_parts(gpu, &m.position, &m.association, [first, second], options)?;
-            let network = NetworkF::new(gpu, &m.network.deform()?, m.position.len() as u32)?;
-            network.upload_moments([&m.network.moment_1, &m.network.moment_2])?;
-            trainer.set_motion(superpoints, network)?;
+        trainer.restore_motion(c)?;
+        if let Some(g) = &c.nonrigid {
+            trainer.set_nonrigid(&g.nonrigid()?)?;
+            if let Some(own) = &trainer.nonrigid {
+                own.network.upload_moments([&g.moment_1, &g.moment_2])?;
+            }
         }
         Ok(trainer)
+    }
+
+    /// Begins the non-rigid stage on a trained model: all Gaussians and network G are trained, network F and the association
+    /// are not. Moments start at zero.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`].
+    pub fn nonrigid(gpu: &Gpu, config: &Config, data: &TrainingData, trained: &Checkpoint) -> Result<Self> {
+        let state = ParameterState {
+            superpoint_of_gaussian: trained.parameters.superpoint_of_gaussian.clone(),
+            ..ParameterState::new(&trained.parameters.gaussians, trained.parameters.gaussians.sh_degree)
+        };
+        let mut trainer = Self::assemble(gpu, config, data, Stage::Nonrigid, 0, &state)?;
+        trainer.restore_motion(trained)?;
+        trainer.set_nonrigid(&NonrigidNetwork::init(config.seed))?;
+        Ok(trainer)
+    }
+
+    fn set_nonrigid(&mut self, network: &NonrigidNetwork) -> Result<()> {
+        let n = self.parameters.count().max(1);
+        let buffer = |name: &str| self.gpu.buffer(name, u64::from(n) * 40, Memory::Device);
+        let (offset, gradient) = (buffer("nonrigid_offset")?, buffer("nonrigid_gradient")?);
+        self.nonrigid = Some(Nonrigid { network: NetworkG::new(&self.gpu, network, n)?, offset, gradient });
+        Ok(())
+    }
+
+    fn restore_motion(&mut self, checkpoint: &Checkpoint) -> Result<()> {
+        let gpu = self.gpu.clone();
+        if let Some(m) = &checkpoint.motion {
+            let [first, second] = &m.association_moments;
+            let options = self.association_options();
+            let superpoints = SuperpointState::from_parts(&gpu, &m.position, &m.association, [first, second], options)?;
+            let network = NetworkF::new(&gpu, &m.network.deform()?, m.position.len() as u32)?;
+            network.upload_moments([&m.network.moment_1, &m.network.moment_2])?;
+            self.set_motion(superpoints, network)?;
+        }
+        Ok(())
     }
 
     fn assemble(
@@ -174,6 +222,8 @@ impl Trainer {
             sampler: ViewSampler::new(config.seed, data.views.len()),
             iteration,
             moving: None,
+            nonrigid: None,
+            density_change: None,
             targets: Vec::new(),
             capacity: (n * FIRST_INSTANCES_PER_GAUSSIAN).max(4096),
             step: gpu.buffer("step", size_of::<Step>() as u64, Memory::Upload)?,
@@ -375,9 +425,17 @@ impl Trainer {
             let (step, position) = (Slice::from(&self.step), Slice::from(&m.superpoints.position));
             m.network.record_forward(&mut r, m.superpoints.superpoints(), &step, &position, &Slice::from(&m.pose))?;
         }
-        record_forward(&self.gpu, &mut r, &self.parameters.scene, &t.work, &t.frame, &t.shape)?;
+        let mut shape = t.shape.clone();
+        if let Some(g) = &self.nonrigid {
+            let offset = Slice::from(&g.offset);
+            g.network.record_forward(&mut r, self.parameters.count(), &self.nonrigid_inputs(t).borrow(), &offset)?;
+            shape.nonrigid_offset = Some(offset);
+        }
+        record_forward(&self.gpu, &mut r, &self.parameters.scene, &t.work, &t.frame, &shape)?;
         let shared = self.step_buffers(t);
-        if let Some(m) = &self.moving {
+        // In the non-rigid stage network F and the association are frozen.
+        let learning = self.moving.as_ref().filter(|_| self.nonrigid.is_none());
+        if let Some(m) = learning {
             m.superpoints.record_before(&mut r, &shared)?;
         }
         let loss = ImageLossBuffers {
@@ -392,7 +450,7 @@ impl Trainer {
         t.image_loss.record(&mut r, &loss, TargetFormat::Rgba8)?;
         self.record_blend_backward(&mut r, t)?;
         self.record_project_backward(&mut r, t)?;
-        if let Some(m) = &self.moving {
+        if let Some(m) = learning {
             m.superpoints.record_reduce_pose(&mut r, &shared, &Slice::from(&self.pose_gradient))?;
             let backward = Backward {
                 step: &shared.step,
@@ -404,8 +462,29 @@ impl Trainer {
             m.network.record_backward(&mut r, m.superpoints.superpoints(), Output::Adam, &backward)?;
             m.superpoints.record_commit(&mut r, &shared)?;
         }
+        if let Some(g) = &self.nonrigid {
+            let backward = network_g::Backward {
+                step: &shared.step,
+                counters: &shared.counters,
+                status: &shared.status,
+                nonrigid_gradient: &Slice::from(&g.gradient),
+            };
+            let inputs = self.nonrigid_inputs(t);
+            g.network.record_backward(&mut r, self.parameters.count(), Output::Adam, &inputs.borrow(), &backward)?;
+        }
         self.record_readback(&mut r, t)?;
         r.finish()
+    }
+
+    fn nonrigid_inputs(&self, t: &Target) -> NonrigidInputs {
+        let s = &self.parameters.scene;
+        NonrigidInputs {
+            frame: Slice::from(&t.frame.frame),
+            mean: Slice::from(&s.mean),
+            superpoint_of_gaussian: Slice::from(&s.superpoint_of_gaussian),
+            pose: Slice::from(&s.pose),
+            moving: s.moves(),
+        }
     }
 
     fn step_buffers(&self, t: &Target) -> StepBuffers {
@@ -467,12 +546,12 @@ impl Trainer {
             slice(&p.moment_2),
             slice(&self.unused[0]),
             slice(&self.pose_gradient),
-            slice(&self.unused[1]),
-            slice(&self.unused[2]),
+            slice(self.nonrigid.as_ref().map_or(&self.unused[1], |g| &g.offset)),
+            slice(self.nonrigid.as_ref().map_or(&self.unused[2], |g| &g.gradient)),
             slice(&p.density),
             slice(&p.max_radius),
         ];
-        let spec = [s.sh_degree, u32::from(s.moves()), 0, OUTPUT_ADAM];
+        let spec = [s.sh_degree, u32::from(s.moves()), u32::from(self.nonrigid.is_some()), OUTPUT_ADAM];
         let groups = u64::from(p.count().div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
         r.dispatch(&DEFORM_PROJECT_BACKWARD, &spec, &[], &buffers, Groups::Direct(groups))
     }
@@ -481,7 +560,7 @@ impl Trainer {
         let [counters, loss, property, status] = READBACK;
         r.copy(t.work.counters.clone(), self.readback.slice(counters, t.work.counters.bytes))?;
         r.copy(&t.loss, self.readback.slice(loss, LOSS_WORDS as u64 * 4))?;
-        if let Some(m) = &self.moving {
+        if let Some(m) = self.moving.as_ref().filter(|_| self.nonrigid.is_none()) {
             r.copy(&m.superpoints.property_loss, self.readback.slice(property, 16))?;
         }
         r.copy(&self.status, self.readback.slice(status, status::STATUS_WORDS as u64 * 4))?;
@@ -507,7 +586,8 @@ impl Trainer {
             return Err(Error::NonFinite { what, index: index as usize, value: "not finite".into() });
         }
         let c = &self.config.loss;
-        let property = if self.moving.is_some() { [0, 1, 2].map(|i| float(2, i)) } else { [0.0; 3] };
+        let property =
+            if self.moving.is_some() && self.nonrigid.is_none() { [0, 1, 2].map(|i| float(2, i)) } else { [0.0; 3] };
         let weights = [c.lambda_position, c.lambda_rotation, c.lambda_translation].map(f64::from);
         Ok(Some(StepReport {
             iteration,
@@ -559,7 +639,7 @@ impl Trainer {
             iteration: self.iteration,
             parameters: self.parameters.download(&self.gpu)?,
             motion,
-            nonrigid: None,
+            nonrigid: self.nonrigid.as_ref().map(nonrigid_state).transpose()?,
         })
     }
 
@@ -590,6 +670,7 @@ impl Trainer {
             scene.association = Some(association);
             scene.deform = Some(m.network.download()?);
         }
+        scene.nonrigid = self.nonrigid.as_ref().map(|g| g.network.download()).transpose()?;
         Ok(scene)
     }
 
@@ -620,12 +701,34 @@ impl Trainer {
     }
 
     /// What density control did since the last call.
-    pub fn take_density_change(&mut self) -> Option<u32> {
-        None
+    pub fn take_density_change(&mut self) -> Option<DensityChange> {
+        self.density_change.take()
     }
+}
 
-    fn adapt_density(&mut self, _iteration: u64) -> Result<()> {
-        Ok(())
+fn nonrigid_state(g: &Nonrigid) -> Result<NetworkState> {
+    let [moment_1, moment_2] = g.network.download_moments()?;
+    Ok(NetworkState { weights: g.network.download()?.flatten(), moment_1, moment_2 })
+}
+
+/// Owned slices of [`network_g::Inputs`].
+struct NonrigidInputs {
+    frame: Slice,
+    mean: Slice,
+    superpoint_of_gaussian: Slice,
+    pose: Slice,
+    moving: bool,
+}
+
+impl NonrigidInputs {
+    fn borrow(&self) -> network_g::Inputs<'_> {
+        network_g::Inputs {
+            frame: &self.frame,
+            mean: &self.mean,
+            superpoint_of_gaussian: &self.superpoint_of_gaussian,
+            pose: &self.pose,
+            moving: self.moving,
+        }
     }
 }
 

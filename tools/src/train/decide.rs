@@ -35,7 +35,8 @@ pub(super) fn config(args: &TrainArgs, kind: Option<DatasetKind>) -> Result<Conf
 /// Those of checking it.
 pub(super) fn resumed(args: &TrainArgs, config: &Config) -> Result<Config> {
     let mut c = config.clone();
-    c.iterations = args.iterations.unwrap_or(c.iterations);
+    let length = if args.nonrigid { &mut c.nonrigid.iterations } else { &mut c.iterations };
+    *length = args.iterations.unwrap_or(*length);
     c.seed = args.seed.unwrap_or(c.seed);
     c.deterministic |= args.deterministic;
     c.motion.enabled &= !args.no_motion;

@@ -7,8 +7,6 @@ use super::{DENSITY_BLOCK, SOURCE_ROW};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Groups, Memory, Slice};
 
-/// Share of the scene's extent above which a Gaussian's largest scale is too large.
-const WORLD_SIZE_LIMIT: f64 = 0.1;
 /// Plane of the opacity in `moment_1` and `moment_2`.
 const OPACITY_PLANE: u32 = 10;
 
@@ -23,8 +21,9 @@ pub struct DensityOptions {
     pub percent_dense: f64,
     /// Scene extent, world units (1.1 times the largest distance of a camera from their mean).
     pub extent: f64,
-    /// Whether Gaussians with a scale above 0.1·`extent` are pruned (3DGS: once opacities have been reset).
-    pub prune_world_size: bool,
+    /// Share of `extent` above which a Gaussian's largest scale prunes it (3DGS: 0.1, once opacities have been reset); `None`:
+    /// no limit.
+    pub world_size: Option<f64>,
     /// Largest screen radius of a Gaussian that does not grow, px (`None`: no limit).
     pub max_screen_radius: Option<f32>,
     /// Growth never takes the count above this.
@@ -42,7 +41,7 @@ impl Default for DensityOptions {
             min_opacity: 0.005,
             percent_dense: 0.01,
             extent: 1.0,
-            prune_world_size: false,
+            world_size: None,
             max_screen_radius: None,
             max_gaussians: SOURCE_ROW,
             seed: 0,
@@ -348,13 +347,12 @@ impl Density {
 }
 
 fn decide_push(options: &DensityOptions, gaussians: u32) -> DecidePush {
-    let limit = |on: bool, value: f32| if on { value } else { f32::INFINITY };
     DecidePush {
         gaussians,
         gradient_threshold: options.gradient_threshold,
         min_opacity_logit: logit(options.min_opacity),
         dense_log_scale: log_of(options.percent_dense * options.extent),
-        world_log_scale: limit(options.prune_world_size, log_of(WORLD_SIZE_LIMIT * options.extent)),
+        world_log_scale: options.world_size.map_or(f32::INFINITY, |share| log_of(share * options.extent)),
         max_screen_radius: options.max_screen_radius.unwrap_or(f32::INFINITY),
         accept_key: 0,
         accept_index: u32::MAX,
