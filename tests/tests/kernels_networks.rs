@@ -1,17 +1,18 @@
-//! Networks F and G in training on the device: kernels against their twins, passes against the f64 reference.
+//! The kernels of networks F and G in training against their twins.
 
-use engine::gpu::{Buffer, Gpu, Memory, Slice};
-use engine::render::limits::COUNT_FAILED;
-use engine::scene::DeformNetwork;
+use engine::render::frame::Frame;
+use engine::render::nonrigid_network::{self, NONRIGID_NETWORK, NonrigidPush};
+use engine::scene::NonrigidNetwork;
 use engine::train::linear::{
     self, ForwardPush, GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT,
     LINEAR_FORWARD, LINEAR_UPDATE, Output, Stage, UpdatePush, WeightPush,
 };
-use engine::train::network_f::{Backward, ENCODE_SUPERPOINTS, EncodePush, NetworkF};
+use engine::train::network_f::{ENCODE_SUPERPOINTS, EncodePush};
+use engine::train::network_g::ENCODE_GAUSSIANS;
 use engine::train::status;
 use engine::train::step::{Step, bias_corrections};
 use tests_harness::KernelCase;
-use tests_harness::render_case::Random;
+use tests_harness::render_case::{Random, RenderInput, test_camera};
 
 const STAGES: [Stage; 2] = [Stage::Shuffle, Stage::Shared];
 
@@ -78,75 +79,40 @@ fn forward_and_backward_input_match_their_twins() {
     }
 }
 
-struct WeightCase {
-    rows: u32,
-    inputs: [u32; 2],
-    outputs: u32,
-    rows_per_slice: u32,
-    output: Output,
-    network: u32,
-}
-
-impl WeightCase {
-    fn run(&self, gpu: &Gpu, stage: Stage, failed: u32) -> tests_harness::KernelResult {
-        let mut r = Random(u64::from(self.rows));
-        let [i0, i1] = self.inputs;
-        let weights = self.outputs * (i0 + i1 + 1);
-        let slices = self.rows.div_ceil(self.rows_per_slice);
-        let input_1_at = self.rows * i0 + 3;
-        let push = WeightPush {
-            rows: self.rows,
-            outputs: self.outputs,
-            inputs_0: i0,
-            inputs_1: i1,
-            input_1_at,
-            rows_per_slice: self.rows_per_slice,
-            first_slice: 1,
-            slice_stride: weights,
-            first_index: 64,
-        };
-        let mut counters = vec![0; 8];
-        counters[COUNT_FAILED as usize] = failed;
-        let squares = floats(&mut r, weights as usize, 1.0).into_iter().map(|w| f32::from_bits(w).powi(2) + 0.5);
-        let case = KernelCase {
-            kernel: &LINEAR_BACKWARD_WEIGHT,
-            spec: vec![stage as u32, self.output as u32, self.network],
-            push: bytemuck::bytes_of(&push).to_vec(),
-            buffers: vec![
-                step_words(),
-                counters,
-                floats(&mut r, (self.rows * self.outputs) as usize, 1.0),
-                floats(&mut r, (input_1_at + self.rows * i1) as usize, 1.0),
-                floats(&mut r, weights as usize, 1.0),
-                floats(&mut r, weights as usize, 1.0),
-                squares.map(f32::to_bits).collect(),
-                vec![0; ((slices + 1) * weights) as usize],
-                status::clear().to_vec(),
-            ],
-            groups: linear::product_groups(stage, gpu.subgroup_size(), self.outputs, i0 + i1, slices) as u32,
-        };
-        case.run(gpu)
-    }
-}
-
 #[test]
 fn weight_gradients_match_their_twins() {
     let gpu = tests_harness::gpu();
-    for stage in STAGES {
-        for (rows, inputs, outputs, rows_per_slice) in
-            [(1, [1, 0], 1, 1), (100, [76, 256], 33, 100), (300, [64, 0], 64, 70), (65, [84, 0], 12, 64)]
-        {
-            for (output, network) in [(Output::Gradient, 0), (Output::Adam, 0), (Output::Adam, 1)] {
-                let rows_per_slice = if output == Output::Adam { rows } else { rows_per_slice };
-                let case = WeightCase { rows, inputs, outputs, rows_per_slice, output, network };
-                let context = format!("{rows} rows, {inputs:?} -> {outputs}, {output:?}, {stage:?}");
-                let result = case.run(&gpu, stage, 0);
-                result.assert_equal(&LINEAR_BACKWARD_WEIGHT, &context);
-                let failed = case.run(&gpu, stage, 1);
-                failed.assert_equal(&LINEAR_BACKWARD_WEIGHT, &context);
-                let changed = (4..9).any(|b| failed.gpu[b] != result.gpu[b]);
-                assert!(changed, "{context}: a failed frame must change nothing, another something");
-            }
+    let mut r = Random(7);
+    for (rows, [i0, i1], outputs, rows_per_slice) in
+        [(1_u32, [1_u32, 0_u32], 1_u32, 1), (100, [76, 256], 33, 100), (300, [64, 0], 64, 70), (65, [84, 0], 12, 64)]
+    {
+        for stage in STAGES {
+            let weights = outputs * (i0 + i1 + 1);
+            let slices = rows.div_ceil(rows_per_slice);
+            let input_1_at = rows * i0 + 3;
+            let push = WeightPush {
+                rows,
+                outputs,
+                inputs_0: i0,
+                inputs_1: i1,
+                input_1_at,
+                rows_per_slice,
+                first_slice: 1,
+                slice_stride: weights,
+            };
+            let case = KernelCase {
+                kernel: &LINEAR_BACKWARD_WEIGHT,
+                spec: vec![stage as u32],
+                push: bytemuck::bytes_of(&push).to_vec(),
+                buffers: vec![
+                    floats(&mut r, (rows * outputs) as usize, 1.0),
+                    floats(&mut r, (input_1_at + rows * i1) as usize, 1.0),
+                    vec![0; ((slices + 1) * weights) as usize],
+                ],
+                groups: linear::product_groups(stage, gpu.subgroup_size(), outputs, i0 + i1, slices) as u32,
+            };
+            let context = format!("{rows} rows, {} -> {outputs}, {stage:?}", i0 + i1);
+            case.run(&gpu).assert_equal(&LINEAR_BACKWARD_WEIGHT, &context);
         }
     }
 }
@@ -218,77 +184,85 @@ fn encoding_matches_its_twin() {
     }
 }
 
-/// The buffers that a pass of network F needs.
-struct Setup {
-    step: Buffer,
-    counters: Buffer,
-    status: Buffer,
-    position: Buffer,
-    gradient: Buffer,
-    pose: Buffer,
-    count: u32,
+/// Gaussians that move, some of them spoilt, and a frame at time 0.42.
+fn moving_input(count: usize) -> (RenderInput, Frame) {
+    let mut input = RenderInput::random(count, 0, count as u64).moving(7, 3);
+    input.spoil(2);
+    let mut frame = input.frame(&test_camera(8, 8));
+    frame.background[3] = 0.42;
+    (input, frame)
 }
 
-impl Setup {
-    fn new(gpu: &Gpu, step: &Step, position: &[[f32; 3]], gradient: &[f32]) -> Self {
-        let buffer = |name: &str, bytes: &[u8]| gpu.buffer_with(name, bytes).unwrap();
-        Self {
-            step: buffer("step", bytemuck::bytes_of(step)),
-            counters: buffer("counters", &[0; 32]),
-            status: buffer("status", bytemuck::cast_slice(&status::clear())),
-            position: buffer("superpoint_position", bytemuck::cast_slice(position)),
-            gradient: buffer("superpoint_gradient", bytemuck::cast_slice(gradient)),
-            pose: gpu.buffer("pose", 32 * position.len() as u64, Memory::Device).unwrap(),
-            count: position.len() as u32,
-        }
-    }
-
-    fn run(&self, gpu: &Gpu, network: &NetworkF, output: Output) -> Vec<engine::gpu::Timing> {
-        let slice = |b: &Buffer| Slice::from(b);
-        let mut r = gpu.recorder("network F").with_timestamps(true);
-        network
-            .record_forward(&mut r, self.count, &slice(&self.step), &slice(&self.position), &slice(&self.pose))
-            .unwrap();
-        let from = Backward {
-            step: &slice(&self.step),
-            counters: &slice(&self.counters),
-            status: &slice(&self.status),
-            superpoint_gradient: &slice(&self.gradient),
-            plane_stride: self.count,
-        };
-        network.record_backward(&mut r, self.count, output, &from).unwrap();
-        gpu.run(r).unwrap().timings().unwrap()
-    }
-
-    fn floats(gpu: &Gpu, buffer: &Buffer) -> Vec<f32> {
-        bytemuck::pod_collect_to_vec(&gpu.download(buffer).unwrap())
-    }
+fn input_words(input: &RenderInput, frame: &Frame) -> Vec<Vec<u32>> {
+    let words = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<u32>>();
+    vec![
+        bytemuck::cast_slice(&[*frame]).to_vec(),
+        words(&input.mean),
+        input.superpoint_of_gaussian.clone(),
+        words(&input.pose),
+    ]
 }
 
-fn positions(r: &mut Random, count: usize) -> Vec<[f32; 3]> {
-    (0..count).map(|_| std::array::from_fn(|_| r.range(-1.3, 1.3))).collect()
-}
-
-fn upstream(r: &mut Random, count: usize) -> Vec<f32> {
-    (0..6 * count).map(|_| r.range(-1.0, 1.0)).collect()
+/// Network G with heads that matter and little weight on the high octaves, which would magnify the last bit of a centre.
+fn nonrigid() -> NonrigidNetwork {
+    let mut network = NonrigidNetwork::init(6);
+    let mut r = Random(6);
+    for head in [&mut network.translation, &mut network.rotation, &mut network.scaling] {
+        head.weight.iter_mut().chain(&mut head.bias).for_each(|w| *w = r.range(-0.1, 0.1));
+    }
+    let damp = |(i, w): (usize, &mut f32)| *w *= 0.5_f32.powi((i % 84 % 63) as i32 / 6);
+    network.linear[0].weight.iter_mut().enumerate().for_each(damp);
+    network
 }
 
 #[test]
-fn time_of_network_f() {
+fn network_g_matches_its_twin() {
     let gpu = tests_harness::gpu();
-    let mut r = Random(5);
-    let weights = DeformNetwork::init(1, false);
-    for count in [100, 300] {
-        let setup = Setup::new(&gpu, &step(), &positions(&mut r, count), &upstream(&mut r, count));
-        for stage in STAGES {
-            let network = NetworkF::new(&gpu, &weights, 300).unwrap().with_stage(stage);
-            setup.run(&gpu, &network, Output::Adam);
-            let timings = setup.run(&gpu, &network, Output::Adam);
-            let mut total = std::collections::BTreeMap::new();
-            for t in &timings {
-                *total.entry(t.label.clone()).or_insert(0.0) += t.us / 1e3;
+    let parameter: Vec<u32> =
+        nonrigid_network::pack_parameters(&nonrigid()).unwrap().iter().map(|v| v.to_bits()).collect();
+    for count in [1, 63, 64, 65, 500] {
+        let (input, frame) = moving_input(count);
+        for motion in [0, 1] {
+            let mut stages = vec![1];
+            if gpu.subgroup_size() <= 16 {
+                stages.push(0);
             }
-            println!("M = {count}, {stage:?}: {:.1} ms {total:.1?}", timings.iter().map(|t| t.us).sum::<f64>() / 1e3);
+            for stage in stages {
+                let mut buffers = input_words(&input, &frame);
+                buffers.extend([parameter.clone(), vec![0; 10 * count]]);
+                let origin = NonrigidPush { origin_x: 0.5, origin_y: -0.25, origin_z: 0.0 };
+                let case = KernelCase {
+                    kernel: &NONRIGID_NETWORK,
+                    spec: vec![motion, stage],
+                    push: bytemuck::bytes_of(&origin).to_vec(),
+                    buffers,
+                    groups: count.div_ceil(64) as u32,
+                };
+                let result = case.run(&gpu);
+                result.assert_equal(&NONRIGID_NETWORK, &format!("N = {count}, motion {motion}, stage {stage}"));
+                assert!(result.gpu[5].iter().all(|w| f32::from_bits(*w).is_finite()));
+            }
+        }
+    }
+}
+
+#[test]
+fn encoding_of_gaussians_matches_its_twin() {
+    let gpu = tests_harness::gpu();
+    let (input, frame) = moving_input(300);
+    for (first_row, rows) in [(0, 300_u32), (64, 100), (299, 1)] {
+        for motion in [0, 1] {
+            let mut buffers = input_words(&input, &frame);
+            buffers.push(vec![0; 84 * rows as usize]);
+            let push = engine::train::network_g::EncodePush { first_row, rows };
+            let case = KernelCase {
+                kernel: &ENCODE_GAUSSIANS,
+                spec: vec![motion],
+                push: bytemuck::bytes_of(&push).to_vec(),
+                buffers,
+                groups: rows.div_ceil(64),
+            };
+            case.run(&gpu).assert_equal(&ENCODE_GAUSSIANS, &format!("{rows} rows, motion {motion}"));
         }
     }
 }

@@ -1,16 +1,16 @@
-//! Dense layers on the GPU: tiled matrix products, forward and backward, with Adam fused into the weights' gradient.
+//! Dense layers on the GPU: tiled matrix products, forward and backward, and Adam.
 //!
 //! Kernels, each on row-major matrices of f32 (rows = superpoints or Gaussians):
 //!
 //! - `linear_forward`: Y = act([X₀, X₁] Wᵀ + b);
 //! - `linear_backward_input`: dX = (dZ W) ⊙ \[X > 0\], where dZ is the gradient before the layer's ReLU and X its input, so
 //!   the result is the gradient before the ReLU of the layer below;
-//! - `linear_backward_weight`: dW = dZᵀ [X₀, X₁] and db = Σ dZ, written per slice of rows or given to Adam at once;
-//! - `linear_update`: sums slices in order and gives them to Adam;
+//! - `linear_backward_weight`: dW = dZᵀ [X₀, X₁] and db = Σ dZ, per slice of rows;
+//! - `linear_update`: sums slices in order and gives them to Adam, which reports and skips what is not finite;
 //! - `gather_gradient`: planes `[P][rows]` to rows; numbers that are not finite become 0 and are reported.
 //!
 //! Every sum has a fixed order, so equal input gives equal bits on one device. A pass runs all `linear_backward_input` from
-//! the last layer down before any `linear_backward_weight`, so gradients use the weights of the forward pass.
+//! the last layer down before `linear_update`, so gradients use the weights of the forward pass.
 
 mod kernels;
 mod parameters;
@@ -62,7 +62,7 @@ pub enum Network {
 pub enum Output {
     /// They are kept in the gradient buffer; weights and moments stay.
     Gradient = 0,
-    /// Adam updates weights and moments at once.
+    /// Adam updates weights and moments.
     Adam = 1,
 }
 

@@ -3,14 +3,14 @@
 //! `encode_superpoints` writes the encodings `[M, 76]`, nine `linear_forward` the activations `[M, 256]` ×8 and the pose.
 //! Both heads are one layer of 8 outputs (r, 0, τ, 0): its output *is* `pose`, `vec4[M][2]`; the two rows of zeros get
 //! no gradient and stay zero. Backward: `gather_gradient`, eight `linear_backward_input` down the layers, nine independent
-//! `linear_backward_weight` with Adam. Device memory: 16 bytes per weight and (76 + 2·(8·256 + 8))·4 ≈ 16.8 KB per
+//! `linear_backward_weight`, one `linear_update` for all weights. Device memory: 16 bytes per weight and (76 + 2·(8·256 + 8))·4 ≈ 16.8 KB per
 //! superpoint.
 
 mod encode;
 #[cfg(test)]
 mod tests;
 
-use super::linear::{GatherPush, Layer, Network, Output, Parameters, Pass, Shape, Split, Stage};
+use super::linear::{GatherPush, Layer, Network, Output, Parameters, Pass, Shape, Split, Stage, UpdatePush};
 use crate::error::{Error, Result};
 use crate::gpu::kernel::Kernel;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
@@ -51,8 +51,10 @@ pub struct NetworkF {
     activation: Buffer,
     /// Gradients before the ReLU of each hidden layer, then of the heads.
     activation_gradient: Buffer,
-    /// Gradients of the weights, laid out as the parameters; written by [`Output::Gradient`] only.
+    /// Gradients of the weights, laid out as the parameters; the padding stays 0.
     gradient: Buffer,
+    /// Stands for the sums that Adam does not write.
+    unused: Slice,
 }
 
 /// Shapes of the eight hidden layers and of the heads.
@@ -80,7 +82,8 @@ impl NetworkF {
             stage: Stage::of(gpu),
             activation: buffer("activation", bytes(ENCODING_WIDTH + hidden))?,
             activation_gradient: buffer("activation_gradient", bytes(hidden + HEADS as usize))?,
-            gradient: buffer("gradient", parameters.bytes() / 3)?,
+            gradient: gpu.buffer_with("network_f.gradient", &vec![0; (parameters.bytes() / 3) as usize])?,
+            unused: Slice::from(buffer("unused", 16)?),
             parameters,
         })
     }
@@ -151,9 +154,14 @@ impl NetworkF {
             let start = u64::from(self.parameters.first_index(i)) * 4;
             let gradient = self.gradient.slice(start, u64::from(self.parameters.padded(i)) * 4);
             let split = Split { rows_per_slice: superpoints, first_slice: 0, slice_stride: 0, gradient };
-            layer.backward_weight(r, &pass, &split)?;
+            layer.backward_weight(r, &split)?;
         }
-        Ok(())
+        if output == Output::Gradient {
+            return Ok(());
+        }
+        let weights = (self.gradient.bytes() / 4) as u32;
+        let push = UpdatePush { weights, slices: 1, slice_stride: weights, first_index: 0 };
+        pass.update(r, push, &Slice::from(&self.gradient), self.parameters.all(), &self.unused)
     }
 
     /// The weights.
@@ -233,7 +241,6 @@ impl NetworkF {
             output,
             output_gradient: self.activation_gradient(i, superpoints),
             parameters: self.parameters.slices(i),
-            first_index: self.parameters.first_index(i),
         }
     }
 

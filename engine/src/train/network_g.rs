@@ -10,7 +10,7 @@ mod encode;
 #[cfg(test)]
 mod tests;
 
-use super::linear::{GatherPush, Layer, Network, Output, Parameters, Pass, Shape, Split, Stage};
+use super::linear::{GatherPush, Layer, Network, Output, Parameters, Pass, Shape, Split, Stage, UpdatePush};
 use crate::error::{Error, Result};
 use crate::gpu::kernel::Kernel;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
@@ -153,7 +153,8 @@ impl NetworkG {
 
     /// The weights as [`nonrigid_network::NONRIGID_NETWORK`] reads them.
     pub fn parameter(&self) -> Slice {
-        self.parameters.all()
+        let [value, ..] = self.parameters.all();
+        value
     }
 
     /// Records: offsets `nonrigid_offset float[10][N]` of `gaussians` Gaussians.
@@ -201,8 +202,11 @@ impl NetworkG {
             return Ok(());
         }
         (0..=NONRIGID_LAYERS).try_for_each(|i| {
-            let gradient = self.gradient.slice(self.start(i), u64::from(self.parameters.padded(i)) * 4);
-            self.layer(i, 1).update(r, &pass, &self.split(i, 0), used, &gradient)
+            let (stride, first_index) = (self.parameters.padded(i), self.parameters.first_index(i));
+            let gradient = self.gradient.slice(self.start(i), u64::from(stride) * 4);
+            let weights = self.parameters.shapes()[i].parameters();
+            let push = UpdatePush { weights, slices: used, slice_stride: stride, first_index };
+            pass.update(r, push, &self.split(i, 0).gradient, self.parameters.slices(i), &gradient)
         })
     }
 
@@ -223,11 +227,7 @@ impl NetworkG {
         for pair in layers.windows(2).rev() {
             pair[1].backward_input(r, &pair[0])?;
         }
-        let kept = Pass { output: Output::Gradient, ..pass.clone() };
-        for (i, layer) in layers.iter().enumerate().rev() {
-            layer.backward_weight(r, &kept, &self.split(i, slice))?;
-        }
-        Ok(())
+        layers.iter().enumerate().rev().try_for_each(|(i, layer)| layer.backward_weight(r, &self.split(i, slice)))
     }
 
     /// The weights.
@@ -286,7 +286,6 @@ impl NetworkG {
             output: self.activation(Some(i.min(NONRIGID_LAYERS - 1)), rows),
             output_gradient: self.activation_gradient.slice(start, bytes(rows, columns(i))),
             parameters: self.parameters.slices(i),
-            first_index: self.parameters.first_index(i),
         }
     }
 

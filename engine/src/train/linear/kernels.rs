@@ -55,21 +55,19 @@ crate::gpu_struct! {
         pub first_slice: u32,
         /// Floats from one slice of the gradient buffer to the next.
         pub slice_stride: u32,
-        /// Number of the layer's first weight within the network, for reports.
-        pub first_index: u32,
     }
 }
 
 crate::gpu_struct! {
     /// Push constants of [`LINEAR_UPDATE`].
     pub struct UpdatePush {
-        /// Weights and biases of the layer.
+        /// Weights and biases.
         pub weights: u32,
         /// Slices to add.
         pub slices: u32,
         /// Floats from one slice to the next.
         pub slice_stride: u32,
-        /// Number of the layer's first weight within the network, for reports.
+        /// Number of the first weight within the network, for reports.
         pub first_index: u32,
     }
 }
@@ -151,20 +149,14 @@ pub static LINEAR_BACKWARD_INPUT: Kernel = Kernel {
 /// dW = dZᵀ [X₀, X₁], db = Σ dZ.
 pub static LINEAR_BACKWARD_WEIGHT: Kernel = Kernel {
     name: "linear_backward_weight",
-    doc: "dense layer: gradient of weights and bias, per slice of rows or into Adam",
+    doc: "dense layer: gradient of weights and bias, per slice of rows",
     local_size: THREADS,
-    spec: &["SUBGROUP_SIZE", "STAGE", "OUTPUT", "NETWORK"],
+    spec: &["SUBGROUP_SIZE", "STAGE"],
     push: WeightPush::FIELDS,
     bindings: &[
-        Binding::of_struct("step", Access::Read, Step::FIELDS),
-        Binding::new("counters", Access::Read, Element::U32),
         Binding::new("output_gradient", Access::Read, Element::F32),
         Binding::new("layer_input", Access::Read, Element::F32),
-        Binding::new("parameter", Access::Update, Element::F32),
-        Binding::new("moment_1", Access::Update, Element::F32),
-        Binding::new("moment_2", Access::Update, Element::F32),
         Binding::new("gradient", Access::Write, Element::F32),
-        Binding::new("status", Access::Atomic, Element::U32),
     ],
     twin: twins::backward_weight,
     tolerance: SUMS,

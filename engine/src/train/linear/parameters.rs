@@ -59,9 +59,9 @@ impl Parameters {
         [&self.value, &self.moment_1, &self.moment_2].map(|b| b.slice(start, bytes))
     }
 
-    /// The values of all layers.
-    pub(in crate::train) fn all(&self) -> Slice {
-        Slice::from(&self.value)
+    /// Values, first and second moments of all layers, with the padding.
+    pub(in crate::train) fn all(&self) -> [Slice; 3] {
+        [&self.value, &self.moment_1, &self.moment_2].map(Slice::from)
     }
 
     /// Replaces the weights.

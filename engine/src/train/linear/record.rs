@@ -38,8 +38,6 @@ pub(in crate::train) struct Layer {
     pub(in crate::train) output_gradient: Slice,
     /// Values and moments.
     pub(in crate::train) parameters: [Slice; 3],
-    /// Number of the first weight in the network.
-    pub(in crate::train) first_index: u32,
 }
 
 /// How the rows of a gradient are split into sums of their own.
@@ -80,8 +78,8 @@ impl Layer {
         r.dispatch(&LINEAR_BACKWARD_INPUT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
     }
 
-    /// Gradient of weights and bias, by slices into `split.gradient`, or (one slice) into Adam.
-    pub(in crate::train) fn backward_weight(&self, r: &mut Recorder, pass: &Pass, split: &Split) -> Result<()> {
+    /// Gradient of weights and bias, by slices into `split.gradient`.
+    pub(in crate::train) fn backward_weight(&self, r: &mut Recorder, split: &Split) -> Result<()> {
         let Shape { inputs_0, inputs_1, outputs } = self.shape;
         let push = WeightPush {
             rows: self.rows,
@@ -92,55 +90,33 @@ impl Layer {
             rows_per_slice: split.rows_per_slice,
             first_slice: split.first_slice,
             slice_stride: split.slice_stride,
-            first_index: self.first_index,
         };
         let slices = self.rows.div_ceil(split.rows_per_slice);
         let groups = product_groups(self.stage, r.subgroup_size(), outputs, self.shape.inputs(), slices);
-        let [value, moment_1, moment_2] = self.parameters.clone();
-        let buffers = [
-            pass.step.clone(),
-            pass.counters.clone(),
-            self.output_gradient.clone(),
-            self.input.clone(),
-            value,
-            moment_1,
-            moment_2,
-            split.gradient.clone(),
-            pass.status.clone(),
-        ];
-        let spec = [self.stage as u32, pass.output as u32, pass.network as u32];
+        let buffers = [self.output_gradient.clone(), self.input.clone(), split.gradient.clone()];
+        let spec = [self.stage as u32];
         r.dispatch(&LINEAR_BACKWARD_WEIGHT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
-    }
-
-    /// Sum of the first `slices` slices of `split.gradient`, into `gradient` or into Adam.
-    pub(in crate::train) fn update(
-        &self,
-        r: &mut Recorder,
-        pass: &Pass,
-        split: &Split,
-        slices: u32,
-        gradient: &Slice,
-    ) -> Result<()> {
-        let weights = self.shape.parameters();
-        let push = UpdatePush { weights, slices, slice_stride: split.slice_stride, first_index: self.first_index };
-        let [value, moment_1, moment_2] = self.parameters.clone();
-        let buffers = [
-            pass.step.clone(),
-            pass.counters.clone(),
-            split.gradient.clone(),
-            value,
-            moment_1,
-            moment_2,
-            gradient.clone(),
-            pass.status.clone(),
-        ];
-        let spec = [pass.output as u32, pass.network as u32];
-        let groups = Groups::Direct(weights.div_ceil(THREADS).into());
-        r.dispatch(&LINEAR_UPDATE, &spec, bytemuck::bytes_of(&push), &buffers, groups)
     }
 }
 
 impl Pass {
+    /// Sum of slices of a gradient `from`, into Adam of `parameters` (values and moments) or into `gradient`.
+    pub(in crate::train) fn update(
+        &self,
+        r: &mut Recorder,
+        push: UpdatePush,
+        from: &Slice,
+        parameters: [Slice; 3],
+        gradient: &Slice,
+    ) -> Result<()> {
+        let [value, moment_1, moment_2] = parameters;
+        let (step, counters, status) = (self.step.clone(), self.counters.clone(), self.status.clone());
+        let buffers = [step, counters, from.clone(), value, moment_1, moment_2, gradient.clone(), status];
+        let spec = [self.output as u32, self.network as u32];
+        let groups = Groups::Direct(push.weights.div_ceil(THREADS).into());
+        r.dispatch(&LINEAR_UPDATE, &spec, bytemuck::bytes_of(&push), &buffers, groups)
+    }
+
     /// `push.rows` rows of the planes of a head's gradient, 8 columns for F and 12 for G.
     pub(in crate::train) fn gather(
         &self,

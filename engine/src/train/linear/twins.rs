@@ -49,28 +49,21 @@ pub(super) fn backward_input(call: &mut TwinCall<'_>) {
 
 pub(super) fn backward_weight(call: &mut TwinCall<'_>) {
     let p: WeightPush = push(call);
-    let (kind, network) = (spec(call, 2), spec(call, 3));
-    if call.buffers[1][COUNT_FAILED as usize] != 0 {
-        return;
-    }
     let inputs = p.inputs_0 + p.inputs_1;
+    let [output_gradient, input, gradient] = call.buffers else { return };
     for slice in 0..p.rows.div_ceil(p.rows_per_slice) {
         let first = slice * p.rows_per_slice;
         let rows = || first..(first + p.rows_per_slice).min(p.rows);
+        let start = (p.first_slice + slice) * p.slice_stride;
         for o in 0..p.outputs {
-            let upstream = |row: u32| f64::from(f32_at(&call.buffers[2], (row * p.outputs + o) as usize));
-            let input = |row, i| concatenated(&call.buffers[3], [p.inputs_0, p.inputs_1], p.input_1_at, row, i);
-            let mut sums: Vec<(u32, f64)> =
-                (0..inputs).map(|i| (o * inputs + i, rows().map(|row| upstream(row) * input(row, i)).sum())).collect();
-            sums.push((p.outputs * inputs + o, rows().map(upstream).sum()));
-            for (at, sum) in sums {
-                if kind == 0 {
-                    set_f32(&mut call.buffers[7], ((p.first_slice + slice) * p.slice_stride + at) as usize, sum as f32);
-                } else {
-                    let Some(rest) = split_update(call.buffers, 4, 8) else { return };
-                    update_weight(rest, network, at, p.first_index + at, sum as f32);
-                }
+            let upstream = |row: u32| f64::from(f32_at(output_gradient, (row * p.outputs + o) as usize));
+            for i in 0..inputs {
+                let product = |row| upstream(row) * concatenated(input, [p.inputs_0, p.inputs_1], p.input_1_at, row, i);
+                let sum = rows().map(product).sum::<f64>();
+                set_f32(gradient, (start + o * inputs + i) as usize, sum as f32);
             }
+            let bias = rows().map(upstream).sum::<f64>();
+            set_f32(gradient, (start + p.outputs * inputs + o) as usize, bias as f32);
         }
     }
 }
@@ -87,19 +80,19 @@ pub(super) fn update(call: &mut TwinCall<'_>) {
         if kind == 0 {
             set_f32(&mut call.buffers[6], at as usize, sum);
         } else {
-            let Some(rest) = split_update(call.buffers, 3, 7) else { return };
+            let Some(rest) = split_update(call.buffers) else { return };
             update_weight(rest, network, at, p.first_index + at, sum);
         }
     }
 }
 
-/// Step, (parameter, moment_1, moment_2) from binding `first` on, and status.
+/// Step, (parameter, moment_1, moment_2), and status.
 type UpdateBuffers<'a> = (Step, &'a mut [Vec<u32>], &'a mut [u32]);
 
-fn split_update(buffers: &mut [Vec<u32>], first: usize, status: usize) -> Option<UpdateBuffers<'_>> {
+fn split_update(buffers: &mut [Vec<u32>]) -> Option<UpdateBuffers<'_>> {
     let step = struct_at(buffers.first()?, 0);
-    let (head, tail) = buffers.split_at_mut(status);
-    Some((step, &mut head[first..first + 3], tail.first_mut()?))
+    let (head, tail) = buffers.split_at_mut(7);
+    Some((step, &mut head[3..6], tail.first_mut()?))
 }
 
 /// Twin of `glsl/lib/network_update.glsl`.
