@@ -758,3 +758,21 @@ fn adam_of_the_twin_is_the_one_of_the_test() {
     let value = adam::update(&step, 0.5, 1e-3, &mut moments, 1e-2, bias);
     assert!((value - 0.49).abs() < 1e-6, "{value}");
 }
+
+#[test]
+fn outside_truth_of_superpoints_is_met() {
+    let Some(path) = tests_harness::data("oracle/superpoint_400_20.npz") else { return };
+    let gpu = gpu();
+    let check = tools::oracle_superpoint::check(&path, Some(&gpu)).unwrap();
+    for (name, e) in check.outputs.iter().chain(&check.losses).chain(&check.gradients) {
+        println!(
+            "{name:44} reference {:.1e} gpu {:.1e} f32 {}",
+            e.reference,
+            e.gpu.unwrap_or(f64::NAN),
+            e.stored_as_f32
+        );
+    }
+    println!("{}", check.describe());
+    assert!(check.passes(), "{}", check.describe());
+    assert!(check.gradients.values().filter(|e| e.gpu.is_some()).count() > 50);
+}
