@@ -30,6 +30,7 @@ layout(constant_id = 4) const uint WITH_SLOTS = 0;      // values are slots, as 
 #include "lib/dispatch.glsl"
 #include "lib/limits.glsl"
 #include "lib/ellipse.glsl"
+#include "lib/blend.glsl"
 
 layout(std430, set = 0, binding = 1) readonly buffer RangesBlock { uint ranges[]; };
 layout(std430, set = 0, binding = 2) readonly buffer ValuesBlock { uint values[]; };
@@ -38,11 +39,6 @@ layout(std430, set = 0, binding = 4) writeonly buffer ColorBlock { vec4 color[];
 layout(std430, set = 0, binding = 5) writeonly buffer DepthBlock { float depth[]; };
 layout(std430, set = 0, binding = 6) readonly buffer GaussianOfSlotBlock { uint gaussian_of_slot[]; };
 
-const float MAX_ALPHA = 0.99;
-// 1e-4, less five units in the last place: two splats at the largest alpha leave exactly 1e-4, which is not below it, but
-// (1 - 0.99f)^2 rounds to 9.99998e-5.
-const float MIN_TRANSMITTANCE = 9.9999e-5;
-
 shared vec4 staged[3 * 128];
 
 // A lane's pixels: their transmittance (negative once no more may be blended) and sums.
@@ -50,8 +46,7 @@ float transmittance[16];
 vec3 sum_colour[16];
 float sum_depth[16];
 
-// Blends one splat into the lane's pixels. pixel: centre of the first one; row_step: distance to the next, px. Selects, not
-// branches: with several pixels per lane some lane nearly always needs the exponential, and lavapipe runs both sides anyway.
+// Blends one splat into the lane's pixels. pixel: centre of the first one; row_step: distance to the next, px.
 void blend(vec4 first, vec4 second, vec3 colour, vec2 pixel, float row_step) {
     uint with_depth = WITH_DEPTH;
     float u_x = first.z * (pixel.x - first.x);
@@ -60,14 +55,8 @@ void blend(vec4 first, vec4 second, vec3 colour, vec2 pixel, float row_step) {
         float dy = dy_0 + float(j) * row_step;
         float u = u_x + first.w * dy;
         float v = second.x * dy;
-        float log2_alpha = second.y - u * u - v * v;
-        bool live = log2_alpha >= -LOG2_255 && transmittance[j] > 0.0;
-        float alpha = live ? min(MAX_ALPHA, exp2(log2_alpha)) : 0.0;
-        float weight = alpha * transmittance[j];
-        float after = transmittance[j] - weight;
-        bool stop = live && after < MIN_TRANSMITTANCE;
-        weight = stop ? 0.0 : weight;
-        transmittance[j] = stop ? -transmittance[j] : after;
+        float weight;
+        blend_alpha(second.y - u * u - v * v, transmittance[j], weight);
         sum_colour[j] += weight * colour;
         if (with_depth == 1u) {
             sum_depth[j] += weight * second.z;

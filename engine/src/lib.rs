@@ -20,7 +20,7 @@
 //! | [`scene`] | plain data: Gaussians, superpoints, key-time table, network F, cameras; synthetic scenes |
 //! | [`image`] | float images and their comparison |
 //! | [`mod@reference`] | the f64 image that is the truth |
-//! | [`mod@file`], [`data`] | model files and pictures; camera files |
+//! | [`mod@file`], [`data`] | model files and pictures; data sets of posed pictures, camera files |
 //! | [`render`] | scene(t) + camera → image on the GPU: kernels, their twins, the frame |
 //! | [`train`] | posed images → scene on the GPU: loss, backward kernels, Adam, density, checkpoints |
 //!

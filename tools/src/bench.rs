@@ -117,7 +117,7 @@ fn record(
     let info = gpu.info();
     let camera = &plan.camera;
     json!({
-        "program": { "name": "spgs", "version": env!("CARGO_PKG_VERSION"), "commit": commit() },
+        "program": { "name": "spgs", "version": env!("CARGO_PKG_VERSION"), "commit": crate::measure::commit() },
         "command": std::env::args().collect::<Vec<_>>().join(" "),
         "device": info,
         "scene": {
@@ -131,21 +131,6 @@ fn record(
         "measurement": measured,
         "error_against_f64": error,
     })
-}
-
-/// The commit of the source tree: given at build time as `SPGS_COMMIT`, else asked of git where the tree still is.
-fn commit() -> Option<String> {
-    if let Some(commit) = option_env!("SPGS_COMMIT") {
-        return Some(commit.to_owned());
-    }
-    let git = |args: &[&str]| {
-        let out =
-            std::process::Command::new("git").args(["-C", env!("CARGO_MANIFEST_DIR")]).args(args).output().ok()?;
-        out.status.success().then(|| String::from_utf8_lossy(&out.stdout).trim().to_owned())
-    };
-    let commit = git(&["rev-parse", "HEAD"])?;
-    let clean = git(&["status", "--porcelain"]).is_some_and(|s| s.is_empty());
-    Some(if clean { commit } else { commit + "-modified" })
 }
 
 fn write_text(path: &Path, text: &str) -> Result<()> {

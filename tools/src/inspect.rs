@@ -4,10 +4,13 @@ use engine::error::Result;
 use engine::file;
 
 use crate::args::InspectArgs;
-use crate::output;
+use crate::{dataset, output};
 
-/// Says what is in a model file.
+/// Says what is in a model file or a data set.
 pub fn run(args: &InspectArgs) -> Result<()> {
+    if args.file.is_dir() {
+        return dataset::inspect(&args.file, args.json);
+    }
     let description = file::describe(&args.file)?;
     if args.json {
         return output::json(&description);

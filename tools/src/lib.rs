@@ -2,6 +2,7 @@
 
 pub mod args;
 pub mod bench;
+pub mod dataset;
 pub mod demo;
 pub mod devices;
 pub mod gpu_session;

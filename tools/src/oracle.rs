@@ -2,17 +2,24 @@
 //!
 //! An image file holds the inputs `means` `[N,3]`, `quats` `[N,4]` (w,x,y,z), `log_scales` `[N,3]`, `logit_opac` `[N]`, `sh`
 //! `[N,K,3]`, `viewmat` `[4,4]` (world to camera), `K` `[3,3]` (intrinsics), `bg` `[3]`, `width`, `height`, `sh_degree`,
-//! and the float64 `image` `[H,W,3]`; the near plane is at 0.01. A superpoint file holds network F, superpoints, Gaussians
+//! and the float64 `image` `[H,W,3]`; the near plane is at 0.01. With `dL` `[H,W,3]` it also holds the gradients of
+//! Σ image·dL: `grad_means`, `grad_quats`, `grad_log_scales`, `grad_logit_opac`, `grad_sh` and `grad_means2d` (px). A superpoint file holds network F, superpoints, Gaussians
 //! and a time, and the poses and moved Gaussians at that time.
 
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
+use engine::gpu::Gpu;
 use engine::image::{Difference, difference};
-use engine::reference::{Gaussians64, Parameters, Pose, ReferenceOptions, network_poses, place, render_gaussians};
+use engine::reference::gradient::image::image_gradients;
+use engine::reference::gradient::splats::Upstream;
+use engine::reference::{
+    Deformation, Gaussians64, Parameters, Pose, ReferenceOptions, network_poses, place, render_gaussians,
+};
 use engine::scene::network::{HIDDEN_LAYERS, HIDDEN_WIDTH};
 use engine::scene::{Camera, DeformNetwork, Gaussians, Linear, MotionSource, Scene, Superpoints};
+use engine::train::gradient::{GradientOptions, scene_gradients};
 use engine::{Error, Result};
 use glam::{DMat3, DMat4, DVec3};
 use npyz::{Order, TypeChar};
@@ -37,6 +44,67 @@ pub struct OracleCase {
     pub background: [f64; 3],
     /// `[height, width, 3]` the true image.
     pub image: Vec<f64>,
+    /// The true gradients, when the file has them.
+    pub gradients: Option<ImageGradients>,
+}
+
+/// Gradients of Σ image·`upstream`, flat arrays.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ImageGradients {
+    /// `[height, width, 3]`.
+    pub upstream: Vec<f64>,
+    /// `[N,3]`.
+    pub mean: Vec<f64>,
+    /// `[N,4]` of the raw quaternion w,x,y,z.
+    pub rotation: Vec<f64>,
+    /// `[N,3]`.
+    pub log_scale: Vec<f64>,
+    /// `[N]`.
+    pub opacity_logit: Vec<f64>,
+    /// `[N,K,3]`.
+    pub sh: Vec<f64>,
+    /// `[N,2]` of the projected centre, px.
+    pub mean2d: Vec<f64>,
+}
+
+/// ‖test − truth‖ / ‖truth‖ of one array, of both implementations.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct GradientError {
+    /// The f64 reference.
+    pub reference: f64,
+    /// The kernels.
+    pub gpu: f64,
+}
+
+/// [`GradientError`] of each array.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct GradientErrors {
+    /// Centres.
+    pub mean: GradientError,
+    /// Raw quaternions.
+    pub rotation: GradientError,
+    /// Log of the standard deviations.
+    pub log_scale: GradientError,
+    /// Opacities before the sigmoid.
+    pub opacity_logit: GradientError,
+    /// SH coefficients.
+    pub sh: GradientError,
+    /// Projected centres.
+    pub mean2d: GradientError,
+}
+
+impl GradientErrors {
+    /// By name.
+    pub fn rows(&self) -> [(&'static str, GradientError); 6] {
+        [
+            ("mean", self.mean),
+            ("rotation", self.rotation),
+            ("log_scale", self.log_scale),
+            ("opacity_logit", self.opacity_logit),
+            ("sh", self.sh),
+            ("mean2d", self.mean2d),
+        ]
+    }
 }
 
 /// One superpoint file: f32 inputs, f64 results.
@@ -83,13 +151,13 @@ pub fn relative_l2(truth: &[f64], test: &[f64]) -> f64 {
 
 /// Whether the file is a superpoint file (it has `superpoint_position`) and not an image file.
 pub fn is_superpoint_file(path: &Path) -> Result<bool> {
-    Ok(Archive::open(path)?.archive.index_for_name("superpoint_position.npy").is_some())
+    Ok(Archive::open(path)?.has("superpoint_position"))
 }
 
 /// Whether the file is an image file: Gaussians, camera and image.
 pub fn is_image_file(path: &Path) -> Result<bool> {
     let file = Archive::open(path)?;
-    Ok(["means", "viewmat", "image"].iter().all(|name| file.archive.index_for_name(&format!("{name}.npy")).is_some()))
+    Ok(["means", "viewmat", "image"].iter().all(|name| file.has(name)))
 }
 
 /// Reads an image file.
@@ -116,7 +184,20 @@ pub fn load(path: &Path) -> Result<OracleCase> {
     let k = file.floats("K", &[Some(3), Some(3)])?;
     let matrix = DMat4::from_cols_array(&view).transpose();
     let background = file.floats("bg", &[Some(3)])?;
+    let gradients = match file.has("dL") {
+        true => Some(ImageGradients {
+            upstream: file.floats("dL", &[Some(height as usize), Some(width as usize), Some(3)])?,
+            mean: file.floats("grad_means", &[n, Some(3)])?,
+            rotation: file.floats("grad_quats", &[n, Some(4)])?,
+            log_scale: file.floats("grad_log_scales", &[n, Some(3)])?,
+            opacity_logit: file.floats("grad_logit_opac", &[n])?,
+            sh: file.floats("grad_sh", &[n, Some(sh_count), Some(3)])?,
+            mean2d: file.floats("grad_means2d", &[n, Some(2)])?,
+        }),
+        false => None,
+    };
     Ok(OracleCase {
+        gradients,
         camera: Camera::from_world_to_camera(matrix, [k[0], k[4], k[2], k[5]], [width, height]),
         background: [background[0], background[1], background[2]],
         image: file.floats("image", &[Some(height as usize), Some(width as usize), Some(3)])?,
@@ -130,6 +211,30 @@ pub fn reference_difference(case: &OracleCase) -> Result<Difference> {
     let options = ReferenceOptions { near: NEAR, background: case.background, motion: MotionSource::Auto };
     let image = render_gaussians(&case.gaussians, &case.camera, &options)?;
     Ok(difference(case.image.iter().copied(), image.rgb))
+}
+
+/// Gradients of the f64 reference and of the kernels on `gpu` against the file's; `None` when it has none.
+pub fn gradient_errors(gpu: &Gpu, case: &OracleCase) -> Result<Option<GradientErrors>> {
+    let Some(truth) = &case.gradients else { return Ok(None) };
+    let options = ReferenceOptions { near: NEAR, background: case.background, motion: MotionSource::Auto };
+    let upstream = Upstream { color: &truth.upstream, alpha: None };
+    let exact = image_gradients(&case.gaussians, &Deformation::default(), &case.camera, &options, &upstream)?;
+    let (scene, camera, background, near) = as_scene(case);
+    let pixels: Vec<f32> =
+        truth.upstream.chunks_exact(3).flat_map(|g| [g[0] as f32, g[1] as f32, g[2] as f32, 0.0]).collect();
+    let found = scene_gradients(gpu, &scene, &camera, 0.0, &GradientOptions { near, background }, &pixels)?;
+    let error = |truth: &[f64], reference: &[f64], gpu: &[f32]| GradientError {
+        reference: relative_l2(truth, reference),
+        gpu: relative_l2(truth, &gpu.iter().map(|&x| f64::from(x)).collect::<Vec<f64>>()),
+    };
+    Ok(Some(GradientErrors {
+        mean: error(&truth.mean, exact.mean.as_flattened(), found.mean.as_flattened()),
+        rotation: error(&truth.rotation, exact.rotation.as_flattened(), found.rotation.as_flattened()),
+        log_scale: error(&truth.log_scale, exact.log_scale.as_flattened(), found.log_scale.as_flattened()),
+        opacity_logit: error(&truth.opacity_logit, &exact.opacity_logit, &found.opacity_logit),
+        sh: error(&truth.sh, &exact.sh, &found.sh),
+        mean2d: error(&truth.mean2d, exact.mean2d.as_flattened(), found.mean2d.as_flattened()),
+    }))
 }
 
 /// The case for a renderer with f32 parameters: scene, camera, background, near plane.
@@ -217,6 +322,10 @@ impl<'a> Archive<'a> {
             Ok(archive) => Ok(Self { path, archive }),
             Err(e) => Err(Error::corrupt(path, "zip directory", e.to_string(), "an .npz file")),
         }
+    }
+
+    fn has(&self, name: &str) -> bool {
+        self.archive.index_for_name(&format!("{name}.npy")).is_some()
     }
 
     /// Reads array `name` with the given shape (`None`: any length).

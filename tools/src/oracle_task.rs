@@ -8,7 +8,7 @@ use engine::image::{Difference, difference};
 use engine::render::{RenderOptions, Renderer};
 use serde::Serialize;
 
-use crate::oracle::{self, SuperpointDifference};
+use crate::oracle::{self, GradientErrors, SuperpointDifference};
 
 /// Least PSNR of the f64 reference against the file, dB.
 pub const REFERENCE_PSNR: f64 = 90.0;
@@ -16,6 +16,11 @@ pub const REFERENCE_PSNR: f64 = 90.0;
 pub const GPU_PSNR: f64 = 65.0;
 /// Largest relative error of motion in f64 against the file.
 pub const MOTION_ERROR: f64 = 1e-5;
+
+/// Largest relative error of the f64 reference's gradients against the file.
+pub const REFERENCE_GRADIENT_ERROR: f64 = 1e-9;
+/// Largest relative error of the GPU's gradients against the file.
+pub const GPU_GRADIENT_ERROR: f64 = 1e-4;
 
 /// Both implementations against one image.
 #[derive(Debug, Clone, Copy, Serialize)]
@@ -34,6 +39,9 @@ pub struct Check {
     /// For a file with an image.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub image: Option<ImageCheck>,
+    /// For a file with an image's gradients: relative L2 errors.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gradients: Option<GradientErrors>,
     /// For a file with superpoint motion: relative errors of the f64 reference.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub motion: Option<SuperpointDifference>,
@@ -46,7 +54,10 @@ impl Check {
         let motion = self.motion.is_none_or(|m| {
             [m.pose_rotation, m.pose_translation, m.mean, m.rotation].iter().all(|e| *e <= MOTION_ERROR)
         });
-        image && motion
+        let gradients = self.gradients.is_none_or(|g| {
+            g.rows().iter().all(|(_, e)| e.reference <= REFERENCE_GRADIENT_ERROR && e.gpu <= GPU_GRADIENT_ERROR)
+        });
+        image && motion && gradients
     }
 
     /// One line for the terminal.
@@ -55,6 +66,13 @@ impl Check {
         let line = |d: &Difference| format!("PSNR {:.2} dB, max {:.3e}, q999 {:.3e}", d.psnr, d.max, d.q999);
         if let Some(i) = &self.image {
             text += &format!(": reference {}; gpu {}", line(&i.reference), line(&i.gpu));
+        }
+        if let Some(g) = &self.gradients {
+            text += "; relative errors of gradients, reference and gpu:";
+            for (name, error) in g.rows() {
+                text += &format!(" {name} {:.1e} {:.1e},", error.reference, error.gpu);
+            }
+            text.pop();
         }
         if let Some(m) = &self.motion {
             text += &format!(
@@ -71,7 +89,7 @@ pub fn check(gpu: &Gpu, path: &Path) -> Result<Option<Check>> {
     let file = path.display().to_string();
     if oracle::is_superpoint_file(path)? {
         let motion = oracle::superpoint_difference(&oracle::load_superpoint(path)?)?;
-        return Ok(Some(Check { file, image: None, motion: Some(motion) }));
+        return Ok(Some(Check { file, image: None, gradients: None, motion: Some(motion) }));
     }
     if !oracle::is_image_file(path)? {
         return Ok(None);
@@ -82,6 +100,8 @@ pub fn check(gpu: &Gpu, path: &Path) -> Result<Option<Check>> {
     let options = RenderOptions { background, near, ..RenderOptions::default() };
     let image = Renderer::new(gpu, &scene, &options)?.render(&camera, 0.0)?;
     let rgb = image.rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).map(f64::from);
-    let gpu = difference(case.image.iter().copied(), rgb);
-    Ok(Some(Check { file, image: Some(ImageCheck { reference, gpu }), motion: None }))
+    let difference = difference(case.image.iter().copied(), rgb);
+    let gradients = oracle::gradient_errors(gpu, &case)?;
+    let image = Some(ImageCheck { reference, gpu: difference });
+    Ok(Some(Check { file, image, gradients, motion: None }))
 }

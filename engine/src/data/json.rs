@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 use crate::error::{Error, Result};
@@ -22,14 +23,23 @@ pub(super) fn text(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(|e| Error::io(path, "read", e))
 }
 
+/// Whatever value a file holds; `expected` names the format.
+pub(super) fn value(path: &Path, expected: &str) -> Result<Value> {
+    any(&text(path)?, path, expected)
+}
+
 /// The object that a file holds; `expected` names the format.
 pub(super) fn file(path: &Path, expected: &str) -> Result<Keys> {
     object(&text(path)?, path, expected)
 }
 
-/// Python writes `NaN` and `Infinity`, which JSON does not have: they become `null`, so that the error can name the key
+/// An object in memory. Python writes `NaN` and `Infinity`, which JSON does not have: they become `null`, so that the error can name the key
 /// instead of a column.
 pub(super) fn object(text: &[u8], path: &Path, expected: &str) -> Result<Keys> {
+    any(text, path, expected)
+}
+
+fn any<T: DeserializeOwned>(text: &[u8], path: &Path, expected: &str) -> Result<T> {
     let syntax = |e: serde_json::Error| {
         let at = format!("line {} column {}", e.line(), e.column());
         Error::corrupt(path, at, e.to_string(), expected)

@@ -6,6 +6,7 @@ mod frame;
 mod json;
 pub mod lens;
 pub mod loader;
+mod npy;
 pub mod pixels;
 mod resample;
 #[cfg(test)]
@@ -38,12 +39,13 @@ pub struct CameraSet {
     pub source: String,
 }
 
-/// Loads cameras from a `transforms*.json`, a folder with `transforms_{split}.json`, or a COLMAP folder.
+/// Loads cameras from a `transforms*.json`, a folder with `transforms_{split}.json`, another data set ([`dataset`]), or a
+/// COLMAP folder. Pictures need not be there.
 ///
 /// - `split`: `None` means `test` for a folder of `transforms_*.json` (falling back to `transforms.json`, then to
 ///   `transforms_train.json`, with a warning) and all images for COLMAP. A split that is named must exist. For COLMAP,
-///   `test` is every 8th image by name, `train` the others, `all` all; times are given before the split. A single file is
-///   read whole, whatever the split.
+///   `test` is every 8th image by name, `train` the others, `all` all; times are given before the split. Other data sets
+///   have `train`, `test`, `val` and `all` by the rules of [`dataset`]. A single file is read whole, whatever the split.
 /// - `size_override`: the image size to render at. Focal lengths and principal points in pixels are scaled with it; a
 ///   `camera_angle_x` keeps its meaning (square pixels). It also serves where the file gives no size.
 ///
@@ -60,9 +62,10 @@ pub fn load_cameras(path: &Path, split: Option<&str>, size_override: Option<[u32
     }
     let (file, warning) = match transforms_in(path, split) {
         Some(found) => found,
+        None if dataset::is_known(path) => return dataset::cameras(path, split, size_override),
         None => {
             return match colmap::find(path) {
-                Some(model) => colmap_set(&model, split, size_override),
+                Some(model) => colmap_set(path, &model, split, size_override),
                 None => Err(nothing_found(path, split)),
             };
         }
@@ -98,8 +101,11 @@ fn nothing_found(folder: &Path, split: Option<&str>) -> Error {
     Error::usage(format!("cameras in {}", folder.display()), found, expected)
 }
 
-fn colmap_set(folder: &Path, split: Option<&str>, size_override: Option<[u32; 2]>) -> Result<CameraSet> {
+fn colmap_set(data: &Path, folder: &Path, split: Option<&str>, size_override: Option<[u32; 2]>) -> Result<CameraSet> {
     let mut set = colmap::read(folder)?;
+    let names: Vec<&str> = set.cameras.iter().map(|c| c.name.as_str()).collect();
+    let times = dataset::colmap_times(data, &names)?;
+    set.cameras.iter_mut().zip(times).for_each(|(c, t)| c.time = t);
     let test = |i: usize| i.is_multiple_of(LLFF_HOLD);
     let mut index = 0;
     let mut keep = |wanted: &dyn Fn(usize) -> bool| {

@@ -152,3 +152,6 @@ fn spans(from: u32, to: u32) -> Vec<Span> {
     let last = from as usize - 1;
     (0..to).map(|i| Span { begin: f64::from(i) * ratio, end: f64::from(i + 1) * ratio, last }).collect()
 }
+
+#[cfg(test)]
+mod tests;

@@ -54,8 +54,6 @@ pub(super) struct File {
     pub(super) assumed: Vec<String>,
     /// Number of frames with lens distortion.
     distorted: usize,
-    /// Number of frames that give no time.
-    pub(super) without_time: usize,
 }
 
 /// [`parse`] with lens distortion kept.
@@ -81,7 +79,7 @@ pub(super) fn frames(text: &[u8], path: &Path, size_override: Option<[u32; 2]>) 
         })
         .collect::<Result<Vec<_>>>()?;
     let assumed = notes.lines(count, path);
-    Ok(File { frames, top, assumed, distorted: notes.distorted, without_time: notes.without_time })
+    Ok(File { frames, top, assumed, distorted: notes.distorted })
 }
 
 /// What had to be assumed, counted over the frames.

@@ -29,6 +29,8 @@ pub struct Capabilities {
     pub synchronization2: bool,
     /// Timeline semaphores.
     pub timeline_semaphore: bool,
+    /// `shaderBufferFloat32AtomicAdd`.
+    pub float_atomics: bool,
     /// Bytes a storage buffer binding may cover.
     pub max_storage_buffer_range: u64,
     /// Bytes of one allocation.
@@ -145,6 +147,12 @@ pub const REQUIREMENTS: &[Requirement] = &[
         why: "workgroup size",
         met: |c| c.max_workgroup_size >= 256,
     },
+    Requirement {
+        name: "shaderBufferFloat32AtomicAdd",
+        required: false,
+        why: "gradients added without compare-and-swap",
+        met: |c| c.float_atomics,
+    },
     Requirement { name: "timestamps", required: false, why: "per-kernel times", met: |c| c.timestamp_ns > 0.0 },
 ];
 
@@ -239,6 +247,10 @@ impl DeviceInfo {
         if sync2_known {
             features = features.push_next(&mut sync2);
         }
+        let mut atomic_float = vk::PhysicalDeviceShaderAtomicFloatFeaturesEXT::default();
+        if c.has_extension(ash::ext::shader_atomic_float::NAME) {
+            features = features.push_next(&mut atomic_float);
+        }
         // SAFETY: as above.
         unsafe { instance.get_physical_device_features2(physical, &mut features) };
         // SAFETY: as above.
@@ -267,6 +279,7 @@ impl DeviceInfo {
         }
         c.synchronization2 = sync2.synchronization2 != 0;
         c.timeline_semaphore = timeline.timeline_semaphore != 0;
+        c.float_atomics = atomic_float.shader_buffer_float32_atomic_add != 0;
         c.max_storage_buffer_range = u64::from(limits.max_storage_buffer_range);
         c.max_allocation_bytes = maintenance.max_memory_allocation_size;
         c.max_storage_buffers = limits.max_per_stage_descriptor_storage_buffers;

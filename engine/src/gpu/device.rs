@@ -432,18 +432,26 @@ fn create_device(
         enable(ash::ext::subgroup_size_control::NAME);
     }
     enable(ash::khr::portability_subset::NAME);
+    if capabilities.float_atomics {
+        enable(ash::ext::shader_atomic_float::NAME);
+    }
     let names: Vec<_> = extensions.iter().map(|e| e.as_ptr()).collect();
     let mut sync2 = vk::PhysicalDeviceSynchronization2Features::default().synchronization2(true);
     let mut subgroup = vk::PhysicalDeviceSubgroupSizeControlFeatures::default()
         .subgroup_size_control(true)
         .compute_full_subgroups(true);
     let mut timeline = vk::PhysicalDeviceTimelineSemaphoreFeatures::default().timeline_semaphore(true);
-    let create = vk::DeviceCreateInfo::default()
+    let mut atomic_float =
+        vk::PhysicalDeviceShaderAtomicFloatFeaturesEXT::default().shader_buffer_float32_atomic_add(true);
+    let mut create = vk::DeviceCreateInfo::default()
         .queue_create_infos(&queues)
         .enabled_extension_names(&names)
         .push_next(&mut sync2)
         .push_next(&mut subgroup)
         .push_next(&mut timeline);
+    if capabilities.float_atomics {
+        create = create.push_next(&mut atomic_float);
+    }
     // SAFETY: every feature and extension named was reported by the device.
     let device = unsafe { instance.create_device(physical, &create, None) }.map_err(vk_error("vkCreateDevice"))?;
     Ok((device, family))

@@ -27,7 +27,7 @@ pub use motion::{
     Deformation, Offset, Placed, Pose, SCALE_MIN, exp, exp_quaternion, place, place_deformed, poses,
     rotation_of_quaternion, table_poses,
 };
-pub use network::{NonrigidOffset, network_poses, nonrigid_offsets};
+pub use network::{network_poses, nonrigid_offsets};
 pub use project::{Parameters, Splat, project};
 pub use sh::color_of;
 

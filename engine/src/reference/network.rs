@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::motion::Pose;
+use super::motion::{Offset, Pose};
 use crate::scene::network::{NONRIGID_FREQUENCIES, POSITION_FREQUENCIES, SKIP_LAYER, TIME_FREQUENCIES};
 use crate::scene::{DeformNetwork, Linear, NonrigidNetwork};
 
@@ -17,27 +17,13 @@ pub fn network_poses(network: &DeformNetwork, position: &[[f32; 3]], time: f64) 
     position.par_iter().map(pose).collect()
 }
 
-/// What network G adds to a Gaussian.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct NonrigidOffset {
-    /// To the rigidly moved centre, world units.
-    pub translation: DVec3,
-    /// To the rigidly moved unit quaternion w,x,y,z, which is then normalised.
-    pub rotation: [f64; 4],
-    /// To the scale (standard deviations), world units.
-    pub scaling: DVec3,
-}
-
 /// Offsets of Gaussians whose rigidly moved centres are `centre`.
-pub fn nonrigid_offsets(network: &NonrigidNetwork, centre: &[DVec3], time: f64) -> Vec<NonrigidOffset> {
+pub fn nonrigid_offsets(network: &NonrigidNetwork, centre: &[DVec3], time: f64) -> Vec<Offset> {
     let network = Perceptron::of_nonrigid(network);
     let offset = |c: &DVec3| {
         let output = network.trace(&nonrigid_encoding(*c, time)).output;
-        NonrigidOffset {
-            translation: DVec3::from_slice(&output[..3]),
-            rotation: std::array::from_fn(|i| output[3 + i]),
-            scaling: DVec3::from_slice(&output[7..]),
-        }
+        let part = |first: usize| std::array::from_fn(|i| output[first + i]);
+        Offset { mean: part(0), rotation: std::array::from_fn(|i| output[3 + i]), scale: part(7) }
     };
     centre.par_iter().map(offset).collect()
 }

@@ -11,6 +11,7 @@ use super::compact::{
 use super::deform_network::{DEFORM_NETWORK, DEFORM_NETWORK_SUPERPOINTS};
 use super::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectPush, MOTION_STATIC, MOTION_TABLE};
 use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
+use super::nonrigid_network;
 use super::radix_sort::{SORT_SCATTER, SORT_SPINE, SPINE_GROUPS, rank_by_ballot};
 use super::scene_buffers::{Poses, SceneBuffers};
 use super::tiles::{EMIT_TILES, EmitTilesPush, SUM_TILE_COUNTS, SlotBuffers, SumTileCountsPush, TILE_RANGES};
@@ -76,7 +77,8 @@ pub(crate) fn record_forward(
         let groups = u64::from(scene.superpoints.div_ceil(DEFORM_NETWORK_SUPERPOINTS));
         r.dispatch(&DEFORM_NETWORK, &[u32::from(scene.fp16_weights)], &[], &buffers, Groups::Direct(groups))?;
     }
-    deform_project(r, scene, work, frame, shape)?;
+    let offset = nonrigid_network(gpu, r, scene, frame, shape)?;
+    deform_project(r, scene, work, frame, offset)?;
     compact(r, scene, work, frame)?;
     sort(r, "depth", &work.depth, work, COUNT_VISIBLE, INDIRECT_DEPTH_SORT)?;
     emit(r, work, frame, shape)?;
@@ -84,12 +86,38 @@ pub(crate) fn record_forward(
     ranges_and_blend(gpu, r, work, frame, shape)
 }
 
+/// Offsets of the scene's network G at the frame's time, or those that the caller has.
+fn nonrigid_network(
+    gpu: &Gpu,
+    r: &mut Recorder,
+    scene: &SceneBuffers,
+    frame: &FrameBuffers,
+    shape: &Shape,
+) -> Result<Option<Slice>> {
+    let (Some(network), None) = (&scene.nonrigid, &shape.nonrigid_offset) else {
+        return Ok(shape.nonrigid_offset.clone());
+    };
+    let pose = frame.host_pose.as_ref().unwrap_or(&scene.pose);
+    let offset = Slice::from(&network.offset);
+    let buffers = [
+        Slice::from(&frame.frame),
+        Slice::from(&scene.mean),
+        Slice::from(&scene.superpoint_of_gaussian),
+        Slice::from(pose),
+        Slice::from(&network.parameter),
+        offset.clone(),
+    ];
+    let specialisation = nonrigid_network::specialisation(gpu, scene.moves());
+    nonrigid_network::record(r, scene.gaussians, specialisation, scene.origin.as_vec3().to_array(), &buffers)?;
+    Ok(Some(offset))
+}
+
 fn deform_project(
     r: &mut Recorder,
     scene: &SceneBuffers,
     work: &WorkBuffers,
     frame: &FrameBuffers,
-    shape: &Shape,
+    nonrigid_offset: Option<Slice>,
 ) -> Result<()> {
     let pose = frame.host_pose.as_ref().unwrap_or(&scene.pose);
     let [sh_0, sh_1, sh_2, sh_3] = &scene.sh;
@@ -108,13 +136,14 @@ fn deform_project(
         &work.splats,
         &work.tile_count,
     ]);
+    let nonrigid = u32::from(nonrigid_offset.is_some());
     // Without non-rigid offsets any buffer that is only read stands in for them.
-    let nonrigid_offset = shape.nonrigid_offset.clone().unwrap_or_else(|| Slice::from(&scene.mean));
-    buffers.extend([work.visible_block.clone(), work.counters.clone(), nonrigid_offset]);
+    let offset = nonrigid_offset.unwrap_or_else(|| Slice::from(&scene.mean));
+    buffers.extend([work.visible_block.clone(), work.counters.clone(), offset]);
     let motion = if scene.moves() { MOTION_TABLE } else { MOTION_STATIC };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
     let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS));
-    let spec = [scene.sh_degree, motion, u32::from(shape.nonrigid_offset.is_some())];
+    let spec = [scene.sh_degree, motion, nonrigid];
     r.dispatch(&DEFORM_PROJECT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
 }
 

@@ -4,9 +4,10 @@ use glam::{DMat3, DVec3};
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Memory};
-use crate::scene::{Gaussians, KeyInterval, Motion, MotionSource, Rejected, Scene};
+use crate::scene::{Gaussians, KeyInterval, Motion, MotionSource, NonrigidNetwork, Rejected, Scene};
 
 use super::deform_network::pack_weights;
+use super::nonrigid_network::{NONRIGID_PLANES, pack_parameters};
 
 /// A scene is moved to the origin when its centre is farther away than this many times its extent: poses then keep their
 /// precision, because |Exp(r)μ + τ| no longer cancels.
@@ -32,6 +33,29 @@ pub(crate) enum Poses {
     },
 }
 
+/// Network G on the device.
+#[derive(Debug, Clone)]
+pub(crate) struct NonrigidBuffers {
+    /// Packed weights.
+    pub(crate) parameter: Buffer,
+    /// `float[10][N]`.
+    pub(crate) offset: Buffer,
+}
+
+impl NonrigidBuffers {
+    fn new(gpu: &Gpu, network: &NonrigidNetwork, gaussians: usize) -> Result<Self> {
+        let parameter = pack_parameters(network)?;
+        Ok(Self {
+            parameter: gpu.buffer_with("nonrigid_parameter", bytemuck::cast_slice(&parameter))?,
+            offset: gpu.buffer(
+                "nonrigid_offset",
+                gaussians.max(1) as u64 * 4 * NONRIGID_PLANES as u64,
+                Memory::Device,
+            )?,
+        })
+    }
+}
+
 /// The model's arrays on the device.
 #[derive(Debug)]
 pub(crate) struct SceneBuffers {
@@ -44,6 +68,8 @@ pub(crate) struct SceneBuffers {
     /// Network F's hidden matrices are stored in half precision.
     pub(crate) fp16_weights: bool,
     pub(crate) rejected: Rejected,
+    /// Network G: its weights, and the offsets that it writes each frame.
+    pub(crate) nonrigid: Option<NonrigidBuffers>,
     pub(crate) mean: Buffer,
     pub(crate) log_scale: Buffer,
     pub(crate) rotation: Buffer,
@@ -86,6 +112,7 @@ impl SceneBuffers {
             poses,
             fp16_weights,
             rejected,
+            nonrigid: scene.nonrigid.as_ref().map(|n| NonrigidBuffers::new(gpu, n, g.len())).transpose()?,
             mean: gpu.buffer_with("mean", bytemuck::cast_slice(&planes(&mean)))?,
             log_scale: gpu.buffer_with("log_scale", bytemuck::cast_slice(&planes(&g.log_scale)))?,
             rotation: gpu.buffer_with("rotation", bytemuck::cast_slice(&g.rotation))?,
@@ -139,7 +166,8 @@ impl SceneBuffers {
             &self.superpoint_of_gaussian,
             &self.pose,
         ];
-        shared.iter().map(|b| b.bytes()).sum::<u64>() + self.sh.iter().map(Buffer::bytes).sum::<u64>()
+        let nonrigid = self.nonrigid.as_ref().map_or(0, |n| n.parameter.bytes() + n.offset.bytes());
+        nonrigid + shared.iter().map(|b| b.bytes()).sum::<u64>() + self.sh.iter().map(Buffer::bytes).sum::<u64>()
     }
 }
 

@@ -53,6 +53,20 @@ impl Gaussians {
         self.mean.len()
     }
 
+    /// The Gaussians at these indices, in this order.
+    #[must_use]
+    pub fn selected(&self, indices: &[usize]) -> Self {
+        let k = self.sh_coefficients() * 3;
+        Self {
+            mean: indices.iter().map(|&i| self.mean[i]).collect(),
+            log_scale: indices.iter().map(|&i| self.log_scale[i]).collect(),
+            rotation: indices.iter().map(|&i| self.rotation[i]).collect(),
+            opacity_logit: indices.iter().map(|&i| self.opacity_logit[i]).collect(),
+            sh_degree: self.sh_degree,
+            sh: indices.iter().flat_map(|&i| self.sh[i * k..(i + 1) * k].iter().copied()).collect(),
+        }
+    }
+
     /// Whether N = 0.
     pub fn is_empty(&self) -> bool {
         self.mean.is_empty()

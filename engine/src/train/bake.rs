@@ -49,7 +49,8 @@ struct Baker<'a> {
     near: f64,
 }
 
-/// Bakes `motion` (given at all candidate times). Gaussians of superpoints that never move get their constant pose applied.
+/// Bakes `motion` (given at all candidate times). With `merge_still`, Gaussians of superpoints that never move get their
+/// constant pose applied and share one superpoint, or have no motion at all when nothing moves.
 ///
 /// # Errors
 /// [`Error::Usage`] when the arrays do not fit together.
@@ -60,6 +61,7 @@ pub fn bake(
     cameras: &[Camera],
     near: f64,
     tolerance_px: f64,
+    merge_still: bool,
 ) -> Result<Baked> {
     let count = motion.superpoint_count();
     if superpoints.of_gaussian.len() != gaussians.len()
@@ -75,7 +77,7 @@ pub fn bake(
         ));
     }
     let baker = Baker::new(gaussians, superpoints, motion, cameras, near);
-    let moving = baker.moving(tolerance_px);
+    let moving = if merge_still { baker.moving(tolerance_px) } else { vec![true; count] };
     let still = moving.iter().filter(|m| !**m).count();
     apply_constant_pose(gaussians, superpoints, motion, &moving);
     let kept = new_indices(&moving);
@@ -348,7 +350,7 @@ mod tests {
     fn a_bend_needs_one_more_key_and_a_still_superpoint_none() {
         let (mut g, s, m) = scene();
         let before = g.clone();
-        let baked = bake(&mut g, &s, &m, &cameras(), 0.2, 0.1).unwrap();
+        let baked = bake(&mut g, &s, &m, &cameras(), 0.2, 0.1, true).unwrap();
         let motion = baked.motion.unwrap();
         assert_eq!(motion.times, [0.0, 0.5, 1.0]);
         assert_eq!((baked.still, baked.kept), (1, vec![2, 0, 1]));
@@ -367,7 +369,7 @@ mod tests {
         }
         let mut last = usize::MAX;
         for tolerance in [0.01, 0.3, 3.0] {
-            let baked = bake(&mut g.clone(), &s, &m, &cameras(), 0.2, tolerance).unwrap();
+            let baked = bake(&mut g.clone(), &s, &m, &cameras(), 0.2, tolerance, true).unwrap();
             let keys = baked.motion.unwrap().times.len();
             assert!(baked.error_px <= tolerance, "{} > {tolerance}", baked.error_px);
             assert!(keys <= last && keys >= 3, "{keys} keys at {tolerance} px");
@@ -381,7 +383,7 @@ mod tests {
         let (mut g, s, mut m) = scene();
         m.rotation.iter_mut().for_each(|r| *r = [0.2, 0.0, 0.0]);
         m.translation.iter_mut().for_each(|t| *t = [0.0; 3]);
-        let baked = bake(&mut g, &s, &m, &cameras(), 0.2, 0.1).unwrap();
+        let baked = bake(&mut g, &s, &m, &cameras(), 0.2, 0.1, true).unwrap();
         assert_eq!((baked.motion, baked.superpoints, baked.still), (None, None, 3));
     }
 }

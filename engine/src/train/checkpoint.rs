@@ -128,7 +128,8 @@ impl Checkpoint {
             let missing = || Error::corrupt(path, format!("metadata entry `{key}`"), "nothing", "it");
             metadata.get(key).cloned().ok_or_else(missing)
         };
-        let wrong = |key: &str, found: String| Error::corrupt(path, format!("metadata entry `{key}`"), found, "a valid value");
+        let wrong =
+            |key: &str, found: String| Error::corrupt(path, format!("metadata entry `{key}`"), found, "a valid value");
         let config = Config::parse(&entry("config")?, Preset::default(), path)?;
         let stage = serde_json::from_str(&entry("stage")?).map_err(|e| wrong("stage", e.to_string()))?;
         let iteration = entry("iteration")?.parse().map_err(|_| wrong("iteration", "no number".into()))?;

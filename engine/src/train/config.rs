@@ -12,6 +12,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::data::dataset::DatasetOptions;
 use crate::error::{Error, Result};
 pub use preset::Preset;
 
@@ -59,6 +60,8 @@ pub struct Config {
     pub density: DensityConfig,
     /// Hard limits.
     pub budget: BudgetConfig,
+    /// How the data set is read.
+    pub data: DatasetOptions,
     /// What is measured and written during the run.
     pub log: LogConfig,
     /// What the exported model keeps.

@@ -130,6 +130,21 @@ impl NetworkG {
         self.capacity
     }
 
+    /// Makes room for `gaussians`; weights and moments stay. Commands recorded before are void.
+    ///
+    /// # Errors
+    /// `OutOfMemory`, `DeviceLost`.
+    pub fn grow(&mut self, gaussians: u32) -> Result<()> {
+        if gaussians > self.capacity {
+            let moments = self.download_moments()?;
+            // Room for more, so that growth is rare.
+            let grown = Self::new(&self.gpu, &self.download()?, gaussians.saturating_add(gaussians / 2))?;
+            grown.upload_moments([&moments[0], &moments[1]])?;
+            *self = Self { stage: self.stage, ..grown };
+        }
+        Ok(())
+    }
+
     /// Bytes of device memory: weights and moments, then activations and gradients.
     pub fn bytes(&self) -> [u64; 2] {
         let work = [&self.activation, &self.activation_gradient, &self.slice_gradient, &self.gradient];

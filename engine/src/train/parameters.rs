@@ -102,6 +102,7 @@ impl Parameters {
             poses: Poses::Static,
             fp16_weights: false,
             rejected: Rejected::default(),
+            nonrigid: None,
             mean: floats("mean", &planes(&g.mean))?,
             log_scale: floats("log_scale", &planes(&g.log_scale))?,
             rotation: floats("rotation", g.rotation.as_flattened())?,

@@ -1,10 +1,10 @@
 //! Which image is trained on at an iteration: every epoch a new order, each image once. A pure function of seed and
 //! iteration, so that the data cursor of a checkpoint is the iteration itself.
 
-use super::rng::uniform_below;
+use super::rng;
 
 /// Stream of the random numbers that order the images.
-const STREAM: u64 = 0x0053_414d_504c_4552;
+const STREAM: u32 = 0x5649_4557;
 
 /// The order of images.
 #[derive(Debug, Clone)]
@@ -44,7 +44,8 @@ impl ViewSampler {
         self.epoch = epoch;
         self.order = (0..n as u32).collect();
         for i in (1..n).rev() {
-            let j = uniform_below(self.seed, STREAM, epoch << 32 | i as u64, i as u64 + 1);
+            // The modulus favours small numbers by n / 2^64: nothing.
+            let j = rng::bits(self.seed, STREAM, epoch << 32 | i as u64) % (i as u64 + 1);
             self.order.swap(i, j as usize);
         }
     }

@@ -46,6 +46,11 @@ impl Schedule {
         &self.config
     }
 
+    /// Radius of the cameras, world units.
+    pub fn extent(&self) -> f64 {
+        self.extent
+    }
+
     /// The stage.
     pub fn stage(&self) -> Stage {
         self.stage

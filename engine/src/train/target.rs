@@ -1,7 +1,7 @@
 //! Everything of a training step whose size follows the image: one [`Target`] per image size of the data set.
 
-use super::image_loss::{ImageLoss, LOSS_WORDS};
 use super::blend_backward::ROW_WORDS;
+use super::image_loss::{ImageLoss, LOSS_WORDS};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Commands, Gpu, Memory};
 use crate::render::limits::TILE_SIZE;
@@ -74,7 +74,7 @@ impl Target {
                 counters: gpu.buffer("counters readback", 32, Memory::Readback)?,
             },
             instance_gradient: slots.as_ref().map(|_| device("instance_gradient", row_bytes)).transpose()?,
-            shape: Shape { tiles, with_depth: false, slots },
+            shape: Shape { tiles, with_depth: false, slots, nonrigid_offset: None },
             upload: gpu.buffer("photo upload", pixels * 4, Memory::Upload)?,
             photo: device("target", pixels * 4)?,
             image_gradient: device("image_gradient", pixels * 16)?,

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use engine::error::Result;
 use tools::args::{Cli, Command};
-use tools::{bench, demo, devices, inspect, output, render};
+use tools::{bench, demo, devices, inspect, output, render, train};
 
 fn main() -> ExitCode {
     match output::parse::<Cli>("spgs") {
@@ -16,6 +16,7 @@ fn main() -> ExitCode {
 fn run(cli: &Cli) -> Result<()> {
     match &cli.command {
         Command::Demo(args) => demo::run(args, &cli.global),
+        Command::Train(args) => train::run(args, &cli.global),
         Command::Render(args) => render::run(args, &cli.global),
         Command::Bench(args) => bench::run(args, &cli.global),
         Command::Inspect(args) => inspect::run(args),

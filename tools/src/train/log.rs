@@ -1,5 +1,6 @@
 //! `run.jsonl`: one JSON object per line, appended while a run goes on. A line is a step (`loss` …), an evaluation
-//! (`evaluation`), or a change of the number of Gaussians (`density`); every one has `iteration` and `seconds`.
+//! (`evaluation`), or a change of the number of Gaussians (`density`); every one has `iteration`,
+//! `stage` and `seconds`.
 
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead as _, BufReader, Write as _};
@@ -8,6 +9,7 @@ use std::time::Instant;
 
 use engine::error::{Error, Result};
 use engine::file::durable::write_atomic;
+use engine::train::schedule::Stage;
 use serde_json::{Value, json};
 
 /// The log of a run.
@@ -16,25 +18,37 @@ pub struct RunLog {
     path: PathBuf,
     file: File,
     start: Instant,
+    stage: Stage,
     /// Seconds of the run before this process.
     before: f64,
 }
 
+/// Lines of an earlier process that stay.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kept {
+    /// None: a new run.
+    Nothing,
+    /// Those of earlier stages, and of this one up to an iteration.
+    UpTo(u64),
+}
+
 impl RunLog {
-    /// Opens the log in `folder`. A resumed run keeps the lines up to `iteration`; a new one (iteration 0) starts afresh.
+    /// Opens the log in `folder` for a stage of the run.
     ///
     /// # Errors
     /// [`Error::Io`].
-    pub fn open(folder: &Path, iteration: u64) -> Result<Self> {
+    pub fn open(folder: &Path, kept: Kept, stage: Stage) -> Result<Self> {
         let path = folder.join("run.jsonl");
-        let kept: Vec<Value> = match iteration {
-            0 => Vec::new(),
-            _ => read(&path)?.into_iter().filter(|v| number(v, "iteration") <= iteration as f64).collect(),
+        let own = json!(stage);
+        let stays = |v: &Value, last: u64| v["stage"] != own || number(v, "iteration") <= last as f64;
+        let kept: Vec<Value> = match kept {
+            Kept::Nothing => Vec::new(),
+            Kept::UpTo(last) => read(&path)?.into_iter().filter(|v| stays(v, last)).collect(),
         };
         let before = kept.iter().map(|v| number(v, "seconds")).fold(0.0, f64::max);
         write_atomic(&path, |out| kept.iter().try_for_each(|v| writeln!(out, "{v}")))?;
         let file = OpenOptions::new().append(true).open(&path).map_err(|e| Error::io(&path, "open", e))?;
-        Ok(Self { path, file, start: Instant::now(), before })
+        Ok(Self { path, file, start: Instant::now(), stage, before })
     }
 
     /// Seconds that the run has taken, earlier processes included.
@@ -42,12 +56,13 @@ impl RunLog {
         self.before + self.start.elapsed().as_secs_f64()
     }
 
-    /// Appends a line; `iteration` and `seconds` are added.
+    /// Appends a line; `iteration`, `stage` and `seconds` are added.
     ///
     /// # Errors
     /// [`Error::Io`].
     pub fn line(&mut self, iteration: u64, value: Value) -> Result<()> {
-        let mut line = json!({ "iteration": iteration, "seconds": (self.seconds() * 1e3).round() / 1e3 });
+        let seconds = (self.seconds() * 1e3).round() / 1e3;
+        let mut line = json!({ "iteration": iteration, "stage": self.stage, "seconds": seconds });
         if let (Value::Object(line), Value::Object(value)) = (&mut line, value) {
             line.extend(value);
         }
@@ -90,7 +105,7 @@ mod tests {
     #[test]
     fn a_resumed_log_goes_on_where_the_checkpoint_is() {
         let folder = tempfile::tempdir().unwrap();
-        let mut log = RunLog::open(folder.path(), 0).unwrap();
+        let mut log = RunLog::open(folder.path(), Kept::Nothing, Stage::Rigid).unwrap();
         for i in 1..=5 {
             log.line(i, json!({ "loss": 0.5 })).unwrap();
         }
@@ -99,7 +114,7 @@ mod tests {
         let path = folder.path().join("run.jsonl");
         let text = std::fs::read_to_string(&path).unwrap();
         std::fs::write(&path, &text[..text.len() - 4]).unwrap();
-        let mut log = RunLog::open(folder.path(), 3).unwrap();
+        let mut log = RunLog::open(folder.path(), Kept::UpTo(3), Stage::Rigid).unwrap();
         log.line(4, json!({ "loss": 0.25 })).unwrap();
         let lines = read(&path).unwrap();
         assert_eq!(lines.iter().map(|v| number(v, "iteration")).collect::<Vec<_>>(), [1.0, 2.0, 3.0, 4.0]);

@@ -1,8 +1,8 @@
-//! `cameras.bin` and `images.bin`: little-endian, packed.
+//! `cameras.bin`, `images.bin` and `points3D.bin`: little-endian, packed.
 
 use std::path::Path;
 
-use super::{MODELS, RawCamera, RawImage};
+use super::{MODELS, Observation, RawCamera, RawImage, RawPoint};
 use crate::error::{Error, Result};
 
 /// A position in a file whose reads are all checked.
@@ -112,11 +112,37 @@ pub(super) fn images(bytes: &[u8], path: &Path) -> Result<Vec<RawImage>> {
         let translation = cursor.f64s("translation")?;
         let camera = cursor.u32("camera id")?;
         let name = cursor.name()?;
-        let points = cursor.count(24, "2-D points")?;
-        // Checked by `count`: the points lie within the file.
-        cursor.at += points * 24;
-        images.push(RawImage { rotation, translation, camera, name, at });
+        let count = cursor.count(24, "2-D points")?;
+        let mut observations = Vec::new();
+        for _ in 0..count {
+            let pixel = cursor.f64s("2-D point")?;
+            // −1 for a pixel that belongs to no point.
+            if let Ok(point) = u64::try_from(i64::from_le_bytes(cursor.take("point id")?)) {
+                observations.push(Observation { pixel, point });
+            }
+        }
+        images.push(RawImage { rotation, translation, camera, name, observations, at });
     }
     cursor.end()?;
     Ok(images)
+}
+
+/// u64 count; per point u64 id, f64 position, u8 colour, f64 error, u64 length of the track, of (i32 image, i32 index).
+pub(super) fn points(bytes: &[u8], path: &Path) -> Result<Vec<RawPoint>> {
+    let mut cursor = Cursor { bytes, at: 0, path };
+    let count = cursor.count(8 + 24 + 3 + 8 + 8, "points")?;
+    let mut points = Vec::with_capacity(count);
+    for _ in 0..count {
+        let at = format!("byte {}", cursor.at);
+        let id = cursor.u64("point id")?;
+        let position = cursor.f64s("position")?;
+        let colour = cursor.take("colour")?;
+        cursor.f64s::<1>("error")?;
+        let track = cursor.count(8, "images of a point")?;
+        // Checked by `count`: the track lies within the file.
+        cursor.at += track * 8;
+        points.push(RawPoint { id, position, colour, at });
+    }
+    cursor.end()?;
+    Ok(points)
 }

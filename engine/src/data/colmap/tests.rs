@@ -4,7 +4,7 @@
 use std::fmt::Write as _;
 
 use super::*;
-use crate::data::load_cameras;
+use crate::data::{DatasetOptions, dataset, load_cameras};
 
 type TestCamera = (u32, usize, [u64; 2], Vec<f64>);
 type TestImage = (&'static str, [f64; 4], [f64; 3], u32, usize);
@@ -88,8 +88,9 @@ fn text_and_binary_agree_and_are_right() {
             let set = load_cameras(folder.path(), None, None).unwrap();
             let names: Vec<&str> = set.cameras.iter().map(|c| c.name.as_str()).collect();
             assert_eq!(names, ["img1.png", "img2.png", "img10.png"]);
-            assert_eq!(set.cameras.iter().map(|c| c.time).collect::<Vec<_>>(), [0.0, 0.5, 1.0]);
-            assert_eq!(set.warnings.len(), 10, "{:?}", set.warnings);
+            // By the numbers in the names.
+            assert_eq!(set.cameras.iter().map(|c| c.time).collect::<Vec<_>>(), [0.0, 1.0 / 9.0, 1.0]);
+            assert!(set.warnings.is_empty(), "{:?}", set.warnings);
             let [first, second, third] = &set.cameras[..] else { panic!() };
             assert_eq!((first.fx, first.fy, first.cx, first.cy), (500.0, 510.0, 320.0, 240.5));
             assert_eq!((second.fx, second.fy, second.cx, second.cy), (500.0, 500.0, 320.0, 240.5));
@@ -101,6 +102,23 @@ fn text_and_binary_agree_and_are_right() {
             assert!((second.rotation * second.position + DVec3::new(1.0, 2.0, 3.0)).length() < 1.0e-14);
         }
     }
+}
+
+#[test]
+fn distorted_cameras_are_named_once() {
+    let names: Vec<&'static str> = (0..20).map(|i| &*format!("{i}.png").leak()).collect();
+    let image = |(i, name): (usize, &&'static str)| (*name, [1.0, 0.0, 0.0, 0.0], [0.0; 3], 12 + (i % 10) as u32, 0);
+    let images: Vec<TestImage> = names.iter().enumerate().map(image).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let (c, i) = binary_files(&test_cameras(), &images);
+    std::fs::write(folder.path().join("cameras.bin"), c).unwrap();
+    std::fs::write(folder.path().join("images.bin"), i).unwrap();
+    let set = load_cameras(folder.path(), None, None).unwrap();
+    assert_eq!((set.cameras.len(), set.warnings.len()), (20, 10), "{:?}", set.warnings);
+    let unsupported: Vec<&String> = set.warnings.iter().filter(|w| w.contains("is distorted (")).collect();
+    assert_eq!(unsupported.len(), 3, "FOV and the thin prisms: {unsupported:?}");
+    let message = dataset::load(folder.path(), &DatasetOptions::default()).unwrap_err().to_string();
+    assert!(message.contains("found model FOV"), "{message}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::str::FromStr;
 
-use super::{MODELS, RawCamera, RawImage};
+use super::{MODELS, Observation, RawCamera, RawImage, RawPoint};
 use crate::error::{Error, Result};
 
 fn lines<'a>(bytes: &'a [u8], path: &'a Path) -> impl Iterator<Item = (usize, Result<&'a str>)> {
@@ -94,14 +94,49 @@ pub(super) fn images(bytes: &[u8], path: &Path) -> Result<Vec<RawImage>> {
         if name.is_empty() {
             return Err(words.corrupt("the end of the line", "an image name"));
         }
-        images.push(RawImage { rotation, translation, camera, name, at: format!("line {line}") });
-        if let Some((line, points)) = all.next() {
-            let count = points?.split_whitespace().count();
-            if count % 3 != 0 {
-                let expected = "the image's 2-D points, three numbers each (the line may be empty)";
-                return Err(Error::corrupt(path, format!("line {line}"), format!("{count} words"), expected));
-            }
-        }
+        let observations = match all.next() {
+            None => Vec::new(),
+            Some((line, points)) => observations(points?, line, path)?,
+        };
+        images.push(RawImage { rotation, translation, camera, name, observations, at: format!("line {line}") });
     }
     Ok(images)
+}
+
+fn observations(text: &str, line: usize, path: &Path) -> Result<Vec<Observation>> {
+    let count = text.split_whitespace().count();
+    if !count.is_multiple_of(3) {
+        let expected = "the image's 2-D points, three numbers each (the line may be empty)";
+        return Err(Error::corrupt(path, format!("line {line}"), format!("{count} words"), expected));
+    }
+    let mut words = Words::new(text, line, path);
+    let mut list = Vec::new();
+    for _ in 0..count / 3 {
+        let pixel = words.numbers("two numbers")?;
+        // −1 for a pixel that belongs to no point.
+        if let Ok(point) = u64::try_from(words.number::<i64>("a point id")?) {
+            list.push(Observation { pixel, point });
+        }
+    }
+    Ok(list)
+}
+
+/// `POINT3D_ID X Y Z R G B ERROR TRACK[]`.
+pub(super) fn points(bytes: &[u8], path: &Path) -> Result<Vec<RawPoint>> {
+    let mut points = Vec::new();
+    for (line, text) in lines(bytes, path) {
+        let text = text?;
+        if text.is_empty() || text.starts_with('#') {
+            continue;
+        }
+        let mut words = Words::new(text, line, path);
+        let id = words.number("a point id")?;
+        let position = words.numbers("a position x y z")?;
+        let mut colour = [0; 3];
+        for channel in &mut colour {
+            *channel = words.number("a colour from 0 to 255")?;
+        }
+        points.push(RawPoint { id, position, colour, at: format!("line {line}") });
+    }
+    Ok(points)
 }

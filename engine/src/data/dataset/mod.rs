@@ -5,20 +5,25 @@
 //!
 //! | file | format |
 //! |---|---|
-//! | `transforms_train.json` | D-NeRF ([`blender`]) |
+//! | `transforms_train.json` | D-NeRF |
 //! | `dataset.json` | Nerfies, HyperNeRF, NeRF-DS |
-//! | `transforms.json` | nerfstudio, instant-ngp ([`blender`]) |
+//! | `transforms.json` | nerfstudio, instant-ngp |
 //! | `precomputed.json`, `poses_bounds.npy` | LLFF, nonrigid_nerf, NVIDIA Dynamic Scene |
 //! | `cameras` and `images`, `.bin` or `.txt`, here or in `sparse/0` or `sparse` | COLMAP |
 
 mod blender;
+mod colmap;
+mod llff;
+mod nerfies;
 mod options;
+mod pictures;
 mod views;
 
 use std::path::Path;
 
 use serde::Serialize;
 
+use crate::data::CameraSet;
 use crate::data::frame::Frame;
 use crate::data::pixels::ImageSource;
 use crate::error::{Error, Result};
@@ -34,6 +39,18 @@ pub enum DatasetKind {
     Blender,
     /// One `transforms.json`.
     Nerfstudio,
+    /// Nerfies, HyperNeRF, DyCheck.
+    Nerfies,
+    /// The same with masks.
+    NerfDs,
+    /// `poses_bounds.npy`.
+    Llff,
+    /// `precomputed.json`.
+    NonrigidNerf,
+    /// `poses_bounds.npy` of the 12-camera rig.
+    Nvidia,
+    /// A COLMAP model and its photos.
+    Colmap,
 }
 
 impl DatasetKind {
@@ -42,6 +59,12 @@ impl DatasetKind {
         match self {
             Self::Blender => "D-NeRF (transforms_*.json)",
             Self::Nerfstudio => "nerfstudio (transforms.json)",
+            Self::Nerfies => "Nerfies / HyperNeRF (dataset.json)",
+            Self::NerfDs => "NeRF-DS (dataset.json, resized_mask)",
+            Self::Llff => "LLFF (poses_bounds.npy)",
+            Self::NonrigidNerf => "nonrigid_nerf (precomputed.json)",
+            Self::Nvidia => "NVIDIA Dynamic Scene (poses_bounds.npy, 12 cameras)",
+            Self::Colmap => "COLMAP",
         }
     }
 }
@@ -106,8 +129,8 @@ struct Source {
     decisions: Vec<String>,
 }
 
-/// A frame and the files that may hold its picture.
-#[derive(Debug)]
+/// A frame and its picture.
+#[derive(Debug, Clone)]
 struct Posed {
     frame: Frame,
     image: views::Stored,
@@ -133,10 +156,58 @@ fn read(path: &Path, options: &DatasetOptions) -> Result<Source> {
     if has("transforms_train.json") {
         return blender::read_splits(path, options);
     }
+    if has("dataset.json") {
+        return nerfies::read(path, options);
+    }
     if has("transforms.json") {
         return blender::read_single(path, options);
     }
+    if let Some(file) = llff::file(path) {
+        return llff::read(path, &file, options);
+    }
+    if let Some(model) = crate::data::colmap::find(path) {
+        return colmap::read(path, &model, options);
+    }
     Err(unknown(path))
+}
+
+/// Times of the images of a COLMAP model by the rules of its data set; names in natural order.
+pub(super) fn colmap_times(folder: &Path, names: &[&str]) -> Result<Vec<f64>> {
+    Ok(colmap::times(folder, names)?.0)
+}
+
+/// Whether [`cameras`] reads the folder: it holds a data set whose splits only this module knows.
+pub(super) fn is_known(folder: &Path) -> bool {
+    let has = |name: &str| folder.join(name).is_file();
+    has("dataset.json") || llff::file(folder).is_some() || has("transforms.json") && !has("transforms_train.json")
+}
+
+/// The cameras of a split at the data set's default size, or at another; pictures need not be there. No split means
+/// `test`, or `train` where that is empty.
+pub(super) fn cameras(folder: &Path, split: Option<&str>, size_override: Option<[u32; 2]>) -> Result<CameraSet> {
+    let source = read(folder, &DatasetOptions::default())?;
+    let mut warnings = Vec::new();
+    let posed: Vec<&Posed> = match split {
+        None if source.test.is_empty() => {
+            warnings.push(format!("{}: no test frames, using the training frames", folder.display()));
+            source.train.iter().collect()
+        }
+        None | Some("test") => source.test.iter().collect(),
+        Some("train") => source.train.iter().collect(),
+        Some("val") => source.val.iter().collect(),
+        Some("all") => source.train.iter().chain(&source.test).chain(&source.val).collect(),
+        Some(other) => return Err(Error::usage("split of a data set", other, "train, test, val or all")),
+    };
+    if posed.is_empty() {
+        let what = format!("cameras in {}", folder.display());
+        return Err(Error::usage(what, format!("no frame in split `{}`", split.unwrap_or("test")), "at least one"));
+    }
+    let camera = |p: &&Posed| {
+        let size = size_override.unwrap_or_else(|| views::scaled(p.frame.size, source.default_downscale));
+        p.frame.pinhole().resized(size[0], size[1])
+    };
+    let cameras = posed.iter().map(camera).collect();
+    Ok(CameraSet { cameras, warnings, source: folder.display().to_string() })
 }
 
 fn unknown(path: &Path) -> Error {

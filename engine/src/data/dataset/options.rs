@@ -57,6 +57,19 @@ impl SplitRule {
         }
     }
 
+    /// Training and test frames, for the rules that count.
+    pub(super) fn divide<T>(self, all: Vec<T>) -> (Vec<T>, Vec<T>) {
+        let (mut train, mut test) = (Vec::new(), Vec::new());
+        for (i, item) in all.into_iter().enumerate() {
+            match self.place(i) {
+                Some(true) => train.push(item),
+                Some(false) => test.push(item),
+                None => {}
+            }
+        }
+        (train, test)
+    }
+
     /// The rule in words.
     pub(super) fn describe(self) -> String {
         match self {

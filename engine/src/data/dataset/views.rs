@@ -40,7 +40,11 @@ pub(super) fn downscale(options: &DatasetOptions, default: u32) -> Result<u32> {
 
 pub(super) fn dataset(source: Source, options: &DatasetOptions) -> Result<Dataset> {
     let downscale = downscale(options, source.default_downscale)?;
-    let views = |posed: &[Posed]| posed.par_iter().map(|p| view(p, downscale, options)).collect::<Result<Vec<View>>>();
+    let views = |posed: &[Posed]| -> Result<Vec<View>> {
+        let all: Vec<Result<View>> = posed.par_iter().map(|p| view(p, downscale, options)).collect();
+        // The first error in the order of the frames, whichever thread was first.
+        all.into_iter().collect()
+    };
     let (train, test, val) = (views(&source.train)?, views(&source.test)?, views(&source.val)?);
     if train.is_empty() {
         return Err(Error::usage("training views", "none", "at least one"));
@@ -63,6 +67,11 @@ pub(super) fn dataset(source: Source, options: &DatasetOptions) -> Result<Datase
     Ok(dataset)
 }
 
+/// Size after a downscale, rounded.
+pub(super) fn scaled(size: [u32; 2], downscale: u32) -> [u32; 2] {
+    size.map(|side| ((side + downscale / 2) / downscale).max(1))
+}
+
 fn view(posed: &Posed, downscale: u32, options: &DatasetOptions) -> Result<View> {
     let (frame, image) = (&posed.frame, &posed.image);
     let stored = pixels::dimensions(&image.path)?;
@@ -78,7 +87,7 @@ fn view(posed: &Posed, downscale: u32, options: &DatasetOptions) -> Result<View>
         let found = format!("{} x {} pixels", stored[0], stored[1]);
         return Err(Error::corrupt(&image.path, "picture size", found, expected));
     }
-    let size = frame.size.map(|side| ((side + downscale / 2) / downscale).max(1));
+    let size = scaled(frame.size, downscale);
     let scale = |i: usize| f64::from(stored[i]) / f64::from(frame.size[i]);
     let lens = (!frame.lens.is_pinhole()).then(|| frame.lens.scaled(scale(0), scale(1)));
     let mut camera = frame.pinhole().resized(size[0], size[1]);
@@ -112,7 +121,7 @@ fn decisions(dataset: &Dataset, of_format: Vec<String>, options: &DatasetOptions
     let undistorted = all().filter(|v| v.image.lens.is_some()).count();
     if undistorted > 0 {
         lines.push(format!(
-            "lens: {undistorted} of {} pictures are undistorted on load (focal lengths and principal point kept{})",
+            "undistortion: of {undistorted} of {} pictures, on load (focal lengths and principal point kept{})",
             train + test + val,
             beyond_the_photo(dataset),
         ));
@@ -121,10 +130,9 @@ fn decisions(dataset: &Dataset, of_format: Vec<String>, options: &DatasetOptions
     if masks > 0 {
         lines.push(format!("masks: {masks} of {} pictures have one", train + test + val));
     }
-    lines.push(match &dataset.points {
-        Some(points) => format!("points: {} to start from", points.position.len()),
-        None => "points: none in the data set, random ones are used".into(),
-    });
+    if dataset.points.is_none() {
+        lines.push("points: none in the data set, random ones are used".into());
+    }
     lines.push(format!("extent: {:.6} (1.1 × largest distance of a training camera from their mean)", dataset.extent));
     lines
 }

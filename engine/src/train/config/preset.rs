@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::data::dataset::DatasetOptions;
+
 use super::{
     AdamConfig, BudgetConfig, Config, DensityConfig, ExportConfig, Form, GaussiansConfig, LearningRates, LogConfig,
     LossConfig, MotionConfig, NonrigidConfig, Schedule,
@@ -78,6 +80,7 @@ impl Default for Config {
             adam: AdamConfig::default(),
             density: DensityConfig::default(),
             budget: BudgetConfig::default(),
+            data: DatasetOptions::default(),
             log: LogConfig::default(),
             export: ExportConfig::default(),
         }

@@ -1,0 +1,163 @@
+//! Density control in the trainer: what a pass needs and what it replaces.
+
+use super::association::Rows;
+use super::blend_backward::ROW_WORDS;
+use super::density::{Density, DensityBuffers, DensityOptions, NewRows, RowArray, reset_opacity};
+use super::parameters::plane_count;
+use super::trainer::Trainer;
+use crate::error::{Error, Result};
+use crate::gpu::Memory;
+use crate::render::scene_buffers::Poses;
+
+/// Opacity that a reset leaves at most (3DGS).
+const RESET_OPACITY: f64 = 0.01;
+
+/// What density control did after an iteration.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct DensityChange {
+    /// N before.
+    pub before: u32,
+    /// N after.
+    pub after: u32,
+    /// Copied.
+    pub cloned: u32,
+    /// Replaced by two.
+    pub split: u32,
+    /// Removed.
+    pub pruned: u32,
+    /// Would have grown, but for the budget.
+    pub refused: u32,
+    /// Opacities were reset.
+    pub opacity_reset: bool,
+}
+
+impl Trainer {
+    /// Clone, split, prune and reset after `iteration`, as the schedule says.
+    pub(super) fn adapt_density(&mut self, iteration: u64) -> Result<()> {
+        let (grows, prunes) = (self.schedule.grows(iteration), self.schedule.prunes(iteration));
+        let n = self.parameters.count();
+        let mut change = DensityChange { before: n, after: n, ..DensityChange::default() };
+        if (grows || prunes) && n > 0 {
+            self.pass(iteration, grows, prunes, &mut change)?;
+        }
+        if self.schedule.resets_opacity(iteration) {
+            let p = &self.parameters;
+            let moments = [&p.moment_1, &p.moment_2];
+            reset_opacity(&self.gpu, &p.scene.opacity_logit, moments, p.count(), RESET_OPACITY)?;
+            change.opacity_reset = true;
+        }
+        if change.opacity_reset || grows || prunes {
+            self.density_change = Some(change);
+        }
+        Ok(())
+    }
+
+    fn pass(&mut self, iteration: u64, grows: bool, prunes: bool, change: &mut DensityChange) -> Result<()> {
+        let d = &self.schedule.config().density;
+        let large = prunes && self.schedule.prunes_large(iteration);
+        let options = DensityOptions {
+            gradient_threshold: if grows { d.gradient_threshold } else { f32::INFINITY },
+            // The smallest opacity there is when nothing is to be pruned.
+            min_opacity: if prunes { f64::from(d.min_opacity).max(1e-30) } else { 1e-30 },
+            percent_dense: f64::from(d.clone_extent),
+            extent: self.schedule.extent(),
+            world_size: large.then_some(f64::from(d.max_extent)),
+            max_screen_radius: (large && d.max_radius_px > 0.0).then_some(d.max_radius_px),
+            max_gaussians: self.most_gaussians(),
+            seed: self.config.seed,
+            iteration: iteration as u32,
+        };
+        // Recorded commands hold the old buffers.
+        self.targets.clear();
+        let n = self.parameters.count();
+        let outcome = match Density::new(&self.gpu).run(self.density_buffers(), n, &options) {
+            Ok(outcome) => outcome,
+            // No room for a second copy of an array: go on with the Gaussians there are.
+            Err(Error::OutOfMemory { .. }) => {
+                change.refused = n;
+                return Ok(());
+            }
+            Err(e) => return Err(e),
+        };
+        (change.after, change.cloned, change.split) = (outcome.new_count, outcome.cloned, outcome.split);
+        (change.pruned, change.refused) = (outcome.pruned, outcome.refused);
+        self.take(outcome.new_count, outcome.buffers)
+    }
+
+    /// The configured number, or fewer where the device's memory ends: what a Gaussian has cost so far, and a second copy
+    /// of its parameters while they are moved.
+    fn most_gaussians(&self) -> u32 {
+        let most = self.config.budget.max_gaussians;
+        let n = u64::from(self.parameters.count().max(1));
+        let (used, budget) = self.gpu.memory_used();
+        let each = used.div_ceil(n) + 12 * u64::from(plane_count(self.parameters.sh_degree));
+        most.min(u32::try_from(budget / each.max(1)).unwrap_or(u32::MAX))
+    }
+
+    fn density_buffers(&self) -> DensityBuffers {
+        let (p, s) = (&self.parameters, &self.parameters.scene);
+        let row = |buffer: &crate::gpu::Buffer, planes: u32, width: u32, new_rows: NewRows| RowArray {
+            buffer: buffer.clone(),
+            planes,
+            width,
+            new_rows,
+        };
+        let band = |b: u32| if b <= p.sh_degree { 3 * (2 * b + 1) } else { 0 };
+        let planes = plane_count(p.sh_degree);
+        let mut rows: Vec<RowArray> = (0..4).map(|b| row(&s.sh[b as usize], band(b), 1, NewRows::Copy)).collect();
+        rows.push(row(&p.moment_1, planes, 1, NewRows::Zero));
+        rows.push(row(&p.moment_2, planes, 1, NewRows::Zero));
+        rows.push(row(&s.superpoint_of_gaussian, 1, 1, NewRows::Copy));
+        if let Some(m) = &self.moving {
+            let (a, slots) = (m.superpoints.rows(), m.superpoints.options().slots);
+            rows.push(row(&a.neighbor, 1, slots, NewRows::Copy));
+            rows.push(row(&a.logit, 1, slots, NewRows::Copy));
+            rows.push(row(&a.moment_1, 1, slots, NewRows::Zero));
+            rows.push(row(&a.moment_2, 1, slots, NewRows::Zero));
+        }
+        DensityBuffers {
+            mean: s.mean.clone(),
+            log_scale: s.log_scale.clone(),
+            rotation: s.rotation.clone(),
+            opacity_logit: s.opacity_logit.clone(),
+            density: p.density.clone(),
+            max_radius: p.max_radius.clone(),
+            rows,
+        }
+    }
+
+    /// Goes on with `n` Gaussians in these buffers, in the order of [`Trainer::density_buffers`].
+    fn take(&mut self, n: u32, b: DensityBuffers) -> Result<()> {
+        let mut rows = b.rows.into_iter().map(|r| r.buffer);
+        let mut next = || rows.next().ok_or_else(|| Error::usage("density control", "too few arrays", "all of them"));
+        let (p, s) = (&mut self.parameters, n);
+        p.scene.gaussians = s;
+        (p.scene.mean, p.scene.log_scale, p.scene.rotation) = (b.mean, b.log_scale, b.rotation);
+        (p.scene.opacity_logit, p.density, p.max_radius) = (b.opacity_logit, b.density, b.max_radius);
+        p.scene.sh = [next()?, next()?, next()?, next()?];
+        (p.moment_1, p.moment_2) = (next()?, next()?);
+        p.scene.superpoint_of_gaussian = next()?;
+        if n == 0 {
+            // Nothing is left to move.
+            (p.scene.superpoints, p.scene.poses) = (0, Poses::Static);
+            self.moving = None;
+        } else if let Some(m) = &mut self.moving {
+            let rows = Rows { neighbor: next()?, logit: next()?, moment_1: next()?, moment_2: next()? };
+            m.superpoints.resize(&self.gpu, n, rows)?;
+        }
+        self.allocate_gradients()
+    }
+
+    /// Buffers of a step that follow the number of Gaussians.
+    pub(super) fn allocate_gradients(&mut self) -> Result<()> {
+        let n = u64::from(self.parameters.count().max(1));
+        self.splat_gradient = self.gpu.buffer("splat_gradient", n * u64::from(ROW_WORDS) * 4, Memory::Device)?;
+        self.pose_gradient = self.gpu.buffer("pose_gradient", n * 24, Memory::Device)?;
+        if let Some(g) = &mut self.nonrigid {
+            g.offset = self.gpu.buffer("nonrigid_offset", n * 40, Memory::Device)?;
+            g.gradient = self.gpu.buffer("nonrigid_gradient", n * 40, Memory::Device)?;
+            g.network.grow(n as u32)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,102 @@
+//! CPU twins: the replay per pixel, decisions in f32 as on the device, sums in f64.
+
+use super::{Accumulation, FAR_PRODUCT, FAR_VALUE, ROW_WORDS, SUMS, SumInstanceGradientsPush};
+use crate::gpu::kernel::TwinCall;
+use crate::render::blend::{MAX_ALPHA, MIN_TRANSMITTANCE};
+use crate::render::ellipse::LOG2_255;
+use crate::render::frame::Frame;
+use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES, TILE_SIZE};
+use crate::render::twin::{f32_at, group_count, push, set_f32, spec, struct_at, vec4_at};
+
+/// Sums of a splat over the pixels of a tile.
+type Sums = [f64; SUMS];
+
+/// A pixel's state while its splats are replayed.
+struct Pixel {
+    transmittance: f32,
+    to_come: f64,
+    gradient: [f64; 4],
+}
+
+impl Pixel {
+    fn new(color: [f32; 4], gradient: [f32; 4]) -> Self {
+        let product: f32 = color.iter().zip(gradient).map(|(c, g)| c * g).sum();
+        let usable = gradient.iter().all(|g| g.abs() < FAR_VALUE) && product.abs() < FAR_PRODUCT;
+        let gradient = if usable { gradient.map(f64::from) } else { [0.0; 4] };
+        let to_come = if usable { color.iter().zip(gradient).map(|(c, g)| f64::from(*c) * g).sum() } else { 0.0 };
+        Self { transmittance: 1.0, to_come, gradient }
+    }
+
+    /// Replays one splat at distance (dx, dy) px from its mean.
+    fn replay(&mut self, [first, second, third]: [[f32; 4]; 3], dx: f32, dy: f32, sums: &mut Sums) {
+        let u = first[2] * dx + first[3] * dy;
+        let v = second[0] * dy;
+        let log2_alpha = second[1] - u * u - v * v;
+        if !(log2_alpha >= -LOG2_255 && self.transmittance > 0.0) {
+            return;
+        }
+        let alpha = log2_alpha.exp2().min(MAX_ALPHA);
+        let weight = alpha * self.transmittance;
+        let after = self.transmittance - weight;
+        if after < MIN_TRANSMITTANCE {
+            self.transmittance = -self.transmittance;
+            return;
+        }
+        self.transmittance = after;
+        let (alpha, weight, u, v) = (f64::from(alpha), f64::from(weight), f64::from(u), f64::from(v));
+        let usable = third[..3].iter().all(|c| c.abs() < FAR_VALUE);
+        let colour = if usable { third.map(f64::from) } else { [0.0; 4] };
+        let g = self.gradient;
+        let q = (0..3).map(|c| g[c] * colour[c]).sum::<f64>() + g[3];
+        self.to_come -= weight * q;
+        let clamped = alpha >= f64::from(MAX_ALPHA);
+        let h = if clamped { 0.0 } else { weight * q - self.to_come * alpha / (1.0 - alpha) };
+        let terms =
+            [h, h * u, h * v, h * u * u, h * u * v, h * v * v, weight * g[0], weight * g[1], weight * g[2], 1.0];
+        sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+    }
+}
+
+pub(super) fn blend_backward_twin(call: &mut TwinCall<'_>) {
+    let frame: Frame = struct_at(&call.buffers[0], 0);
+    let by_slot = spec(call, 1) == Accumulation::Instances as u32;
+    let [_, ranges, values, gaussian_of_slot, splats, color, image_gradient, rows] = call.buffers else { return };
+    let [width, height, tiles_x, _] = frame.size;
+    let mut target: Vec<f64> = (0..rows.len()).map(|i| f64::from(f32_at(rows, i))).collect();
+    for tile in 0..frame.limits[1] {
+        let [x0, y0] = [tile % tiles_x * TILE_SIZE, tile / tiles_x * TILE_SIZE];
+        let range = ranges[2 * tile as usize] as usize..ranges[2 * tile as usize + 1] as usize;
+        let mut sums = vec![[0.0; SUMS]; range.len()];
+        for (x, y) in
+            (y0..height.min(y0 + TILE_SIZE)).flat_map(|y| (x0..width.min(x0 + TILE_SIZE)).map(move |x| (x, y)))
+        {
+            let at = (y * width + x) as usize;
+            let mut pixel = Pixel::new(vec4_at(color, at), vec4_at(image_gradient, at));
+            for (value, sums) in values[range.clone()].iter().zip(&mut sums) {
+                let index = if by_slot { gaussian_of_slot[*value as usize] } else { *value } as usize;
+                let splat: [[f32; 4]; 3] = std::array::from_fn(|j| vec4_at(splats, 3 * index + j));
+                pixel.replay(splat, x as f32 + 0.5 - splat[0][0], y as f32 + 0.5 - splat[0][1], sums);
+            }
+        }
+        for (value, sums) in values[range].iter().zip(&sums) {
+            let row = (ROW_WORDS * value) as usize;
+            sums.iter().enumerate().for_each(|(c, sum)| target[row + c] += sum);
+        }
+    }
+    target.iter().enumerate().for_each(|(i, v)| set_f32(rows, i, *v as f32));
+}
+
+pub(super) fn sum_instance_gradients_twin(call: &mut TwinCall<'_>) {
+    let push: SumInstanceGradientsPush = push(call);
+    let words = group_count(call) * 256 * 4;
+    let [counters, tile_count, first_slot, instance_gradient, splat_gradient] = call.buffers else { return };
+    let instances = counters[COUNT_INSTANCES as usize];
+    for word in 0..(push.gaussians * ROW_WORDS).min(words) {
+        let [gaussian, c] = [word / ROW_WORDS, word % ROW_WORDS];
+        let count = if counters[COUNT_FAILED as usize] == 0 { tile_count[gaussian as usize] } else { 0 };
+        let first = if count > 0 { first_slot[gaussian as usize].min(instances) } else { 0 };
+        let slots = first..first + count.min(instances - first);
+        let sum: f64 = slots.map(|slot| f64::from(f32_at(instance_gradient, (ROW_WORDS * slot + c) as usize))).sum();
+        set_f32(splat_gradient, word as usize, sum as f32);
+    }
+}

@@ -1,0 +1,372 @@
+//! A pass of density control: decide, select within the budget, find the new rows, move every array.
+
+use super::decide::{DENSITY_DECIDE, DENSITY_HISTOGRAM, DecidePush, HISTOGRAM_WORDS, HistogramPush, TOTAL_WORDS};
+use super::emit::{DENSITY_EMIT, DENSITY_SCAN, EmitPush, ScanPush};
+use super::rows::{GATHER_ROWS, GatherPush, RESET_OPACITY, ResetPush, SPLIT_CHILDREN, SplitPush};
+use super::{DENSITY_BLOCK, SOURCE_ROW};
+use crate::error::{Error, Result};
+use crate::gpu::{Buffer, Gpu, Groups, Memory, Slice};
+
+/// Plane of the opacity in `moment_1` and `moment_2`.
+const OPACITY_PLANE: u32 = 10;
+
+/// Limits of one pass.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DensityOptions {
+    /// Mean screen-gradient norm from which a Gaussian grows (3DGS: 2e-4), in the unit of `density`; infinite for no growth.
+    pub gradient_threshold: f32,
+    /// Smallest opacity that stays (3DGS: 0.005), in (0, 1).
+    pub min_opacity: f64,
+    /// Share of `extent` up to which a Gaussian is cloned, above which it is split (3DGS: 0.01).
+    pub percent_dense: f64,
+    /// Scene extent, world units (1.1 times the largest distance of a camera from their mean).
+    pub extent: f64,
+    /// Share of `extent` above which a Gaussian's largest scale prunes it (3DGS: 0.1, once opacities have been reset); `None`:
+    /// no limit.
+    pub world_size: Option<f64>,
+    /// Largest screen radius of a Gaussian that does not grow, px (`None`: no limit).
+    pub max_screen_radius: Option<f32>,
+    /// Growth never takes the count above this.
+    pub max_gaussians: u32,
+    /// Seed of the children's positions.
+    pub seed: u64,
+    /// Iteration: the stream of random numbers.
+    pub iteration: u32,
+}
+
+impl Default for DensityOptions {
+    fn default() -> Self {
+        Self {
+            gradient_threshold: 2e-4,
+            min_opacity: 0.005,
+            percent_dense: 0.01,
+            extent: 1.0,
+            world_size: None,
+            max_screen_radius: None,
+            max_gaussians: SOURCE_ROW,
+            seed: 0,
+            iteration: 0,
+        }
+    }
+}
+
+/// What rows of clones and children hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NewRows {
+    /// The parent's row.
+    Copy,
+    /// Zeros (Adam moments).
+    Zero,
+}
+
+/// An array with a row per Gaussian: word plane·N·width + row·width + component.
+#[derive(Debug, Clone)]
+pub struct RowArray {
+    /// Its content, 32-bit words.
+    pub buffer: Buffer,
+    /// Planes; with 0 the buffer is passed on as it is.
+    pub planes: u32,
+    /// Words per row and plane.
+    pub width: u32,
+    /// What new rows hold.
+    pub new_rows: NewRows,
+}
+
+/// Everything with a row per Gaussian. A pass takes the buffers and gives new ones back; memory stays near one copy of them
+/// if the caller keeps no other handles (recorded commands hold handles too).
+#[derive(Debug, Clone)]
+pub struct DensityBuffers {
+    /// float[3][N].
+    pub mean: Buffer,
+    /// float[3][N].
+    pub log_scale: Buffer,
+    /// vec4[N], w,x,y,z.
+    pub rotation: Buffer,
+    /// float[N].
+    pub opacity_logit: Buffer,
+    /// float[2][N]: sum of screen-gradient norms, number of views. New buffer of zeros afterwards.
+    pub density: Buffer,
+    /// float[N] largest screen radius, px. New buffer of zeros afterwards.
+    pub max_radius: Buffer,
+    /// Every other array, in any order, given back in the same order: SH bands, moments, superpoints, association.
+    pub rows: Vec<RowArray>,
+}
+
+/// Result of a pass.
+#[derive(Debug, Clone)]
+pub struct DensityOutcome {
+    /// Number of Gaussians now; may be 0.
+    pub new_count: u32,
+    /// Copied.
+    pub cloned: u32,
+    /// Replaced by two children.
+    pub split: u32,
+    /// Removed (without parents of splits).
+    pub pruned: u32,
+    /// Would have grown, but for the budget.
+    pub refused: u32,
+    /// The arrays with `new_count` rows.
+    pub buffers: DensityBuffers,
+}
+
+/// Density control on one device.
+#[derive(Debug, Clone)]
+pub struct Density {
+    gpu: Gpu,
+}
+
+/// What `density_decide` leaves for the rest of the pass.
+struct Decision {
+    action: Buffer,
+    row_block: Buffer,
+    /// Pruned, kept, cloned, split, refused, zeros.
+    totals: [u32; TOTAL_WORDS],
+}
+
+fn log_of(x: f64) -> f32 {
+    x.ln() as f32
+}
+
+fn logit(p: f64) -> f32 {
+    (p / (1.0 - p)).ln() as f32
+}
+
+fn blocks(rows: u32) -> u32 {
+    rows.div_ceil(DENSITY_BLOCK)
+}
+
+impl Density {
+    /// Density control on this device.
+    pub fn new(gpu: &Gpu) -> Self {
+        Self { gpu: gpu.clone() }
+    }
+
+    /// One pass over `gaussians` rows; waits for the device. After an error the given buffers are lost.
+    pub fn run(&self, buffers: DensityBuffers, gaussians: u32, options: &DensityOptions) -> Result<DensityOutcome> {
+        if gaussians > SOURCE_ROW {
+            let what = "Gaussians in density control".into();
+            return Err(Error::Limit { what, need: gaussians.into(), have: SOURCE_ROW.into() });
+        }
+        if gaussians == 0 {
+            return Ok(DensityOutcome { new_count: 0, cloned: 0, split: 0, pruned: 0, refused: 0, buffers });
+        }
+        let mut push = decide_push(options, gaussians);
+        let mut decision = self.decide(&buffers, &push)?;
+        let [_, kept, cloned, split, ..] = decision.totals;
+        let room = options.max_gaussians.saturating_sub(kept + cloned + split);
+        if cloned + split > room {
+            let [key, index] = self.select(&buffers, &decision, gaussians, room)?;
+            (push.accept_key, push.accept_index) = (key, index);
+            decision = self.decide(&buffers, &push)?;
+        }
+        let [pruned, kept, cloned, split, refused, ..] = decision.totals;
+        let new_count = kept + 2 * (cloned + split);
+        let source = self.source(&decision, gaussians, new_count)?;
+        drop(decision);
+        let buffers = self.move_rows(buffers, &source, gaussians, new_count, options)?;
+        Ok(DensityOutcome { new_count, cloned, split, pruned, refused, buffers })
+    }
+
+    fn decide(&self, buffers: &DensityBuffers, push: &DecidePush) -> Result<Decision> {
+        let n = u64::from(push.gaussians);
+        let action = self.gpu.buffer("action", 4 * n, Memory::Device)?;
+        let row_block = self.gpu.buffer("row_block", 4 * u64::from(blocks(push.gaussians)), Memory::Device)?;
+        let totals = self.gpu.buffer("totals", 4 * TOTAL_WORDS as u64, Memory::Device)?;
+        let mut r = self.gpu.recorder("density decide");
+        r.fill(&totals, 0)?;
+        let bound = [
+            Slice::from(&buffers.log_scale),
+            Slice::from(&buffers.opacity_logit),
+            Slice::from(&buffers.density),
+            Slice::from(&buffers.max_radius),
+            Slice::from(&action),
+            Slice::from(&row_block),
+            Slice::from(&totals),
+        ];
+        let groups = Groups::Direct(blocks(push.gaussians).into());
+        r.dispatch(&DENSITY_DECIDE, &[], bytemuck::bytes_of(push), &bound, groups)?;
+        self.gpu.run(r)?;
+        let words = self.words(&totals, TOTAL_WORDS)?;
+        Ok(Decision { action, row_block, totals: std::array::from_fn(|i| words[i]) })
+    }
+
+    fn words(&self, buffer: &Buffer, count: usize) -> Result<Vec<u32>> {
+        let bytes = self.gpu.download(buffer.slice(0, 4 * count as u64))?;
+        Ok(bytemuck::pod_collect_to_vec(&bytes))
+    }
+
+    /// The key and index up to which exactly `room` of the growing Gaussians are accepted.
+    fn select(&self, buffers: &DensityBuffers, decision: &Decision, n: u32, room: u32) -> Result<[u32; 2]> {
+        if room == 0 {
+            // Above every finite gradient's bits.
+            return Ok([u32::MAX, 0]);
+        }
+        let (key, before, equal) = self.select_key(buffers, decision, n, room, None)?;
+        if room - before == equal {
+            return Ok([key, u32::MAX]);
+        }
+        let (inverted, ..) = self.select_key(buffers, decision, n, room - before, Some(key))?;
+        Ok([key, !inverted])
+    }
+
+    /// The `rank`-th largest key, how many are larger, and how many equal it; with `tie`, of the inverted indices among the
+    /// Gaussians whose gradient has these bits.
+    fn select_key(
+        &self,
+        buffers: &DensityBuffers,
+        decision: &Decision,
+        gaussians: u32,
+        rank: u32,
+        tie: Option<u32>,
+    ) -> Result<(u32, u32, u32)> {
+        let histogram = self.gpu.buffer("histogram", 4 * u64::from(HISTOGRAM_WORDS), Memory::Device)?;
+        let (mut key, mut mask, mut before, mut equal) = (0_u32, 0_u32, 0, 0);
+        for (shift, digit_mask) in [(21, 0x7ff_u32), (10, 0x7ff), (0, 0x3ff)] {
+            let push = HistogramPush {
+                gaussians,
+                by_index: u32::from(tie.is_some()),
+                tie_key: tie.unwrap_or(0),
+                prefix_mask: mask,
+                prefix: key,
+                shift,
+            };
+            let mut r = self.gpu.recorder("density histogram");
+            r.fill(&histogram, 0)?;
+            let bound = [Slice::from(&buffers.density), Slice::from(&decision.action), Slice::from(&histogram)];
+            let groups = Groups::Direct(blocks(gaussians).into());
+            r.dispatch(&DENSITY_HISTOGRAM, &[], bytemuck::bytes_of(&push), &bound, groups)?;
+            self.gpu.run(r)?;
+            let counts = self.digit_counts(&histogram, digit_mask)?;
+            let mut digit = digit_mask;
+            while digit > 0 && before + counts[digit as usize] < rank {
+                before += counts[digit as usize];
+                digit -= 1;
+            }
+            equal = counts[digit as usize];
+            key |= digit << shift;
+            mask |= digit_mask << shift;
+        }
+        Ok((key, before, equal))
+    }
+
+    /// Counts of the digit's values; the kernel always takes 11 bits, so a narrower digit's counts are folded.
+    fn digit_counts(&self, histogram: &Buffer, digit_mask: u32) -> Result<Vec<u32>> {
+        let words = self.words(histogram, HISTOGRAM_WORDS as usize)?;
+        let mut counts = vec![0; digit_mask as usize + 1];
+        for (i, count) in words.into_iter().enumerate() {
+            counts[i & digit_mask as usize] += count;
+        }
+        Ok(counts)
+    }
+
+    fn source(&self, decision: &Decision, gaussians: u32, rows: u32) -> Result<Buffer> {
+        let source = self.gpu.buffer("source", 4 * u64::from(rows), Memory::Device)?;
+        let blocks = blocks(gaussians);
+        let mut r = self.gpu.recorder("density source");
+        let push = ScanPush { blocks };
+        let bound = [Slice::from(&decision.row_block)];
+        r.dispatch(&DENSITY_SCAN, &[], bytemuck::bytes_of(&push), &bound, Groups::Direct(1))?;
+        let push = EmitPush { gaussians, rows };
+        let bound = [Slice::from(&decision.action), Slice::from(&decision.row_block), Slice::from(&source)];
+        r.dispatch(&DENSITY_EMIT, &[], bytemuck::bytes_of(&push), &bound, Groups::Direct(blocks.into()))?;
+        self.gpu.run(r)?;
+        Ok(source)
+    }
+
+    /// Moves one array and lets the old one go.
+    fn gather(&self, old: RowArray, source: &Buffer, old_count: u32, new_count: u32) -> Result<RowArray> {
+        if old.planes == 0 {
+            return Ok(old);
+        }
+        let words = u64::from(new_count) * u64::from(old.width) * u64::from(old.planes);
+        let old_words = u64::from(old_count) * u64::from(old.width) * u64::from(old.planes);
+        if 4 * old_words > old.buffer.bytes() || words.max(old_words) > u64::from(u32::MAX) {
+            let have = u128::from(old.buffer.bytes() / 4).min(u32::MAX.into());
+            let what = format!("words of `{}` in density control", old.buffer.name());
+            return Err(Error::Limit { what, need: words.max(old_words).into(), have });
+        }
+        let buffer = self.gpu.buffer(old.buffer.name(), 4 * words, Memory::Device)?;
+        if new_count > 0 {
+            let zero_new = u32::from(old.new_rows == NewRows::Zero);
+            let push = GatherPush { old_count, new_count, planes: old.planes, width: old.width, zero_new };
+            let mut r = self.gpu.recorder("density gather");
+            let bound = [Slice::from(source), Slice::from(&old.buffer), Slice::from(&buffer)];
+            let groups = Groups::Direct((u64::from(new_count) * u64::from(old.width)).div_ceil(256));
+            r.dispatch(&GATHER_ROWS, &[], bytemuck::bytes_of(&push), &bound, groups)?;
+            self.gpu.run(r)?;
+        }
+        Ok(RowArray { buffer, ..old })
+    }
+
+    fn zeros(&self, name: &str, words: u64) -> Result<Buffer> {
+        let buffer = self.gpu.buffer(name, 4 * words, Memory::Device)?;
+        let mut r = self.gpu.recorder("density zeros");
+        r.fill(&buffer, 0)?;
+        self.gpu.run(r)?;
+        Ok(buffer)
+    }
+
+    fn move_rows(
+        &self,
+        buffers: DensityBuffers,
+        source: &Buffer,
+        old_count: u32,
+        new_count: u32,
+        options: &DensityOptions,
+    ) -> Result<DensityBuffers> {
+        let DensityBuffers { mean, log_scale, rotation, opacity_logit, density, max_radius, rows } = buffers;
+        let names = [density.name().to_owned(), max_radius.name().to_owned()];
+        drop((density, max_radius));
+        let parameter = |buffer: Buffer, planes: u32, width: u32| {
+            let old = RowArray { buffer, planes, width, new_rows: NewRows::Copy };
+            Ok::<_, Error>(self.gather(old, source, old_count, new_count)?.buffer)
+        };
+        let mean = parameter(mean, 3, 1)?;
+        let log_scale = parameter(log_scale, 3, 1)?;
+        let rotation = parameter(rotation, 1, 4)?;
+        let opacity_logit = parameter(opacity_logit, 1, 1)?;
+        if new_count > 0 {
+            let push = SplitPush {
+                rows: new_count,
+                seed_low: options.seed as u32,
+                seed_high: (options.seed >> 32) as u32,
+                iteration: options.iteration,
+            };
+            let mut r = self.gpu.recorder("density children");
+            let bound = [Slice::from(source), Slice::from(&rotation), Slice::from(&mean), Slice::from(&log_scale)];
+            let groups = Groups::Direct(blocks(new_count).into());
+            r.dispatch(&SPLIT_CHILDREN, &[], bytemuck::bytes_of(&push), &bound, groups)?;
+            self.gpu.run(r)?;
+        }
+        let gather = |old| self.gather(old, source, old_count, new_count);
+        let rows = rows.into_iter().map(gather).collect::<Result<Vec<_>>>()?;
+        let density = self.zeros(&names[0], 2 * u64::from(new_count))?;
+        let max_radius = self.zeros(&names[1], new_count.into())?;
+        Ok(DensityBuffers { mean, log_scale, rotation, opacity_logit, density, max_radius, rows })
+    }
+}
+
+fn decide_push(options: &DensityOptions, gaussians: u32) -> DecidePush {
+    DecidePush {
+        gaussians,
+        gradient_threshold: options.gradient_threshold,
+        min_opacity_logit: logit(options.min_opacity),
+        dense_log_scale: log_of(options.percent_dense * options.extent),
+        world_log_scale: options.world_size.map_or(f32::INFINITY, |share| log_of(share * options.extent)),
+        max_screen_radius: options.max_screen_radius.unwrap_or(f32::INFINITY),
+        accept_key: 0,
+        accept_index: u32::MAX,
+    }
+}
+
+/// The opacity reset: opacity ← min(opacity, `max_opacity`), its moments (plane 10) ← 0. 3DGS: 0.01 every 3,000 iterations.
+pub fn reset_opacity(gpu: &Gpu, opacity_logit: &Buffer, moments: [&Buffer; 2], n: u32, max_opacity: f64) -> Result<()> {
+    if n == 0 {
+        return Ok(());
+    }
+    let push = ResetPush { gaussians: n, limit: logit(max_opacity), plane: OPACITY_PLANE };
+    let mut r = gpu.recorder("reset opacity");
+    let bound = [Slice::from(opacity_logit), Slice::from(moments[0]), Slice::from(moments[1])];
+    r.dispatch(&RESET_OPACITY, &[], bytemuck::bytes_of(&push), &bound, Groups::Direct(blocks(n).into()))?;
+    gpu.run(r).map(drop)
+}

@@ -1,0 +1,139 @@
+//! From a finished run to the model that is played back: it holds what the scene needs, and says what was left out.
+
+use super::bake::bake;
+use super::parameters::with_sh_degree;
+use super::trainer::Trainer;
+use crate::error::Result;
+use crate::gpu::Gpu;
+use crate::render::{RenderOptions, Renderer};
+use crate::scene::{Camera, Gaussians, MotionSource, Scene};
+
+/// Smallest α that is drawn: a Gaussian whose opacity is below it shows nowhere.
+const MIN_ALPHA: f32 = 1.0 / 255.0;
+/// Training cameras through which SH degrees are compared.
+const SH_CAMERAS: usize = 12;
+
+/// A model ready to be written.
+#[derive(Debug, Clone)]
+pub struct Exported {
+    /// The model.
+    pub scene: Scene,
+    /// What it holds and what was left out, one line each, with the measured error.
+    pub decisions: Vec<String>,
+}
+
+/// Bakes a run's motion and drops what changes nothing visible.
+///
+/// # Errors
+/// Those of the device.
+pub fn export(gpu: &Gpu, trainer: &Trainer, cameras: &[Camera]) -> Result<Exported> {
+    let config = trainer.config();
+    let mut scene = trainer.scene()?;
+    let mut decisions = Vec::new();
+    drop_invisible(&mut scene, &mut decisions);
+    let times = candidate_times(cameras);
+    if let (Some(motion), Some(superpoints)) = (trainer.motion_at(&times)?, scene.superpoints.clone()) {
+        let keep = config.export.keep_network;
+        let tolerance = config.export.motion_error_px;
+        let near = f64::from(config.near);
+        let baked = bake(&mut scene.gaussians, &superpoints, &motion, cameras, near, tolerance, !keep)?;
+        let keys = baked.motion.as_ref().map_or(0, |m| m.times.len());
+        decisions.push(format!(
+            "motion table: {keys} key times of {} candidates; largest error on the training cameras {:.3} px (bound {tolerance} px)",
+            times.len(),
+            baked.error_px
+        ));
+        if !keep {
+            let kept = baked.superpoints.as_ref().map_or(0, |s| s.position.len());
+            decisions.push(format!(
+                "superpoints: {kept} of {}; {} never move and share one or none",
+                superpoints.position.len(),
+                baked.still
+            ));
+            decisions.push(
+                "left out: network F, association (play-back needs neither; export.keep_network keeps them)".into(),
+            );
+            scene.deform = None;
+            scene.association = None;
+        }
+        scene.superpoints = baked.superpoints;
+        scene.motion = baked.motion;
+    }
+    drop_sh(gpu, &mut scene, cameras, trainer, &mut decisions)?;
+    Ok(Exported { scene, decisions })
+}
+
+/// The cameras' times and the middles between them.
+fn candidate_times(cameras: &[Camera]) -> Vec<f32> {
+    let mut times: Vec<f32> = cameras.iter().map(|c| c.time as f32).collect();
+    times.sort_by(f32::total_cmp);
+    times.dedup();
+    let middles: Vec<f32> = times.windows(2).map(|w| w[0].midpoint(w[1])).collect();
+    times.extend(middles);
+    times.sort_by(f32::total_cmp);
+    times.dedup();
+    times
+}
+
+/// Gaussians with an opacity below 1/255 are drawn nowhere.
+fn drop_invisible(scene: &mut Scene, decisions: &mut Vec<String>) {
+    let g = &scene.gaussians;
+    let shows = |logit: f32| 1.0 / (1.0 + (-logit).exp()) >= MIN_ALPHA;
+    let keep: Vec<usize> = (0..g.len()).filter(|&i| shows(g.opacity_logit[i])).collect();
+    let dropped = g.len() - keep.len();
+    if dropped == 0 {
+        return;
+    }
+    decisions.push(format!("left out: {dropped} of {} Gaussians, with an opacity below 1/255", g.len()));
+    scene.gaussians = g.selected(&keep);
+    if let Some(s) = &mut scene.superpoints {
+        s.of_gaussian = keep.iter().map(|&i| s.of_gaussian[i]).collect();
+    }
+    if let Some(a) = &mut scene.association {
+        let k = a.neighbors;
+        a.neighbor = keep.iter().flat_map(|&i| a.neighbor[i * k..(i + 1) * k].to_vec()).collect();
+        a.logit = keep.iter().flat_map(|&i| a.logit[i * k..(i + 1) * k].to_vec()).collect();
+    }
+}
+
+/// The lowest SH degree that changes no pixel visibly.
+fn drop_sh(
+    gpu: &Gpu,
+    scene: &mut Scene,
+    cameras: &[Camera],
+    trainer: &Trainer,
+    decisions: &mut Vec<String>,
+) -> Result<()> {
+    let config = trainer.config();
+    let full = scene.gaussians.sh_degree;
+    let options = RenderOptions { background: config.background, near: config.near, ..RenderOptions::default() };
+    let step = cameras.len().div_ceil(SH_CAMERAS).max(1);
+    let sample: Vec<&Camera> = cameras.iter().step_by(step).collect();
+    let render = |g: Gaussians, scene: &Scene| -> Result<Vec<Vec<f32>>> {
+        let candidate = Scene { gaussians: g, ..scene.clone() };
+        let options = RenderOptions { motion: MotionSource::Auto, ..options.clone() };
+        let mut renderer = Renderer::new(gpu, &candidate, &options)?;
+        sample.iter().map(|c| Ok(renderer.render(c, c.time)?.rgba)).collect()
+    };
+    if full == 0 || scene.gaussians.is_empty() {
+        return Ok(());
+    }
+    let reference = render(scene.gaussians.clone(), scene)?;
+    for degree in 0..full {
+        let reduced = with_sh_degree(&scene.gaussians, degree);
+        let images = render(reduced.clone(), scene)?;
+        let pairs = reference.iter().flatten().zip(images.iter().flatten());
+        let largest = pairs.map(|(a, b)| f64::from((a.clamp(0.0, 1.0) - b.clamp(0.0, 1.0)).abs())).fold(0.0, f64::max);
+        if largest * 255.0 <= config.export.sh_error {
+            decisions.push(format!(
+                "left out: SH degrees above {degree} of {full}; largest change of a pixel {:.3}/255",
+                largest * 255.0
+            ));
+            scene.gaussians = reduced;
+            return Ok(());
+        }
+    }
+    decisions
+        .push(format!("SH degree {full}: every lower one changes a pixel by more than {}/255", config.export.sh_error));
+    Ok(())
+}

@@ -1,0 +1,83 @@
+//! Whether arrays on the device are finite.
+
+use crate::error::{Error, Result};
+use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
+use crate::gpu::{Buffer, Gpu, Groups, Memory, SLICE_ALIGNMENT, Slice};
+use crate::render::twin;
+
+/// Kernels of this module.
+pub static KERNELS: &[&Kernel] = &[&CHECK_FINITE];
+
+/// Floats per workgroup of `check_finite`.
+pub const CHECK_FINITE_FLOATS: u32 = 1024;
+
+crate::gpu_struct! {
+    /// Push constants of `check_finite`.
+    pub struct CheckFinitePush {
+        /// Floats to look at.
+        pub count: u32,
+    }
+}
+
+/// Dispatch ceil(count / 1024) workgroups; `found` must be (0, 0xffffffff).
+pub static CHECK_FINITE: Kernel = Kernel {
+    name: "check_finite",
+    doc: "counts the floats that are not finite and finds the first",
+    local_size: 256,
+    spec: &["SUBGROUP_SIZE"],
+    push: CheckFinitePush::FIELDS,
+    bindings: &[
+        Binding::new("values", Access::Read, Element::U32),
+        Binding::new("found", Access::Atomic, Element::U32),
+    ],
+    twin: check_finite_twin,
+    tolerance: Tolerance::EXACT,
+    bytes: |w| 4 * w.get("weights"),
+    spirv: include_bytes!("../../../spirv_cache/check_finite.spv"),
+};
+
+fn check_finite_twin(call: &mut TwinCall<'_>) {
+    let push: CheckFinitePush = twin::push(call);
+    let [values, found] = call.buffers else { return };
+    for i in 0..push.count {
+        if !f32::from_bits(values[i as usize]).is_finite() {
+            found[0] += 1;
+            found[1] = found[1].min(i);
+        }
+    }
+}
+
+/// Looks for numbers that are not finite in the first `words` floats of each named buffer; waits for the device. The first
+/// such buffer in the list becomes [`Error::NonFinite`] with its first bad index.
+pub fn check_finite(gpu: &Gpu, buffers: &[(&str, &Buffer, u32)]) -> Result<()> {
+    if buffers.is_empty() {
+        return Ok(());
+    }
+    let found = gpu.buffer("found", SLICE_ALIGNMENT * buffers.len() as u64, Memory::Device)?;
+    let mut r = gpu.recorder("check finite");
+    for (i, (_, buffer, words)) in buffers.iter().enumerate().filter(|(_, b)| b.2 > 0) {
+        let start = i as u64 * SLICE_ALIGNMENT;
+        r.fill(found.slice(start, 4), 0)?;
+        r.fill(found.slice(start + 4, 4), u32::MAX)?;
+        let bound = [buffer.slice(0, 4 * u64::from(*words)), found.slice(start, 8)];
+        let push = CheckFinitePush { count: *words };
+        let groups = Groups::Direct(words.div_ceil(CHECK_FINITE_FLOATS).into());
+        r.dispatch(&CHECK_FINITE, &[], bytemuck::bytes_of(&push), &bound, groups)?;
+    }
+    if r.is_empty() {
+        return Ok(());
+    }
+    gpu.run(r)?;
+    let bytes = gpu.download(Slice::from(&found))?;
+    for (place, (name, buffer, _)) in bytes.chunks_exact(SLICE_ALIGNMENT as usize).zip(buffers).filter(|(_, b)| b.2 > 0)
+    {
+        let [count, index]: [u32; 2] = bytemuck::pod_read_unaligned(&place[..8]);
+        if count > 0 {
+            // Any start can be copied from, but only aligned ones bound.
+            let value: f32 = bytemuck::pod_read_unaligned(&gpu.download(buffer.slice(4 * u64::from(index), 4))?);
+            let what = format!("{name} ({count} not finite)");
+            return Err(Error::NonFinite { what, index: index as usize, value: value.to_string() });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,246 @@
+//! Gradients of a rendered image with respect to the scene, outside of training: the same kernels as a training step, with
+//! the Gaussians left as they are.
+
+use super::blend_backward::{self, BackwardInput, BackwardTarget, ROW_WORDS};
+use super::deform_project_backward::{
+    DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, OUTPUT_GRADIENT, parameter_planes,
+};
+use super::status;
+use super::step::Step;
+use crate::error::{Error, Result};
+use crate::gpu::{Buffer, Gpu, Groups, Memory, Slice};
+use crate::reference::gradient::splats::TWO_LN_2;
+use crate::render::deform_project::{MOTION_STATIC, MOTION_TABLE};
+use crate::render::frame::{Frame, FrameOptions};
+use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, TILE_SIZE};
+use crate::render::pipeline::{FrameBuffers, Shape, record_forward};
+use crate::render::scene_buffers::{Poses, SceneBuffers};
+use crate::render::tiles::SlotBuffers;
+use crate::render::work_buffers::{COUNTER_WORDS, WorkBuffers};
+use crate::scene::{Camera, MotionSource, Scene};
+
+/// What the image depends on besides scene, camera and time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GradientOptions {
+    /// Near plane, world units.
+    pub near: f32,
+    /// Colour behind everything.
+    pub background: [f32; 3],
+}
+
+/// dL/d of a scene's parameters.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct SceneGradients {
+    /// `[N,3]`.
+    pub mean: Vec<[f32; 3]>,
+    /// `[N,4]` of the raw quaternion w,x,y,z.
+    pub rotation: Vec<[f32; 4]>,
+    /// `[N,3]`.
+    pub log_scale: Vec<[f32; 3]>,
+    /// `[N]`.
+    pub opacity_logit: Vec<f32>,
+    /// `[N,K,3]`.
+    pub sh: Vec<f32>,
+    /// `[N,2]` of the projected centre, px; 0 for what is not drawn.
+    pub mean2d: Vec<[f32; 2]>,
+    /// `[N,6]` by a left tangent of the rotation of each Gaussian's superpoint, and of its translation; empty when nothing
+    /// moves.
+    pub pose: Vec<[f32; 6]>,
+}
+
+/// Gradients of L given `image_gradient` = dL/d(r, g, b, A) at each pixel, `[H,W,4]`. Poses come from the scene's table.
+/// Sums are made in a fixed order: the same bits on every run.
+///
+/// # Errors
+/// `Usage` for an image gradient of another size or a scene far from the origin that moves; as the renderer otherwise.
+pub fn scene_gradients(
+    gpu: &Gpu,
+    scene: &Scene,
+    camera: &Camera,
+    time: f64,
+    options: &GradientOptions,
+    image_gradient: &[f32],
+) -> Result<SceneGradients> {
+    let pixels = u64::from(camera.width) * u64::from(camera.height);
+    if image_gradient.len() as u64 != 4 * pixels {
+        let found = image_gradient.len().to_string();
+        return Err(Error::usage("gradient of the image", found, format!("{} values", 4 * pixels)));
+    }
+    let source = if scene.motion.is_some() { MotionSource::Table } else { MotionSource::Auto };
+    let buffers = SceneBuffers::new(gpu, scene, source, false)?;
+    if !matches!(buffers.poses, Poses::Static | Poses::Table(_)) {
+        return Err(Error::usage("motion of the scene", "no table near the origin", "a static scene or such a table"));
+    }
+    let image_gradient = gpu.buffer_with("image_gradient", bytemuck::cast_slice(image_gradient))?;
+    let mut run = Run { gpu, scene: &buffers, camera, time, options, image_gradient };
+    let mut capacity = u64::from(buffers.gaussians).max(64) * 16;
+    loop {
+        let too_many = || Error::Limit { what: "tile instances".into(), need: capacity.into(), have: u32::MAX.into() };
+        let room = u32::try_from(capacity).map_err(|_| too_many())?;
+        match run.attempt(room)? {
+            Attempt::Done(gradients) => return Ok(gradients),
+            Attempt::Needs(instances) => capacity = instances,
+        }
+    }
+}
+
+enum Attempt {
+    Done(SceneGradients),
+    /// There was no room for this many tile instances.
+    Needs(u64),
+}
+
+struct Run<'a> {
+    gpu: &'a Gpu,
+    scene: &'a SceneBuffers,
+    camera: &'a Camera,
+    time: f64,
+    options: &'a GradientOptions,
+    image_gradient: Buffer,
+}
+
+impl Run<'_> {
+    fn frame(&self, capacity: u32) -> Result<Frame> {
+        let options = FrameOptions {
+            background: self.options.background,
+            near: self.options.near,
+            time: self.time,
+            interval: self.scene.interval(self.time),
+            gaussians: self.scene.gaussians,
+            superpoints: self.scene.superpoints,
+            sh_degree: self.scene.sh_degree,
+            instance_capacity: capacity,
+        };
+        Frame::new(self.camera, self.scene.origin, &options)
+    }
+
+    fn attempt(&mut self, capacity: u32) -> Result<Attempt> {
+        let (gpu, scene) = (self.gpu, self.scene);
+        let n = u64::from(scene.gaussians);
+        let [width, height] = [self.camera.width, self.camera.height];
+        let tiles = width.div_ceil(TILE_SIZE) * height.div_ceil(TILE_SIZE);
+        let device = |name: &str, words: u64| gpu.buffer(name, 4 * words.max(4), Memory::Device);
+        let work = WorkBuffers::new(gpu, scene.gaussians, tiles, capacity)?;
+        let slots = SlotBuffers::new(gpu, scene.gaussians, capacity)?;
+        let frame = FrameBuffers {
+            frame: gpu.buffer_with("frame", bytemuck::bytes_of(&self.frame(capacity)?))?,
+            host_pose: None,
+            color: device("color", 4 * u64::from(width) * u64::from(height))?,
+            depth: device("depth", 1)?,
+            counters: gpu.buffer("counters readback", 4 * COUNTER_WORDS, Memory::Readback)?,
+        };
+        let shape = Shape { tiles, slots: Some(slots.clone()), ..Shape::default() };
+        let rows = device("instance_gradient", u64::from(capacity) * u64::from(ROW_WORDS))?;
+        let splat_gradient = device("splat_gradient", n * u64::from(ROW_WORDS))?;
+        let planes = parameter_planes(scene.sh_degree);
+        let gradient = device("gradient", n * u64::from(planes))?;
+        let pose_gradient = device("pose_gradient", 6 * n)?;
+
+        let mut r = gpu.recorder("scene gradients");
+        record_forward(gpu, &mut r, scene, &work, &frame, &shape)?;
+        let input = BackwardInput {
+            frame: Slice::from(&frame.frame),
+            counters: work.counters.clone(),
+            ranges: work.ranges.clone(),
+            values: Slice::from(work.tile_values()),
+            tile_count: Slice::from(&work.tile_count),
+            splats: Slice::from(&work.splats),
+            color: Slice::from(&frame.color),
+            image_gradient: Slice::from(&self.image_gradient),
+            gaussians: scene.gaussians,
+            tiles,
+        };
+        let target = BackwardTarget::Instances(slots, Slice::from(&rows));
+        blend_backward::record(gpu, &mut r, &input, &target, &Slice::from(&splat_gradient))?;
+        let unused = |name: &str| device(name, 4);
+        let [sh_0, sh_1, sh_2, sh_3] = &scene.sh;
+        let step = gpu.buffer_with("step", bytemuck::bytes_of(&Step::default()))?;
+        let status = gpu.buffer_with("status", bytemuck::cast_slice(&status::clear()))?;
+        let tail = [unused("moment_1")?, unused("moment_2")?];
+        let rest =
+            [unused("nonrigid_offset")?, unused("nonrigid_gradient")?, unused("density")?, unused("max_radius")?];
+        let buffers = [
+            &frame.frame,
+            &step,
+            &work.indirect,
+            &status,
+            &work.splats,
+            &work.tile_count,
+            &splat_gradient,
+            &scene.mean,
+            &scene.log_scale,
+            &scene.rotation,
+            &scene.opacity_logit,
+            &scene.superpoint_of_gaussian,
+            &scene.pose,
+            sh_0,
+            sh_1,
+            sh_2,
+            sh_3,
+            &tail[0],
+            &tail[1],
+            &gradient,
+            &pose_gradient,
+            &rest[0],
+            &rest[1],
+            &rest[2],
+            &rest[3],
+        ];
+        let mut slices: Vec<Slice> = buffers.into_iter().map(Slice::from).collect();
+        slices[2] = work.counters.clone();
+        let motion = if scene.moves() { MOTION_TABLE } else { MOTION_STATIC };
+        let spec = [scene.sh_degree, motion, 0, OUTPUT_GRADIENT];
+        let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
+        r.dispatch(&DEFORM_PROJECT_BACKWARD, &spec, &[], &slices, Groups::Direct(groups))?;
+        gpu.run(r)?;
+
+        let counters = words(gpu, &work.counters)?;
+        if counters[COUNT_FAILED as usize] != 0 {
+            let (low, high) = (counters[COUNT_INSTANCES_LOW as usize], counters[COUNT_INSTANCES_HIGH as usize]);
+            return Ok(Attempt::Needs(u64::from(low) | u64::from(high) << 32));
+        }
+        let part = |buffer: &Buffer, count: u64| Ok::<_, Error>(floats(words(gpu, &buffer.slice(0, 4 * count))?));
+        let planes = part(&gradient, n * u64::from(planes))?;
+        let pose = if scene.moves() { part(&pose_gradient, 6 * n)? } else { Vec::new() };
+        let splats = part(&work.splats, 12 * n)?;
+        let tile_count = words(gpu, &work.tile_count.slice(0, 4 * n))?;
+        let rows = part(&splat_gradient, n * u64::from(ROW_WORDS))?;
+        let mut gradients = unpack(&planes, &pose, n as usize, scene.sh_degree);
+        gradients.mean2d = (0..n as usize)
+            .map(|g| if tile_count[g] > 0 { mean2d(&splats[12 * g..], &rows[12 * g..]) } else { [0.0; 2] })
+            .collect();
+        Ok(Attempt::Done(gradients))
+    }
+}
+
+fn words(gpu: &Gpu, slice: &Slice) -> Result<Vec<u32>> {
+    let bytes = if slice.bytes == 0 { Vec::new() } else { gpu.download(slice.clone())? };
+    Ok(bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+}
+
+fn floats(words: Vec<u32>) -> Vec<f32> {
+    words.into_iter().map(f32::from_bits).collect()
+}
+
+/// dL/d centre, px, from a splat and its row: Σ h Lᵀ(u, v) with L in the kernels' units.
+fn mean2d(splat: &[f32], row: &[f32]) -> [f32; 2] {
+    let k = TWO_LN_2 as f32;
+    [k * splat[2] * row[1], k * (splat[3] * row[1] + splat[4] * row[2])]
+}
+
+/// Planes to arrays per Gaussian.
+fn unpack(planes: &[f32], pose: &[f32], n: usize, sh_degree: u32) -> SceneGradients {
+    let value = |plane: usize, g: usize| planes[plane * n + g];
+    let three = |first: usize, g: usize| [0, 1, 2].map(|k| value(first + k, g));
+    let sh_values = parameter_planes(sh_degree) as usize - 11;
+    let pose_rows = if pose.is_empty() { 0 } else { n };
+    SceneGradients {
+        mean: (0..n).map(|g| three(0, g)).collect(),
+        log_scale: (0..n).map(|g| three(3, g)).collect(),
+        rotation: (0..n).map(|g| [6, 7, 8, 9].map(|k| value(k, g))).collect(),
+        opacity_logit: (0..n).map(|g| value(10, g)).collect(),
+        sh: (0..n * sh_values).map(|i| value(11 + i % sh_values, i / sh_values)).collect(),
+        mean2d: Vec::new(),
+        pose: (0..pose_rows).map(|g| std::array::from_fn(|k| pose[k * n + g])).collect(),
+    }
+}

@@ -1,0 +1,27 @@
+// One splat at one pixel: the arithmetic of the forward pass, shared with the backward pass, which replays it and must see
+// the same contributions. Rust mirror: engine/src/render/blend.rs.
+#ifndef SPGS_BLEND
+#define SPGS_BLEND
+
+#include "ellipse.glsl"
+
+const float MAX_ALPHA = 0.99;
+// 1e-4, less five units in the last place: two splats at the largest alpha leave exactly 1e-4, which is not below it, but
+// (1 - 0.99f)^2 rounds to 9.99998e-5.
+const float MIN_TRANSMITTANCE = 9.9999e-5;
+
+// Alpha of the splat at the pixel, 0 when it is not drawn there. weight = alpha * transmittance; the transmittance becomes
+// what is left of it, and negative once the pixel is closed. Selects, not branches: with several pixels per lane some lane
+// nearly always needs the exponential, and lavapipe runs both sides anyway.
+float blend_alpha(float log2_alpha, inout float transmittance, out float weight) {
+    bool live = log2_alpha >= -LOG2_255 && transmittance > 0.0;
+    float alpha = live ? min(MAX_ALPHA, exp2(log2_alpha)) : 0.0;
+    float full = alpha * transmittance;
+    float after = transmittance - full;
+    bool stop = live && after < MIN_TRANSMITTANCE;
+    weight = stop ? 0.0 : full;
+    transmittance = stop ? -transmittance : after;
+    return stop ? 0.0 : alpha;
+}
+
+#endif

@@ -1,0 +1,298 @@
+//! `blend_backward` and `sum_instance_gradients` on the device against their twins.
+
+use engine::gpu::Gpu;
+use engine::gpu::Kernel;
+use engine::gpu::kernel::TwinCall;
+use engine::render::blend::{self, BLEND, Stage};
+use engine::render::deform_project::DEFORM_PROJECT;
+use engine::render::frame::Frame;
+use engine::train::blend_backward::{self, *};
+use tests_harness::gradient::{assert_gradients_close, columns};
+use tests_harness::render_case::{Random, RenderInput, test_camera, tile_lists};
+use tests_harness::{KernelCase, widths};
+
+/// A rendered frame with tile lists of Gaussians and of slots, and a gradient of its image.
+struct Rendered {
+    frame: Frame,
+    splats: Vec<u32>,
+    tile_count: Vec<u32>,
+    ranges: Vec<u32>,
+    gaussians: Vec<u32>,
+    slots: Vec<u32>,
+    gaussian_of_slot: Vec<u32>,
+    first_slot: Vec<u32>,
+    color: Vec<u32>,
+    image_gradient: Vec<u32>,
+}
+
+fn run_twin(kernel: &'static Kernel, spec: &[u32], groups: u32, buffers: &mut [Vec<u32>]) {
+    (kernel.twin)(&mut TwinCall { groups: [groups, 1, 1], spec, push: &[], buffers });
+}
+
+impl Rendered {
+    fn of_input(input: &RenderInput, size: [u32; 2]) -> Self {
+        let frame = input.frame(&test_camera(size[0], size[1]));
+        let mut case = input.deform_project(&frame);
+        let spec = [8, input.degree, 0];
+        let mut call =
+            TwinCall { groups: [case.groups, 1, 1], spec: &spec, push: &case.push, buffers: &mut case.buffers };
+        (DEFORM_PROJECT.twin)(&mut call);
+        let (splats, tile_count) = (case.buffers.swap_remove(11), case.buffers.swap_remove(12));
+        Self::of_splats(frame, splats, tile_count)
+    }
+
+    /// `layers` splats over the middle of the image, one behind the other.
+    fn layers(layers: usize, log2_opacity: f32, size: [u32; 2]) -> Self {
+        let frame = RenderInput { count: layers, ..RenderInput::default() }.frame(&test_camera(size[0], size[1]));
+        let mut r = Random(layers as u64);
+        let splats: Vec<u32> = (0..layers)
+            .flat_map(|k| {
+                let mean = size.map(|s| r.range(0.3, 0.7) * s as f32);
+                let colour = [r.unit(), r.unit(), r.unit()];
+                let shape = [r.range(0.02, 0.2), r.range(-0.05, 0.05), r.range(0.02, 0.2)];
+                [mean[0], mean[1], shape[0], shape[1], shape[2], log2_opacity, 1.0 + k as f32, 0.0]
+                    .into_iter()
+                    .chain(colour)
+                    .chain([0.0])
+            })
+            .map(f32::to_bits)
+            .collect();
+        let ellipse = |k: usize| {
+            let at = |j: usize| engine::render::twin::vec4_at(&splats, 3 * k + j);
+            engine::render::ellipse::Ellipse::of_splat(at(0), at(1))
+        };
+        let tile_count = (0..layers).map(|k| ellipse(k).tile_count(size)).collect();
+        Self::of_splats(frame, splats, tile_count)
+    }
+
+    fn of_splats(frame: Frame, splats: Vec<u32>, tile_count: Vec<u32>) -> Self {
+        let (ranges, gaussians) = tile_lists(&frame, &splats, &tile_count);
+        // Slots: Gaussians in depth order, each with its tiles in order.
+        let mut order: Vec<usize> = (0..tile_count.len()).filter(|&g| tile_count[g] > 0).collect();
+        order.sort_by_key(|&g| splats[12 * g + 6]);
+        let (mut first_slot, mut gaussian_of_slot) = (vec![u32::MAX; tile_count.len()], Vec::new());
+        for g in order {
+            first_slot[g] = gaussian_of_slot.len() as u32;
+            gaussian_of_slot.extend(std::iter::repeat_n(g as u32, tile_count[g] as usize));
+        }
+        let mut next = first_slot.clone();
+        let mut slots = Vec::new();
+        for &g in &gaussians {
+            slots.push(next[g as usize]);
+            next[g as usize] += 1;
+        }
+        let pixels = frame.pixels();
+        let mut buffers = vec![
+            bytemuck::cast_slice(&[frame]).to_vec(),
+            ranges.clone(),
+            gaussians.clone(),
+            splats.clone(),
+            vec![0; 4 * pixels],
+            vec![0; 4],
+            vec![0; 4],
+        ];
+        run_twin(&BLEND, &[8, 0, 0, 8, 0], 1, &mut buffers);
+        let mut r = Random(pixels as u64);
+        let image_gradient = (0..4 * pixels).map(|_| r.range(-1.0, 1.0).to_bits()).collect();
+        let color = buffers.swap_remove(4);
+        Self {
+            frame,
+            splats,
+            tile_count,
+            ranges,
+            gaussians,
+            slots,
+            gaussian_of_slot,
+            first_slot,
+            color,
+            image_gradient,
+        }
+    }
+
+    fn case(&self, gpu: &Gpu, accumulation: Accumulation, stage: Stage, subtiles: u32) -> KernelCase {
+        let size = gpu.subgroup_size();
+        let by_slot = accumulation == Accumulation::Instances;
+        let rows = if by_slot { self.gaussian_of_slot.len() } else { self.tile_count.len() };
+        let kernel = match accumulation {
+            Accumulation::NativeAtomics => &BLEND_BACKWARD_NATIVE,
+            _ => &BLEND_BACKWARD,
+        };
+        KernelCase {
+            kernel,
+            spec: blend_backward::spec(accumulation, stage, size, subtiles).to_vec(),
+            push: Vec::new(),
+            buffers: vec![
+                bytemuck::cast_slice(&[self.frame]).to_vec(),
+                self.ranges.clone(),
+                if by_slot { self.slots.clone() } else { self.gaussians.clone() },
+                self.gaussian_of_slot.clone(),
+                self.splats.clone(),
+                self.color.clone(),
+                self.image_gradient.clone(),
+                vec![0; ROW_WORDS as usize * rows],
+            ],
+            groups: blend_backward::groups(self.frame.limits[1], size, subtiles) as u32,
+        }
+    }
+
+    fn sum_case(&self, rows: Vec<u32>) -> KernelCase {
+        let gaussians = self.tile_count.len() as u32;
+        KernelCase {
+            kernel: &SUM_INSTANCE_GRADIENTS,
+            spec: Vec::new(),
+            push: bytemuck::bytes_of(&SumInstanceGradientsPush { gaussians }).to_vec(),
+            buffers: vec![
+                vec![0, 0, 0, 0, 0, self.gaussian_of_slot.len() as u32, 0, 0],
+                self.tile_count.clone(),
+                self.first_slot.clone(),
+                rows,
+                vec![0; (ROW_WORDS * gaussians) as usize],
+            ],
+            groups: (3 * gaussians).div_ceil(256).max(1),
+        }
+    }
+
+    /// Every way of adding, on the device and by twins, and all of them against each other.
+    fn check(&self, gpu: &Gpu, context: &str) -> Vec<f32> {
+        let all = blend_backward::subtiles_of_tile(gpu.subgroup_size());
+        let mut truth: Option<Vec<f32>> = None;
+        for stage in [Stage::Shuffle, Stage::Shared] {
+            for (accumulation, subtiles) in [
+                (Accumulation::Instances, all),
+                (Accumulation::CompareAndSwap, all),
+                (Accumulation::CompareAndSwap, 1),
+                (Accumulation::NativeAtomics, all),
+                (Accumulation::NativeAtomics, 1),
+            ] {
+                let context = format!("{context}, {accumulation:?}, {stage:?}, {subtiles} subtiles");
+                let result = self.case(gpu, accumulation, stage, subtiles).run(gpu);
+                let (device, twin) = (floats(&result.gpu[7]), floats(&result.twin[7]));
+                assert_rows_close(&device, &twin, &context);
+                let rows = if accumulation == Accumulation::Instances {
+                    let result = self.sum_case(result.gpu[7].clone()).run(gpu);
+                    result.assert_equal(&SUM_INSTANCE_GRADIENTS, &context);
+                    floats(&result.gpu[4][..12 * self.tile_count.len()])
+                } else {
+                    device
+                };
+                let truth = truth.get_or_insert_with(|| {
+                    let mut case = self.case(gpu, Accumulation::CompareAndSwap, stage, all);
+                    run_twin(&BLEND_BACKWARD, &[8, 2, 0, 8, 4], 1, &mut case.buffers);
+                    floats(&case.buffers[7])
+                });
+                assert_rows_close(&rows[..truth.len()], truth, &context);
+            }
+        }
+        truth.unwrap_or_default()
+    }
+}
+
+fn floats(words: &[u32]) -> Vec<f32> {
+    words.iter().map(|w| f32::from_bits(*w)).collect()
+}
+
+fn assert_rows_close(device: &[f32], twin: &[f32], context: &str) {
+    let row = ROW_WORDS as usize;
+    let n = twin.len() / row * row;
+    for (name, range) in
+        [("h", 0..1), ("first moments", 1..3), ("second moments", 3..6), ("colour", 6..9), ("pixels", 9..10)]
+    {
+        let columns = |v: &[f32]| columns(&v[..n], row, range.clone());
+        assert_gradients_close(&columns(device), &columns(twin), &format!("{context}: {name}"));
+    }
+    assert!(device[..n].chunks_exact(row).all(|r| r[10] == 0.0 && r[11] == 0.0), "{context}: padding");
+}
+
+#[test]
+fn gradients_match_the_twins() {
+    let gpu = tests_harness::gpu();
+    widths::assert_lanes(&gpu);
+    for (n, size) in [(1, [1, 1]), (1, [64, 64]), (40, [17, 1]), (300, [33, 17]), (700, [61, 47]), (0, [33, 17])] {
+        let input = RenderInput::random(n, 1, n as u64);
+        Rendered::of_input(&input, size).check(&gpu, &format!("{n} Gaussians, {size:?}"));
+    }
+}
+
+#[test]
+fn layers_and_opaque_splats() {
+    let gpu = tests_harness::gpu();
+    widths::assert_lanes(&gpu);
+    for (layers, log2_opacity) in [(200, -5.0), (200, -1.0), (60, 0.0), (60, 3.0)] {
+        let rows =
+            Rendered::layers(layers, log2_opacity, [33, 17]).check(&gpu, &format!("{layers} at 2^{log2_opacity}"));
+        assert!(rows[9] > 0.0 && rows[6] != 0.0, "the first layer is drawn");
+    }
+}
+
+#[test]
+fn clamped_alpha_has_no_gradient() {
+    let gpu = tests_harness::gpu();
+    // So opaque that alpha is clamped wherever it is drawn.
+    let mut scene = Rendered::layers(1, 40.0, [16, 16]);
+    scene.splats[2] = 0.01_f32.to_bits();
+    scene.splats[4] = 0.01_f32.to_bits();
+    let rows = scene.check(&gpu, "clamped");
+    assert_eq!(rows[..6], [0.0; 6]);
+    assert_eq!(rows[9], 256.0);
+}
+
+#[test]
+fn poison_gives_finite_gradients() {
+    let gpu = tests_harness::gpu();
+    let input = RenderInput::random(300, 1, 7);
+    let clean = Rendered::of_input(&input, [33, 17]);
+    for poison in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e38, -1e38, 1e-42] {
+        let mut r = Random(11);
+        let mut scene = Rendered { splats: clean.splats.clone(), ..Rendered::of_input(&input, [33, 17]) };
+        for _ in 0..100 {
+            let at = (r.bits() % scene.image_gradient.len() as u64) as usize;
+            scene.image_gradient[at] = poison.to_bits();
+        }
+        // Gradients alone: what is left is exact.
+        scene.check(&gpu, &format!("gradient with {poison}"));
+        // Splats too: everything is finite, device and twin.
+        for _ in 0..200 {
+            let at = (r.bits() % scene.splats.len() as u64) as usize;
+            scene.splats[at] = poison.to_bits();
+        }
+        for stage in [Stage::Shuffle, Stage::Shared] {
+            let subtiles = blend_backward::subtiles_of_tile(gpu.subgroup_size());
+            let result = scene.case(&gpu, Accumulation::Instances, stage, subtiles).run(&gpu);
+            for (side, words) in [("device", &result.gpu[7]), ("twin", &result.twin[7])] {
+                assert!(floats(words).iter().all(|v| v.is_finite()), "{side}, splats with {poison}");
+            }
+        }
+    }
+}
+
+#[test]
+fn sums_stay_within_the_instances() {
+    let gpu = tests_harness::gpu();
+    let scene = Rendered::layers(20, -1.0, [61, 47]);
+    let rows: Vec<u32> = (0..12 * scene.gaussian_of_slot.len()).map(|i| (i as f32).to_bits()).collect();
+    // A frame that failed has no gradients.
+    let mut case = scene.sum_case(rows.clone());
+    case.buffers[0][3] = 1;
+    let result = case.run(&gpu);
+    result.assert_equal(&SUM_INSTANCE_GRADIENTS, "failed");
+    assert!(result.gpu[4].iter().all(|w| *w == 0));
+    // Slots that point anywhere read nothing past the instances.
+    let mut case = scene.sum_case(rows);
+    case.buffers[1].iter_mut().step_by(3).for_each(|count| *count = u32::MAX);
+    case.buffers[2].iter_mut().step_by(2).for_each(|first| *first = u32::MAX - 3);
+    case.run(&gpu).assert_equal(&SUM_INSTANCE_GRADIENTS, "wild slots");
+}
+
+#[test]
+fn other_subgroup_sizes() {
+    widths::repeat_with_other_widths(&["gradients_match_the_twins", "layers_and_opaque_splats"]);
+}
+
+#[test]
+fn subtiles_cover_the_tile() {
+    for size in [4, 8, 16, 32, 64, 128] {
+        let all = blend_backward::subtiles_of_tile(size);
+        assert_eq!(all * size * blend::pixels_per_lane(size), 256, "size {size}");
+        assert_eq!(blend_backward::groups(7, size, all), u64::from((7 * size).div_ceil(128)));
+    }
+}
