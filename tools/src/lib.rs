@@ -12,6 +12,7 @@ pub mod measure;
 pub mod model;
 pub mod oracle;
 pub mod oracle_loss;
+pub mod oracle_superpoint;
 pub mod oracle_task;
 pub mod output;
 pub mod plan_task;
