@@ -28,37 +28,37 @@ layout(std430, set = 0, binding = 6) writeonly buffer LossPartialBlock { float l
 #define STATUS_BINDING 7
 #include "lib/status.glsl"
 
-shared float maps[3 * 42 * 33];
+shared float maps[3 * 58 * 33];
 shared vec2 sums[32]; // one per subgroup: 128 / 4
 
-const uint MAP_WORDS = 1386u; // 42 * 33
+const uint MAP_WORDS = 1914u; // 58 * 33
 
 // Row pass: the three maps of a run of pixels.
 void convolve_row(uint task, uvec2 corner, uint channel) {
-    uint pixels = frame.size.x * frame.size.y;
+    uint pixels = image_size.x * image_size.y;
     uint row = task % TILE_ROWS;
-    uint first = RUN * (task / TILE_ROWS);
+    uint first = ROW_RUN * (task / TILE_ROWS);
     int y = int(corner.y + row) - int(WINDOW_RADIUS);
     int x = int(corner.x + first) - int(WINDOW_RADIUS);
-    bool row_inside = y >= 0 && y < int(frame.size.y);
-    vec3 sum[RUN];
-    [[unroll]] for (uint j = 0u; j < RUN; j++) {
+    bool row_inside = y >= 0 && y < int(image_size.y);
+    vec3 sum[ROW_RUN];
+    [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
         sum[j] = vec3(0.0);
     }
-    [[unroll]] for (uint i = 0u; i < RUN_INPUTS; i++) {
+    [[unroll]] for (uint i = 0u; i < ROW_INPUTS; i++) {
         int column = x + int(i);
         vec3 m = vec3(0.0);
-        if (row_inside && column >= 0 && column < int(frame.size.x)) {
-            uint at = 3u * channel * pixels + uint(y) * frame.size.x + uint(column);
+        if (row_inside && column >= 0 && column < int(image_size.x)) {
+            uint at = 3u * channel * pixels + uint(y) * image_size.x + uint(column);
             m = vec3(ssim_maps[at], ssim_maps[at + pixels], ssim_maps[at + 2u * pixels]);
         }
         [[unroll]] for (uint k = 0u; k < WINDOW_SIZE; k++) {
-            if (i >= k && i - k < RUN) {
+            if (i >= k && i - k < ROW_RUN) {
                 sum[i - k] += WINDOW[k] * m;
             }
         }
     }
-    [[unroll]] for (uint j = 0u; j < RUN; j++) {
+    [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
         uint at = row * ROW_STRIDE + first + j;
         maps[at] = sum[j].x;
         maps[MAP_WORDS + at] = sum[j].y;
@@ -70,18 +70,18 @@ void convolve_row(uint task, uvec2 corner, uint channel) {
 vec2 convolve_column(uint task, uvec2 corner, uint channel) {
     uint kind = TARGET;
     uint with_ssim = WITH_SSIM;
-    uint column = task % LOSS_TILE;
-    uint first = RUN * (task / LOSS_TILE);
-    vec3 sum[RUN];
-    [[unroll]] for (uint j = 0u; j < RUN; j++) {
+    uint column = task % LOSS_TILE_WIDTH;
+    uint first = COLUMN_RUN * (task / LOSS_TILE_WIDTH);
+    vec3 sum[COLUMN_RUN];
+    [[unroll]] for (uint j = 0u; j < COLUMN_RUN; j++) {
         sum[j] = vec3(0.0);
     }
     if (with_ssim == 1u) {
-        [[unroll]] for (uint i = 0u; i < RUN_INPUTS; i++) {
+        [[unroll]] for (uint i = 0u; i < COLUMN_INPUTS; i++) {
             uint at = (first + i) * ROW_STRIDE + column;
             vec3 m = vec3(maps[at], maps[MAP_WORDS + at], maps[2u * MAP_WORDS + at]);
             [[unroll]] for (uint k = 0u; k < WINDOW_SIZE; k++) {
-                if (i >= k && i - k < RUN) {
+                if (i >= k && i - k < COLUMN_RUN) {
                     sum[i - k] += WINDOW[k] * m;
                 }
             }
@@ -89,27 +89,33 @@ vec2 convolve_column(uint task, uvec2 corner, uint channel) {
     }
     uint x = corner.x + column;
     float lambda = with_ssim == 1u ? step_data.weights.x : 0.0;
-    float per_value = 1.0 / (3.0 * float(frame.size.x * frame.size.y));
+    float per_value = 1.0 / (3.0 * float(image_size.x * image_size.y));
     vec2 total = vec2(0.0);
-    [[unroll]] for (uint j = 0u; j < RUN; j++) {
+    uint bad_count = 0u;
+    uint first_bad = 0xffffffffu;
+    [[unroll]] for (uint j = 0u; j < COLUMN_RUN; j++) {
         uint y = corner.y + first + j;
-        if (x < frame.size.x && y < frame.size.y) {
-            uint at = y * frame.size.x + x;
-            vec2 v = image_and_target(kind, at, channel);
+        if (x < image_size.x && y < image_size.y) {
+            uint at = y * image_size.x + x;
+            vec3 v = image_and_target(kind, at, channel);
             float d = v.x - v.y;
             float by_ssim = sum[j].x + 2.0 * v.x * sum[j].y + 2.0 * d * sum[j].z;
             float gradient = per_value * ((1.0 - lambda) * sign(d) - lambda * by_ssim);
-            bool good = usable(color[4u * at + channel]) && usable(target_value(kind, at, channel))
-                && number_is_finite(gradient);
-            if (!good) {
-                report_not_finite(STATUS_IMAGE_GRADIENT, at);
-            }
+            bool good = v.z != 0.0 && number_is_finite(gradient);
+            bad_count += good ? 0u : 1u;
+            first_bad = good ? first_bad : min(first_bad, at);
             image_gradient[4u * at + channel] = good ? gradient : 0.0;
-            if (channel == 2u) {
-                image_gradient[4u * at + 3u] = 0.0;
-            }
             total += vec2(abs(d), d * d);
         }
+    }
+    if (bad_count != 0u) {
+        atomicAdd(status[2u * STATUS_IMAGE_GRADIENT], bad_count);
+        atomicMin(status[2u * STATUS_IMAGE_GRADIENT + 1u], first_bad);
+    }
+    // A loop of its own: without rounds it costs less than a branch in the loop above on devices that run both sides.
+    uint last = channel == 2u && x < image_size.x ? min(COLUMN_RUN, image_size.y - min(image_size.y, corner.y + first)) : 0u;
+    for (uint j = 0u; j < last; j++) {
+        image_gradient[4u * ((corner.y + first + j) * image_size.x + x) + 3u] = 0.0;
     }
     return total;
 }
@@ -117,24 +123,22 @@ vec2 convolve_column(uint task, uvec2 corner, uint channel) {
 void main() {
     uint with_ssim = WITH_SSIM;
     uint group = workgroup_index();
-    uvec2 tiles = (frame.size.xy + LOSS_TILE - 1u) / LOSS_TILE;
-    uint groups = 3u * tiles.x * tiles.y;
     uint channel = group % 3u;
+    read_frame(channel);
+    uvec2 tiles = loss_tiles(image_size);
+    uint groups = 3u * tiles.x * tiles.y;
     uint tile = group / 3u;
-    uvec2 corner = LOSS_TILE * uvec2(tile % tiles.x, tile / tiles.x);
+    uvec2 corner = uvec2(LOSS_TILE_WIDTH, LOSS_TILE_HEIGHT) * uvec2(tile % tiles.x, tile / tiles.x);
     uint thread = gl_LocalInvocationID.x;
     uint size = SUBGROUP_SIZE;
 
     if (with_ssim == 1u) {
-        for (uint task = thread; task < ROW_TASKS; task += LOSS_THREADS) {
-            convolve_row(task, corner, channel);
+        if (thread < ROW_TASKS) {
+            convolve_row(thread, corner, channel);
         }
     }
     barrier();
-    vec2 total = vec2(0.0);
-    for (uint task = thread; task < COLUMN_TASKS; task += LOSS_THREADS) {
-        total += convolve_column(task, corner, channel);
-    }
+    vec2 total = convolve_column(thread, corner, channel);
     vec2 of_subgroup = subgroupAdd(total);
     if (gl_SubgroupInvocationID == 0u) {
         sums[gl_SubgroupID] = of_subgroup;

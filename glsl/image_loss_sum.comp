@@ -23,7 +23,7 @@ shared vec3 sums[64]; // one per subgroup: 256 / 4
 void main() {
     uint with_ssim = WITH_SSIM;
     uint size = SUBGROUP_SIZE;
-    uvec2 tiles = (frame.size.xy + LOSS_TILE - 1u) / LOSS_TILE;
+    uvec2 tiles = loss_tiles(frame.size.xy);
     uint groups = 3u * tiles.x * tiles.y;
     vec3 total = vec3(0.0); // L1, SSIM, MSE
     for (uint g = gl_LocalInvocationID.x; g < groups; g += 256u) {

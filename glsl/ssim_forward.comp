@@ -23,36 +23,36 @@ layout(constant_id = 1) const uint TARGET = 0u; // 0: RGBA8, 1: float bits
 layout(std430, set = 0, binding = 3) writeonly buffer SsimMapsBlock { float ssim_maps[]; };
 layout(std430, set = 0, binding = 4) writeonly buffer LossPartialBlock { float loss_partial[]; };
 
-shared vec4 moments[42 * 33];
+shared vec4 moments[58 * 33];
 shared float sums[32]; // one per subgroup: 128 / 4
 
 // Row pass: moments (x, d, d^2, x^2 + y^2) of a run of pixels.
 void convolve_row(uint task, uvec2 corner, uint channel) {
     uint kind = TARGET;
     uint row = task % TILE_ROWS;
-    uint first = RUN * (task / TILE_ROWS);
+    uint first = ROW_RUN * (task / TILE_ROWS);
     int y = int(corner.y + row) - int(WINDOW_RADIUS);
     int x = int(corner.x + first) - int(WINDOW_RADIUS);
-    bool row_inside = y >= 0 && y < int(frame.size.y);
-    vec4 sum[RUN];
-    [[unroll]] for (uint j = 0u; j < RUN; j++) {
+    bool row_inside = y >= 0 && y < int(image_size.y);
+    vec4 sum[ROW_RUN];
+    [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
         sum[j] = vec4(0.0);
     }
-    [[unroll]] for (uint i = 0u; i < RUN_INPUTS; i++) {
+    [[unroll]] for (uint i = 0u; i < ROW_INPUTS; i++) {
         int column = x + int(i);
         vec4 m = vec4(0.0);
-        if (row_inside && column >= 0 && column < int(frame.size.x)) {
-            vec2 v = image_and_target(kind, uint(y) * frame.size.x + uint(column), channel);
+        if (row_inside && column >= 0 && column < int(image_size.x)) {
+            vec3 v = image_and_target(kind, uint(y) * image_size.x + uint(column), channel);
             float d = v.x - v.y;
             m = vec4(v.x, d, d * d, v.x * v.x + v.y * v.y);
         }
         [[unroll]] for (uint k = 0u; k < WINDOW_SIZE; k++) {
-            if (i >= k && i - k < RUN) {
+            if (i >= k && i - k < ROW_RUN) {
                 sum[i - k] += WINDOW[k] * m;
             }
         }
     }
-    [[unroll]] for (uint j = 0u; j < RUN; j++) {
+    [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
         moments[row * ROW_STRIDE + first + j] = sum[j];
     }
 }
@@ -77,28 +77,28 @@ vec4 ssim_and_derivatives(vec4 m) {
 
 // Column pass: results of a run of pixels. Returns the sum of their SSIM.
 float convolve_column(uint task, uvec2 corner, uint channel) {
-    uint column = task % LOSS_TILE;
-    uint first = RUN * (task / LOSS_TILE);
-    vec4 sum[RUN];
-    [[unroll]] for (uint j = 0u; j < RUN; j++) {
+    uint column = task % LOSS_TILE_WIDTH;
+    uint first = COLUMN_RUN * (task / LOSS_TILE_WIDTH);
+    vec4 sum[COLUMN_RUN];
+    [[unroll]] for (uint j = 0u; j < COLUMN_RUN; j++) {
         sum[j] = vec4(0.0);
     }
-    [[unroll]] for (uint i = 0u; i < RUN_INPUTS; i++) {
+    [[unroll]] for (uint i = 0u; i < COLUMN_INPUTS; i++) {
         vec4 m = moments[(first + i) * ROW_STRIDE + column];
         [[unroll]] for (uint k = 0u; k < WINDOW_SIZE; k++) {
-            if (i >= k && i - k < RUN) {
+            if (i >= k && i - k < COLUMN_RUN) {
                 sum[i - k] += WINDOW[k] * m;
             }
         }
     }
-    uint pixels = frame.size.x * frame.size.y;
+    uint pixels = image_size.x * image_size.y;
     uint x = corner.x + column;
     float total = 0.0;
-    [[unroll]] for (uint j = 0u; j < RUN; j++) {
+    [[unroll]] for (uint j = 0u; j < COLUMN_RUN; j++) {
         uint y = corner.y + first + j;
-        if (x < frame.size.x && y < frame.size.y) {
+        if (x < image_size.x && y < image_size.y) {
             vec4 s = ssim_and_derivatives(sum[j]);
-            uint at = 3u * channel * pixels + y * frame.size.x + x;
+            uint at = 3u * channel * pixels + y * image_size.x + x;
             ssim_maps[at] = s.y;
             ssim_maps[at + pixels] = s.z;
             ssim_maps[at + 2u * pixels] = s.w;
@@ -110,22 +110,20 @@ float convolve_column(uint task, uvec2 corner, uint channel) {
 
 void main() {
     uint group = workgroup_index();
-    uvec2 tiles = (frame.size.xy + LOSS_TILE - 1u) / LOSS_TILE;
-    uint groups = 3u * tiles.x * tiles.y;
     uint channel = group % 3u;
+    read_frame(channel);
+    uvec2 tiles = loss_tiles(image_size);
+    uint groups = 3u * tiles.x * tiles.y;
     uint tile = group / 3u;
-    uvec2 corner = LOSS_TILE * uvec2(tile % tiles.x, tile / tiles.x);
+    uvec2 corner = uvec2(LOSS_TILE_WIDTH, LOSS_TILE_HEIGHT) * uvec2(tile % tiles.x, tile / tiles.x);
     uint thread = gl_LocalInvocationID.x;
     uint size = SUBGROUP_SIZE;
 
-    for (uint task = thread; task < ROW_TASKS; task += LOSS_THREADS) {
-        convolve_row(task, corner, channel);
+    if (thread < ROW_TASKS) {
+        convolve_row(thread, corner, channel);
     }
     barrier();
-    float total = 0.0;
-    for (uint task = thread; task < COLUMN_TASKS; task += LOSS_THREADS) {
-        total += convolve_column(task, corner, channel);
-    }
+    float total = convolve_column(thread, corner, channel);
     float of_subgroup = subgroupAdd(total);
     if (gl_SubgroupInvocationID == 0u) {
         sums[gl_SubgroupID] = of_subgroup;

@@ -6,6 +6,15 @@
 layout(std430, set = 0, binding = COLOR_BINDING) readonly buffer ColorBlock { float color[]; };
 layout(std430, set = 0, binding = TARGET_BINDING) readonly buffer TargetBlock { uint target[]; };
 
+// Copies of the frame's and the workgroup's values, set once by read_frame: a device may read storage again at every use.
+uvec2 image_size;
+float background;
+
+void read_frame(uint channel) {
+    image_size = frame.size.xy;
+    background = frame.background[channel];
+}
+
 // Beyond it a value counts as not finite: its fourth power must stay a number.
 const float MAX_COLOR = 1.0e6;
 
@@ -22,16 +31,18 @@ float target_value(uint kind, uint pixel, uint channel) {
     uint word = target[pixel];
     float premultiplied = float((word >> (8u * channel)) & 255u);
     float rest = float(255u - (word >> 24u));
-    return (premultiplied + rest * frame.background[channel]) / 255.0;
+    return (premultiplied + rest * background) / 255.0;
 }
 
-// (rendered, target) of a channel. Where either cannot be used both are the same, so that the pixel takes no part.
-vec2 image_and_target(uint kind, uint pixel, uint channel) {
+// (rendered, target, 1) of a channel. Where either cannot be used both are the same, so that the pixel takes no part, and
+// the last component is 0.
+vec3 image_and_target(uint kind, uint pixel, uint channel) {
     float x = color[4u * pixel + channel];
     float y = target_value(kind, pixel, channel);
     bool good = usable(y);
     y = good ? y : 0.0;
-    return vec2(good && usable(x) ? x : y, y);
+    good = good && usable(x);
+    return vec3(good ? x : y, y, good ? 1.0 : 0.0);
 }
 
 #endif

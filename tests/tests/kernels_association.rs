@@ -758,3 +758,54 @@ fn adam_of_the_twin_is_the_one_of_the_test() {
     let value = adam::update(&step, 0.5, 1e-3, &mut moments, 1e-2, bias);
     assert!((value - 0.49).abs() < 1e-6, "{value}");
 }
+
+#[test]
+fn outside_truth_of_superpoints_is_met() {
+    let Some(path) = tests_harness::data("oracle/superpoint_400_20.npz") else { return };
+    let gpu = gpu();
+    let check = tools::oracle_superpoint::check(&path, Some(&gpu)).unwrap();
+    for (name, e) in check.outputs.iter().chain(&check.losses).chain(&check.gradients) {
+        println!(
+            "{name:44} reference {:.1e} gpu {:.1e} f32 {}",
+            e.reference,
+            e.gpu.unwrap_or(f64::NAN),
+            e.stored_as_f32
+        );
+    }
+    println!("{}", check.describe());
+    assert!(check.passes(), "{}", check.describe());
+    assert!(check.gradients.values().filter(|e| e.gpu.is_some()).count() > 50);
+}
+
+/// Milliseconds of a step's association by kernel; run by hand.
+#[test]
+#[ignore = "a measurement"]
+fn milliseconds_of_a_step() {
+    let gpu = gpu();
+    for (n, m) in [(10_000, 100), (50_000, 300)] {
+        for form in [PropertyLoss::Code, PropertyLoss::Paper] {
+            let case = Case::new(n, m, 5, 8, 1);
+            let device = DeviceStep::new(&gpu, &case, form);
+            let mut r = gpu.recorder("association step").with_timestamps(true);
+            device.state.record_before(&mut r, &device.buffers).unwrap();
+            device.state.record_reduce_pose(&mut r, &device.buffers, &device.pose_gradient).unwrap();
+            device.state.record_commit(&mut r, &device.buffers).unwrap();
+            let mut commands = r.finish().unwrap();
+            let mut best = f64::MAX;
+            for _ in 0..5 {
+                let start = std::time::Instant::now();
+                gpu.submit(&mut commands).unwrap();
+                gpu.wait_for(&commands).unwrap();
+                best = best.min(start.elapsed().as_secs_f64() * 1e3);
+            }
+            println!("N {n}, M {m}, {form:?}: {best:.2} ms");
+            println!("{:?}", commands.timings().unwrap());
+        }
+        let mean = gpu.buffer_with("mean", bytemuck::cast_slice(&planes(&Case::new(n, 1, 1, 1, 1).mean))).unwrap();
+        let own = Slice::from(&gpu.buffer("superpoint_of_gaussian", 4 * n as u64, Memory::Device).unwrap());
+        let options = AssociationOptions { superpoints: m as u32, ..AssociationOptions::default() };
+        let start = std::time::Instant::now();
+        SuperpointState::init(&gpu, &(&mean).into(), &own, n as u32, options).unwrap();
+        println!("N {n}, M {m}: init {:.1} ms", start.elapsed().as_secs_f64() * 1e3);
+    }
+}

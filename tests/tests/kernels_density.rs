@@ -117,7 +117,7 @@ fn model(rows: &[Row], options: &DensityOptions) -> (Vec<Row>, [u32; 4]) {
         let scale = if wants(r) && splits(r) { largest(r) / 1.6 } else { largest(r) };
         let finite = r.log_scale.iter().all(|s| s.is_finite());
         let radius = !wants(r) && options.max_screen_radius.is_some_and(|m| r.radius > m);
-        !(opacity(r) >= options.min_opacity) || !finite || too_large(scale) || radius
+        r.opacity_logit.is_nan() || opacity(r) < options.min_opacity || !finite || too_large(scale) || radius
     };
     let mut growing: Vec<usize> = (0..rows.len()).filter(|&i| !gone(&rows[i]) && wants(&rows[i])).collect();
     growing.sort_by(|&a, &b| gradient(&rows[b]).total_cmp(&gradient(&rows[a])).then(a.cmp(&b)));
@@ -341,7 +341,7 @@ fn kernels_equal_twins() {
         let push = EmitPush { gaussians: n, rows };
         let buffers = vec![action, row_block, zeros(rows)];
         let source = run(&gpu, &DENSITY_EMIT, bytemuck::bytes_of(&push), buffers, groups).remove(2);
-        let mut gather = |old: &[u32], planes: u32, width: u32, zero_new: u32| {
+        let gather = |old: &[u32], planes: u32, width: u32, zero_new: u32| {
             let push = GatherPush { old_count: n, new_count: rows, planes, width, zero_new };
             let buffers = vec![source.clone(), old.to_vec(), zeros(rows * planes * width)];
             let groups = (rows * width).div_ceil(256) + 1;

@@ -11,6 +11,8 @@ pub mod kernel_docs;
 pub mod measure;
 pub mod model;
 pub mod oracle;
+pub mod oracle_loss;
+pub mod oracle_superpoint;
 pub mod oracle_task;
 pub mod output;
 pub mod plan_task;

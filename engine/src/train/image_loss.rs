@@ -26,8 +26,8 @@ use crate::gpu::{Buffer, Gpu, Groups, Memory, Recorder, Slice};
 /// Kernels of this module.
 pub static KERNELS: &[&Kernel] = &[&SSIM_FORWARD, &IMAGE_LOSS, &IMAGE_LOSS_SUM];
 
-/// Pixels per edge of a workgroup's tile.
-pub const LOSS_TILE: u32 = 32;
+/// Width and height of a workgroup's tile, px.
+pub const LOSS_TILE: [u32; 2] = [32, 48];
 /// Words of the `loss` buffer: L, L1, SSIM (0 when it was skipped), MSE, then zeros.
 pub const LOSS_WORDS: usize = 8;
 
@@ -43,7 +43,7 @@ pub enum TargetFormat {
 
 /// Workgroups of `ssim_forward` and `image_loss`: three channels per tile.
 pub fn groups(width: u32, height: u32) -> u32 {
-    3 * width.div_ceil(LOSS_TILE) * height.div_ceil(LOSS_TILE)
+    3 * width.div_ceil(LOSS_TILE[0]) * height.div_ceil(LOSS_TILE[1])
 }
 
 /// Buffers that a recording of the loss binds.

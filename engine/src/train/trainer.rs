@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::adapt::DensityChange;
 use super::association::{AssociationInit, AssociationOptions, StepBuffers, SuperpointState};
-use super::blend_backward::{self, BackwardInput, BackwardTarget, ROW_WORDS};
+use super::blend_backward::{self, Accumulation, BackwardInput, BackwardTarget, ROW_WORDS};
 use super::checkpoint::{Checkpoint, MotionState, NetworkState};
 use super::config::{Config, Form};
 use super::deform_project_backward::{DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, OUTPUT_ADAM};
@@ -413,7 +413,7 @@ impl Trainer {
 
     /// Whether gradients are added without atomics: where bits must repeat, and where that is fastest anyway.
     fn with_slots(&self) -> bool {
-        self.config.deterministic || self.gpu.info().is_cpu()
+        Accumulation::of_device(&self.gpu, self.config.deterministic) == Accumulation::Instances
     }
 
     /// Records a step for a target: the order of the paper's algorithm.

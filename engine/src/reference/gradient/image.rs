@@ -86,7 +86,7 @@ pub fn image_gradients(
     let rows = splat_gradients(&splats, camera, options.background, upstream);
     let view = View::from(camera);
     let count = gaussians.mean.len();
-    let sh_values = if count == 0 { 0 } else { gaussians.sh.len() / count };
+    let sh_values = gaussians.sh.len().checked_div(count).unwrap_or(0);
     let mut gradients = Gradients {
         splats: vec![SplatGradient::default(); count],
         each: vec![OneGradient { sh: vec![0.0; sh_values], ..OneGradient::default() }; count],

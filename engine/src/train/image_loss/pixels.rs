@@ -79,11 +79,12 @@ pub(super) fn convolve<const P: usize>(values: &[[f32; P]], width: usize, height
 
 /// Sum over the pixels of a workgroup's tile.
 pub(super) fn sum_of_tile(frame: &Frame, tile: u32, mut value: impl FnMut(usize) -> f32) -> f32 {
-    let tiles_x = frame.size[0].div_ceil(super::LOSS_TILE);
-    let corner = [tile % tiles_x, tile / tiles_x].map(|t| t * super::LOSS_TILE);
+    let [width, height] = super::LOSS_TILE;
+    let tiles_x = frame.size[0].div_ceil(width);
+    let corner = [tile % tiles_x * width, tile / tiles_x * height];
     let mut sum = 0.0;
-    for y in corner[1]..frame.size[1].min(corner[1] + super::LOSS_TILE) {
-        for x in corner[0]..frame.size[0].min(corner[0] + super::LOSS_TILE) {
+    for y in corner[1]..frame.size[1].min(corner[1] + height) {
+        for x in corner[0]..frame.size[0].min(corner[0] + width) {
             sum += value((y * frame.size[0] + x) as usize);
         }
     }

@@ -1,0 +1,105 @@
+//! Gradients of whole images, from blending to parameters, on the device against the f64 reference.
+
+use engine::reference::gradient::image::{Gradients, image_gradients};
+use engine::reference::gradient::splats::Upstream;
+use engine::reference::{Deformation, Gaussians64, ReferenceOptions, table_poses};
+use engine::scene::{Camera, Scene};
+use engine::train::gradient::{GradientOptions, SceneGradients, scene_gradients};
+use tests_harness::gradient::assert_gradients_close;
+use tests_harness::render_case::{Random, RenderInput, test_camera};
+
+const BACKGROUND: [f32; 3] = [0.3, 0.1, 0.6];
+/// Between the keys at 0 and 1.
+const TIME: f64 = 0.375;
+
+fn in_f64(scene: &Scene) -> Gaussians64 {
+    let g = &scene.gaussians;
+    Gaussians64 {
+        mean: g.mean.iter().map(|v| v.map(f64::from)).collect(),
+        log_scale: g.log_scale.iter().map(|v| v.map(f64::from)).collect(),
+        rotation: g.rotation.iter().map(|v| v.map(f64::from)).collect(),
+        opacity_logit: g.opacity_logit.iter().map(|&x| x.into()).collect(),
+        sh_degree: g.sh_degree,
+        sh: g.sh.iter().map(|&x| x.into()).collect(),
+    }
+}
+
+fn random_gradient(camera: &Camera, seed: u64) -> Vec<f32> {
+    let mut r = Random(seed);
+    (0..4 * camera.width * camera.height).map(|_| r.range(-1.0, 1.0)).collect()
+}
+
+fn truth(scene: &Scene, camera: &Camera, gradient: &[f32]) -> Gradients {
+    let gaussians = in_f64(scene);
+    let poses = scene.motion.as_ref().map(|motion| table_poses(motion, TIME));
+    let group = scene.superpoints.as_ref().map_or(&[][..], |s| &s.of_gaussian);
+    let deformation = Deformation { group, poses: poses.as_deref(), offsets: None };
+    let color: Vec<f64> = gradient.chunks_exact(4).flat_map(|g| [g[0], g[1], g[2]]).map(f64::from).collect();
+    let alpha: Vec<f64> = gradient.chunks_exact(4).map(|g| g[3].into()).collect();
+    let options = ReferenceOptions { background: BACKGROUND.map(f64::from), ..ReferenceOptions::default() };
+    let upstream = Upstream { color: &color, alpha: Some(&alpha) };
+    image_gradients(&gaussians, &deformation, camera, &options, &upstream).unwrap()
+}
+
+fn narrow<'a>(values: impl IntoIterator<Item = &'a f64>) -> Vec<f32> {
+    values.into_iter().map(|&x| x as f32).collect()
+}
+
+fn assert_close(found: &SceneGradients, truth: &Gradients, context: &str) {
+    let close = |what: &str, gpu: &[f32], truth: Vec<f32>| {
+        assert_gradients_close(gpu, &truth, &format!("{context}: {what}"));
+    };
+    close("mean", found.mean.as_flattened(), narrow(truth.mean.as_flattened()));
+    close("rotation", found.rotation.as_flattened(), narrow(truth.rotation.as_flattened()));
+    close("log_scale", found.log_scale.as_flattened(), narrow(truth.log_scale.as_flattened()));
+    close("opacity_logit", &found.opacity_logit, narrow(&truth.opacity_logit));
+    close("sh", &found.sh, narrow(&truth.sh));
+    close("mean2d", found.mean2d.as_flattened(), narrow(truth.mean2d.as_flattened()));
+    if !found.pose.is_empty() {
+        let row = |g: &engine::reference::gradient::project::OneGradient| {
+            g.omega.to_array().into_iter().chain(g.translation.to_array())
+        };
+        let each: Vec<f64> = truth.each.iter().flat_map(row).collect();
+        close("pose", found.pose.as_flattened(), narrow(&each));
+    }
+}
+
+#[test]
+fn gradients_agree_with_the_reference() {
+    let gpu = tests_harness::gpu();
+    let options = GradientOptions { near: 0.2, background: BACKGROUND };
+    for degree in 0..4 {
+        let still = RenderInput::random(250, degree, 60 + u64::from(degree));
+        let moving = still.clone().moving(6, 3);
+        for (what, input, size) in [("static", still, [64, 48]), ("moving", moving, [41, 57])] {
+            let (scene, camera) = (input.scene(), test_camera(size[0], size[1]));
+            let gradient = random_gradient(&camera, degree.into());
+            let found = scene_gradients(&gpu, &scene, &camera, TIME, &options, &gradient).unwrap();
+            let context = format!("{what}, degree {degree}");
+            assert_close(&found, &truth(&scene, &camera, &gradient), &context);
+            let again = scene_gradients(&gpu, &scene, &camera, TIME, &options, &gradient).unwrap();
+            assert!(found == again, "{context}: other bits on the second run");
+        }
+    }
+}
+
+#[test]
+fn a_view_that_needs_more_room_gets_it() {
+    let gpu = tests_harness::gpu();
+    let mut input = RenderInput::random(40, 0, 5);
+    input.log_scale.fill(0.0);
+    let (scene, camera) = (input.scene(), test_camera(256, 192));
+    let gradient = random_gradient(&camera, 1);
+    let options = GradientOptions { near: 0.2, background: BACKGROUND };
+    let found = scene_gradients(&gpu, &scene, &camera, 0.0, &options, &gradient).unwrap();
+    assert_close(&found, &truth(&scene, &camera, &gradient), "large splats");
+}
+
+#[test]
+fn an_image_gradient_of_another_size_is_refused() {
+    let gpu = tests_harness::gpu();
+    let scene = RenderInput::random(5, 0, 5).scene();
+    let options = GradientOptions { near: 0.2, background: BACKGROUND };
+    let refused = scene_gradients(&gpu, &scene, &test_camera(8, 8), 0.0, &options, &[0.0; 12]);
+    assert!(refused.unwrap_err().to_string().contains("256 values"));
+}
