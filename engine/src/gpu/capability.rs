@@ -65,6 +65,9 @@ impl Capabilities {
     }
 }
 
+/// Storage buffers that the training kernel with the most bindings has.
+pub const TRAINING_STORAGE_BUFFERS: u32 = 26;
+
 /// One line of the table of requirements.
 #[derive(Debug, Clone, Copy)]
 pub struct Requirement {
@@ -122,6 +125,12 @@ pub const REQUIREMENTS: &[Requirement] = &[
         required: true,
         why: "Gaussian arrays",
         met: |c| c.max_storage_buffer_range >= 1 << 27,
+    },
+    Requirement {
+        name: "26 storage buffers per stage",
+        required: false,
+        why: "training: one kernel updates all parameters of a Gaussian",
+        met: |c| c.max_storage_buffers >= TRAINING_STORAGE_BUFFERS,
     },
     Requirement {
         name: "16 storage buffers per stage",

@@ -238,7 +238,7 @@ impl Chain {
             vec![0; 4],
         ];
         let push = EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits };
-        call(&EMIT_TILES, &[], bytemuck::bytes_of(&push), emit_groups, &mut buffers);
+        call(&EMIT_TILES, &[0], bytemuck::bytes_of(&push), emit_groups, &mut buffers);
         let [_, counters, _, _, _, _, keys, values, histogram, _, _] = buffers;
         let instances = counters[5] as usize;
         assert!(keys[instances..].iter().all(|k| *k == POISON), "written past the instances");

@@ -24,6 +24,7 @@ use crate::data::dataset::View;
 use crate::data::loader::ImageLoader;
 use crate::data::pixels::Pixels;
 use crate::error::{Error, Result};
+use crate::gpu::capability::TRAINING_STORAGE_BUFFERS;
 use crate::gpu::{Buffer, Commands, Gpu, Groups, Memory, Recorder, Slice, Timing};
 use crate::render::frame::{Frame, FrameOptions};
 use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE};
@@ -203,6 +204,11 @@ impl Trainer {
         config.check()?;
         if data.views.is_empty() {
             return Err(Error::usage("training data", "no photos", "at least one"));
+        }
+        let have = gpu.info().capabilities.max_storage_buffers;
+        if have < TRAINING_STORAGE_BUFFERS {
+            let what = "storage buffers per shader stage, for training".to_owned();
+            return Err(Error::Limit { what, need: TRAINING_STORAGE_BUFFERS.into(), have: have.into() });
         }
         if config.budget.max_bytes > 0 {
             gpu.set_byte_budget(config.budget.max_bytes);
