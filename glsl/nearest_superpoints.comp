@@ -1,6 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
 #extension GL_KHR_shader_subgroup_shuffle : require
 #extension GL_EXT_control_flow_attributes : require
 
@@ -35,6 +36,7 @@ layout(std430, set = 0, binding = 12) writeonly buffer PairValueBlock { uint pai
 
 const uint INFINITE = 0x7f800000u;
 const uint LARGEST = 0x7f7fffffu;
+const uint BATCH = 8u;
 
 // Squared distance, never NaN: what overflows counts as the largest number. Without contraction, so that ties are ties
 // on every device.
@@ -62,9 +64,35 @@ void insert(float d, uint index, inout float distance_to[MAX_NEIGHBORS], inout u
     nearest[0] = first ? index : nearest[0];
 }
 
-// Each lane loads one superpoint and the subgroup takes turns to broadcast it: no shared memory, no barrier.
-void find_nearest(vec3 x, inout uint nearest[MAX_NEIGHBORS]) {
+vec3 position_of(uint superpoint) {
+    uint at = 3u * superpoint;
+    return vec3(superpoint_position[at], superpoint_position[at + 1u], superpoint_position[at + 2u]);
+}
+
+// No nearest superpoint is farther than this: the farthest of those in use so far, if they are as many different ones.
+float farthest_in_use(vec3 x, uint old[MAX_SLOTS]) {
+    uint neighbors = NEIGHBORS;
+    uint superpoints = step_data.counts.y;
+    float bound = 0.0;
+    bool known = true;
+    [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
+        if (k < neighbors) {
+            known = known && old[k] < superpoints;
+            [[unroll]] for (uint l = 0u; l < k; l++) {
+                known = known && old[k] != old[l];
+            }
+            bound = max(bound, squared_distance(x, position_of(min(old[k], superpoints - 1u))));
+        }
+    }
+    return known ? bound : uintBitsToFloat(INFINITE);
+}
+
+// Each lane loads one superpoint and the subgroup takes turns to broadcast it: no shared memory, no barrier. Of eight
+// candidates at a time only those are inserted that some lane is near enough to, which are few once the superpoints in use
+// bound the distance.
+void find_nearest(vec3 x, float bound, inout uint nearest[MAX_NEIGHBORS]) {
     uint size = SUBGROUP_SIZE;
+    uint batch = min(size, BATCH);
     uint neighbors = NEIGHBORS;
     uint superpoints = step_data.counts.y;
     float distance_to[MAX_NEIGHBORS];
@@ -72,13 +100,27 @@ void find_nearest(vec3 x, inout uint nearest[MAX_NEIGHBORS]) {
         distance_to[k] = uintBitsToFloat(INFINITE);
     }
     for (uint base = 0u; base < superpoints; base += size) {
-        uint mine = 3u * min(base + gl_SubgroupInvocationID, superpoints - 1u);
-        vec3 p = vec3(superpoint_position[mine], superpoint_position[mine + 1u], superpoint_position[mine + 2u]);
-        [[unroll]] for (uint j = 0u; j < size; j++) {
-            vec3 q = vec3(subgroupShuffle(p.x, j), subgroupShuffle(p.y, j), subgroupShuffle(p.z, j));
-            float d = squared_distance(x, q);
-            if (base + j < superpoints && d < distance_to[neighbors - 1u]) {
-                insert(d, base + j, distance_to, nearest);
+        vec3 p = position_of(min(base + gl_SubgroupInvocationID, superpoints - 1u));
+        for (uint first = 0u; first < size; first += batch) {
+            float d[BATCH];
+            float largest = min(bound, distance_to[neighbors - 1u]);
+            uint near = 0u;
+            [[unroll]] for (uint j = 0u; j < BATCH; j++) {
+                uint lane = min(first + j, size - 1u);
+                vec3 q = vec3(subgroupShuffle(p.x, lane), subgroupShuffle(p.y, lane), subgroupShuffle(p.z, lane));
+                d[j] = squared_distance(x, q);
+                bool candidate = j < batch && base + first + j < superpoints && d[j] <= largest;
+                near |= candidate ? 1u << j : 0u;
+            }
+            uint left = subgroupOr(near);
+            for (uint r = 0u; r < BATCH && left != 0u; r++) {
+                uint j = uint(findLSB(left));
+                left &= left - 1u;
+                float chosen = d[0];
+                [[unroll]] for (uint i = 1u; i < BATCH; i++) {
+                    chosen = i == j ? d[i] : chosen;
+                }
+                insert((near & 1u << j) != 0u ? chosen : uintBitsToFloat(INFINITE), base + first + j, distance_to, nearest);
             }
         }
     }
@@ -128,16 +170,9 @@ void rearrange(uint row, uint old[MAX_SLOTS], uint nearest[MAX_NEIGHBORS]) {
     }
 }
 
-void update_row(uint row, uint nearest[MAX_NEIGHBORS]) {
+void update_row(uint row, uint old[MAX_SLOTS], uint nearest[MAX_NEIGHBORS]) {
     uint neighbors = NEIGHBORS;
-    uint slots = SLOTS;
-    uint old[MAX_SLOTS];
     bool changed = false;
-    [[unroll]] for (uint s = 0u; s < MAX_SLOTS; s++) {
-        if (s < slots) {
-            old[s] = neighbor[row + s];
-        }
-    }
     [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
         changed = changed || (k < neighbors && old[k] != nearest[k]);
     }
@@ -205,9 +240,13 @@ void main() {
     [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
         nearest[k] = 0u;
     }
-    find_nearest(x, nearest);
+    uint old[MAX_SLOTS];
+    [[unroll]] for (uint s = 0u; s < MAX_SLOTS; s++) {
+        old[s] = s < slots ? neighbor[at * slots + s] : NO_SUPERPOINT;
+    }
+    find_nearest(x, farthest_in_use(x, old), nearest);
     if (i < n) {
-        update_row(i * slots, nearest);
+        update_row(i * slots, old, nearest);
         write_weights(i, i * slots, nearest);
         write_pairs(i, nearest);
     }
