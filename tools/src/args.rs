@@ -205,12 +205,19 @@ pub struct BenchArgs {
     /// How the view is drawn
     #[command(flatten)]
     pub view: ViewArgs,
-    /// Measured frames
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    pub frames: u32,
-    /// Frames before the measurement
-    #[arg(long, value_name = "N", default_value_t = 10)]
-    pub warmup: u32,
+    /// Measured frames, or training steps [default: 100; --train 20; --sweep 3]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub frames: Option<u32>,
+    /// Frames or steps before the measurement [default: 10; --train 3; --sweep 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
+    pub warmup: Option<u32>,
+    /// Measure training steps instead of frames: on the photos of --cameras, from a disturbed copy of MODEL that stands
+    /// still; or on photos made of the synthetic scene, with its superpoints, network F and association
+    #[arg(long, conflicts_with_all = ["paper_protocol", "check", "time", "frame", "split"])]
+    pub train: bool,
+    /// Training steps of synthetic scenes of 10k, 100k and 300k Gaussians at 200x200, 400x400 and 800x800 pixels
+    #[arg(long, requires = "train", conflicts_with_all = ["model", "cameras", "synthetic", "width", "height"])]
+    pub sweep: bool,
     /// Also by the paper's protocol: one view, 1000 frames, t from 0 to 1
     #[arg(long)]
     pub paper_protocol: bool,

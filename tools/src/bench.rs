@@ -14,17 +14,25 @@ use serde_json::{Value, json};
 
 use crate::args::{BenchArgs, Global};
 use crate::measure::{self, Measurement, PAPER_FRAMES, Plan, commit};
-use crate::{gpu_session, model, output, progress, report, view};
+use crate::{bench_train, gpu_session, model, output, progress, report, view};
 
 /// Image size where neither arguments nor cameras say one: that of the paper's synthetic scenes.
-const DEFAULT_SIZE: u32 = 800;
-const SYNTHETIC_SEED: u64 = 1;
-const SYNTHETIC_SH_DEGREE: u32 = 3;
+pub(crate) const DEFAULT_SIZE: u32 = 800;
+pub(crate) const SYNTHETIC_SEED: u64 = 1;
+pub(crate) const SYNTHETIC_SH_DEGREE: u32 = 3;
 /// Key times of the synthetic motion.
-const SYNTHETIC_KEYS: usize = 100;
+pub(crate) const SYNTHETIC_KEYS: usize = 100;
+
+/// Measured frames where the arguments do not say.
+const FRAMES: u32 = 100;
+/// Frames before the measurement where the arguments do not say.
+const WARMUP: u32 = 10;
 
 /// Measures and reports.
 pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
+    if args.train {
+        return bench_train::run(args, global);
+    }
     let (scene, name) = load_scene(args)?;
     let camera = choose_camera(args, &scene)?;
     let gpu = gpu_session::open_to_measure(global)?;
@@ -34,8 +42,9 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
         motion: args.view.motion_source(),
         ..RenderOptions::default()
     };
-    let plan = Plan { camera, times, frames: args.frames, warmup: args.warmup, paper_protocol: args.paper_protocol };
-    let total = 3 * u64::from(args.frames) + if args.paper_protocol { u64::from(PAPER_FRAMES) } else { 0 };
+    let (frames, warmup) = (args.frames.unwrap_or(FRAMES), args.warmup.unwrap_or(WARMUP));
+    let plan = Plan { camera, times, frames, warmup, paper_protocol: args.paper_protocol };
+    let total = 3 * u64::from(frames) + if args.paper_protocol { u64::from(PAPER_FRAMES) } else { 0 };
     let bar = progress::bar(total, global.quiet);
     let measured = measure::measure(&gpu, &scene, &options, &plan, &|| bar.inc(1))?;
     bar.finish_and_clear();
@@ -133,7 +142,8 @@ fn record(
     })
 }
 
-fn write_text(path: &Path, text: &str) -> Result<()> {
+/// Writes a text file into a folder that exists.
+pub(crate) fn write_text(path: &Path, text: &str) -> Result<()> {
     if let Some(folder) = path.parent().filter(|f| !f.as_os_str().is_empty())
         && !folder.is_dir()
     {

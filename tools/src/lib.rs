@@ -2,6 +2,7 @@
 
 pub mod args;
 pub mod bench;
+pub mod bench_train;
 pub mod dataset;
 pub mod demo;
 pub mod devices;

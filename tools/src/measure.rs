@@ -258,6 +258,18 @@ fn row(
     copy_gb_per_s: f64,
 ) -> OperationRow {
     let bytes = kernel.map(|k| (k.bytes)(&with_keys(workload, &label)));
+    rate_row(kernel, label, us, total, bytes, copy_gb_per_s)
+}
+
+/// A row from a time, the step's or frame's whole time, and the bytes moved.
+pub(crate) fn rate_row(
+    kernel: Option<&'static Kernel>,
+    label: String,
+    us: f64,
+    total: f64,
+    bytes: Option<u64>,
+    copy_gb_per_s: f64,
+) -> OperationRow {
     let gb_per_s = bytes.filter(|_| us > 0.0).map(|b| b as f64 / us / 1e3);
     OperationRow {
         kernel: kernel.map(|k| k.name),

@@ -48,9 +48,10 @@ pub fn text(m: &Measurement) -> String {
     t
 }
 
-const MIB: f64 = 1_048_576.0;
+/// Bytes of a MiB.
+pub(crate) const MIB: f64 = 1_048_576.0;
 
-fn text_row(row: &OperationRow) -> String {
+pub(crate) fn text_row(row: &OperationRow) -> String {
     let bytes = row.bytes.map_or("-".into(), |b| b.to_string());
     let rate = row.gb_per_s.map_or("-".into(), |r| format!("{r:.2}"));
     let share = row.of_copy_bandwidth.map_or("-".into(), |r| format!("{:.0} %", 100.0 * r));
@@ -112,7 +113,7 @@ pub fn html(record: &Value, m: &Measurement) -> String {
 }
 
 /// Horizontal bars as SVG.
-fn chart(rows: &[OperationRow]) -> String {
+pub(crate) fn chart(rows: &[OperationRow]) -> String {
     const ROW: usize = 24;
     const LEFT: f64 = 220.0;
     const WIDTH: f64 = 560.0;
@@ -138,7 +139,7 @@ fn chart(rows: &[OperationRow]) -> String {
     s
 }
 
-fn operations_table(rows: &[OperationRow]) -> String {
+pub(crate) fn operations_table(rows: &[OperationRow]) -> String {
     let mut t = String::from(
         "<table><tr><th>operation</th><th>µs</th><th>share</th><th>bytes</th><th>GB/s</th><th>of copy bandwidth</th><th>what it does</th></tr>\n",
     );
@@ -164,7 +165,8 @@ pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-const HEAD: &str = "<!doctype html>
+/// Beginning of a page, up to its body.
+pub(crate) const HEAD: &str = "<!doctype html>
 <html lang=\"en\"><head><meta charset=\"utf-8\"><title>spgs bench</title>
 <style>
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #1b1b1b; background: #fff; }

@@ -198,3 +198,37 @@ fn demo_and_bench_report_what_they_measured() {
     let html = std::fs::read_to_string(&page).unwrap();
     assert!(html.contains("<svg") && html.contains("blend") && !html.contains("http"), "a self-contained page");
 }
+
+#[test]
+fn bench_measures_training_of_a_synthetic_scene_and_of_photos() {
+    let folder = tempfile::tempdir().unwrap();
+    let (json, page) = (folder.path().join("train.json"), folder.path().join("train.html"));
+    let scene = ["bench", "--train", "--synthetic", "600", "--superpoints", "5", "--width", "40", "--height", "32"];
+    let files = ["--frames", "2", "--warmup", "1", "--json", text(&json), "--report", text(&page)];
+    let printed = ok(&[&scene[..], &files[..]].concat());
+    assert!(printed.contains("blend_backward") && printed.contains("times)"), "{printed}");
+    let record: serde_json::Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+    assert_eq!((&record["scene"]["gaussians"], &record["scene"]["superpoints"]), (&600.into(), &5.into()));
+    let measured = &record["training"];
+    let positive = |key: &str| assert!(measured[key].as_f64().unwrap() > 0.0, "{key}: {}", measured[key]);
+    ["dispatches", "barriers", "copy_gb_per_s", "steps_per_second", "state_ratio"].map(positive);
+    assert!(measured["step_ms"]["p95"].as_f64() >= measured["step_ms"]["median"].as_f64());
+    assert!(measured["memory"]["parameters"].as_u64().unwrap() >= 600 * 59 * 4);
+    assert!(measured["last_step"]["superpoints"] == 5 && measured["last_step"]["loss"].as_f64().unwrap() > 0.0);
+    // Every kernel says what it moves, network F's products by their own sizes.
+    let rows = measured["kernels"].as_array().unwrap();
+    for name in ["blend", "image_loss", "blend_backward", "deform_project_backward", "linear_forward", "superpoint_sum"]
+    {
+        let row = rows.iter().find(|r| r["kernel"] == name).unwrap_or_else(|| panic!("no row for {name}"));
+        assert!(row["bytes"].as_u64().unwrap() > 0 && row["us"].as_f64().unwrap() > 0.0, "{row}");
+    }
+    let html = std::fs::read_to_string(&page).unwrap();
+    assert!(
+        html.contains("<svg") && html.contains("linear_forward") && !html.contains("http"),
+        "a self-contained page"
+    );
+
+    assert!(mistake(&["bench", "--sweep"], 2).contains("--train"));
+    assert!(mistake(&["bench", "--train", "model.ply"], 2).contains("--cameras"));
+    assert!(mistake(&["bench", "--train", "--check"], 2).contains("--check"));
+}

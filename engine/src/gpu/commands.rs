@@ -263,6 +263,15 @@ impl Commands {
         self.operations.iter().filter_map(|o| kernel(o).map(|k| (o.label.as_str(), k))).collect()
     }
 
+    /// Push constants of the dispatches, in the order of [`Commands::kernels`].
+    pub fn push_constants(&self) -> Vec<&[u8]> {
+        let pushes = self.operations.iter().filter_map(|o| match &o.work {
+            Work::Dispatch { push, .. } => Some(push.as_slice()),
+            _ => None,
+        });
+        pushes.collect()
+    }
+
     /// Which bytes each operation touches, for tests of the plan.
     pub fn uses(&self) -> Vec<(&str, &[super::access::Use], bool)> {
         self.operations.iter().map(|o| (o.label.as_str(), o.uses.as_slice(), o.barrier.is_some())).collect()

@@ -78,7 +78,7 @@ pub struct Schedule {
     pub scale: bool,
     /// Iterations without motion; then superpoints are initialised (paper and code: 3 k).
     pub warm_up: u64,
-    /// The SH degree grows by one every so often (code: 1000).
+    /// The SH degree grows by one every so often (code: 1000); 0: all of it from the start.
     pub sh_degree_interval: u64,
     /// The noise on time fades to nothing over this many iterations (code: 20 k).
     pub time_noise_iterations: u64,

@@ -47,6 +47,7 @@ pub mod status;
 pub mod step;
 mod target;
 pub mod trainer;
+pub mod usage;
 
 use crate::gpu::kernel::Kernel;
 
