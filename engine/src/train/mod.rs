@@ -19,6 +19,7 @@ pub mod init;
 pub mod linear;
 pub mod network_f;
 pub mod network_g;
+mod numbers;
 mod parameters;
 pub mod property_loss;
 pub mod rng;

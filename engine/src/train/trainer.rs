@@ -286,6 +286,9 @@ impl Trainer {
         let report = self.run(iteration, view, &photo)?;
         self.iteration = iteration;
         self.adapt_density(iteration)?;
+        if self.config.log.finite_interval > 0 && iteration.is_multiple_of(self.config.log.finite_interval) {
+            self.check_numbers()?;
+        }
         Ok(report)
     }
 
@@ -630,8 +633,9 @@ impl Trainer {
     /// Everything that the next step depends on.
     ///
     /// # Errors
-    /// `DeviceLost`, `OutOfMemory`.
+    /// `NonFinite` when a number has gone bad: that is no state to go on from; `DeviceLost`, `OutOfMemory`.
     pub fn checkpoint(&self) -> Result<Checkpoint> {
+        self.check_numbers()?;
         let motion = self.moving.as_ref().map(|m| self.motion_state(m)).transpose()?;
         Ok(Checkpoint {
             config: self.config.clone(),
