@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use engine::file::picture::{self, Alpha};
+use engine::gpu::Gpu;
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::moving_scene;
 use engine::scene::{Camera, Scene};
@@ -46,9 +47,8 @@ impl Posed {
     /// Renders and writes a data set.
     ///
     /// # Panics
-    /// When there is no device or a file cannot be written.
-    pub fn new(options: &PosedOptions) -> Self {
-        let gpu = crate::gpu();
+    /// When rendering fails or a file cannot be written.
+    pub fn new(gpu: &Gpu, options: &PosedOptions) -> Self {
         let mut scene = moving_scene(options.gaussians, options.superpoints, 33, 7, false);
         if let Some(motion) = &mut scene.motion {
             let superpoints = options.superpoints;
@@ -58,7 +58,7 @@ impl Posed {
             }
         }
         let folder = tempfile::tempdir().unwrap();
-        let mut renderer = Renderer::new(&gpu, &scene, &RenderOptions::default()).unwrap();
+        let mut renderer = Renderer::new(gpu, &scene, &RenderOptions::default()).unwrap();
         let mut split = |name: &str, count: usize, offset: f64| {
             if count == 0 {
                 return;

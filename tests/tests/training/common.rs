@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+use std::sync::OnceLock;
 
 use engine::data::dataset::{self, Dataset, DatasetOptions};
 use engine::error::Result;
@@ -35,7 +36,7 @@ from = 5
 until = 35
 interval = 10
 opacity_reset_interval = 25
-gradient_threshold = 2e-4
+gradient_threshold = 6e-4
 [log]
 evaluate_interval = 0
 interval = 1
@@ -90,6 +91,35 @@ mod toml_like {
         }
         text
     }
+}
+
+/// The device of this process; kernels are compiled once for all tests that share it.
+pub fn gpu() -> SharedGpu {
+    static GPU: OnceLock<Gpu> = OnceLock::new();
+    SharedGpu(GPU.get_or_init(|| tests_harness::gpu().0.clone()).clone())
+}
+
+/// A device whose validation messages must be empty when a test is over.
+#[derive(Debug)]
+pub struct SharedGpu(Gpu);
+
+impl std::ops::Deref for SharedGpu {
+    type Target = Gpu;
+    fn deref(&self) -> &Gpu {
+        &self.0
+    }
+}
+
+impl Drop for SharedGpu {
+    fn drop(&mut self) {
+        let messages = self.0.take_validation_messages();
+        assert!(messages.is_empty() || std::thread::panicking(), "{messages:?}");
+    }
+}
+
+/// A rendered data set.
+pub fn posed(options: &PosedOptions) -> Posed {
+    Posed::new(&gpu(), options)
 }
 
 /// A loaded data set.

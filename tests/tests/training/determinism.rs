@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::common::{Posed, PosedOptions, config_file, log, newest, succeed, train};
+use crate::common::{PosedOptions, config_file, log, newest, posed, succeed, train};
 
 /// 200 steps: warm-up, superpoints, motion, growth, pruning, opacity resets.
 const LONG: &str = "
@@ -23,7 +23,7 @@ checkpoint_interval = 0
 
 #[test]
 fn two_hundred_steps_give_the_same_bits_in_every_process() {
-    let posed = Posed::new(&PosedOptions::default());
+    let posed = posed(&PosedOptions::default());
     let folder = tempfile::tempdir().unwrap();
     let config = config_file(folder.path(), LONG);
     let run = |name: &str, threads: Option<&str>| {

@@ -6,15 +6,14 @@ use engine::train::checkpoint::Checkpoint;
 use engine::train::export::export;
 use engine::train::trainer::{Trainer, TrainingData};
 use glam::DVec3;
-use tests_harness::TestGpu;
 
-use crate::common::{Posed, PosedOptions, advance, config, config_file, load, log, succeed, train, trainer};
+use crate::common::{SharedGpu, Posed, PosedOptions, advance, config, config_file, gpu, load, log, posed, succeed, train, trainer};
 
 /// A trained moving scene: its checkpoint, data and cameras.
-fn trained(over: &str) -> (TestGpu, Checkpoint, TrainingData, Vec<Camera>, Posed) {
-    let posed = Posed::new(&PosedOptions { train: 12, swing: 0.5, ..PosedOptions::default() });
+fn trained(over: &str) -> (SharedGpu, Checkpoint, TrainingData, Vec<Camera>, Posed) {
+    let posed = posed(&PosedOptions { train: 12, swing: 0.5, ..PosedOptions::default() });
     let (_, data) = load(&posed);
-    let gpu = tests_harness::gpu();
+    let gpu = gpu();
     let config = config(&format!("iterations = 60\n[schedule]\nwarm_up = 10\n[density]\nenabled = false\n{over}"));
     let mut trainer = trainer(&gpu, &config, &data).unwrap();
     advance(&mut trainer, 60).unwrap();
@@ -105,7 +104,7 @@ fn what_shows_nothing_is_left_out() {
 
 #[test]
 fn the_log_and_the_report_have_what_they_promise() {
-    let posed = Posed::new(&PosedOptions::default());
+    let posed = posed(&PosedOptions::default());
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     let config = config_file(folder.path(), "[log]\nevaluate_interval = 15");

@@ -3,13 +3,13 @@
 use engine::train::checkpoint::Checkpoint;
 use tests_harness::render_case::Random;
 
-use crate::common::{Posed, PosedOptions, advance, config, load, trainer};
+use crate::common::{PosedOptions, advance, config, gpu, load, posed, trainer};
 
 /// A small checkpoint with motion: its bytes.
 fn sample(folder: &std::path::Path) -> Vec<u8> {
-    let posed = Posed::new(&PosedOptions::default());
+    let posed = posed(&PosedOptions::default());
     let (_, data) = load(&posed);
-    let gpu = tests_harness::gpu();
+    let gpu = gpu();
     let config = config("[schedule]\nwarm_up = 2\n[gaussians]\nrandom_points = 20\n[density]\nenabled = false");
     let mut trainer = trainer(&gpu, &config, &data).unwrap();
     advance(&mut trainer, 3).unwrap();

@@ -3,11 +3,11 @@
 use engine::error::Error;
 use engine::gpu::Memory;
 
-use crate::common::{Posed, PosedOptions, advance, config, load, trainer};
+use crate::common::{PosedOptions, advance, config, load, posed, trainer};
 
 #[test]
 fn growth_stops_at_the_most_gaussians() {
-    let posed = Posed::new(&PosedOptions::default());
+    let posed = posed(&PosedOptions::default());
     let (_, data) = load(&posed);
     let gpu = tests_harness::gpu();
     let over = "[schedule]\nwarm_up = 100\n[density]\ngradient_threshold = 1e-6\nmin_opacity = 0.0001\n[budget]\nmax_gaussians = 150";
@@ -22,7 +22,7 @@ fn growth_stops_at_the_most_gaussians() {
 
 #[test]
 fn more_points_than_the_budget_are_thinned() {
-    let posed = Posed::new(&PosedOptions::default());
+    let posed = posed(&PosedOptions::default());
     let (_, data) = load(&posed);
     let gpu = tests_harness::gpu();
     let mut trainer = trainer(&gpu, &config("[budget]\nmax_gaussians = 50"), &data).unwrap();
@@ -32,7 +32,7 @@ fn more_points_than_the_budget_are_thinned() {
 
 #[test]
 fn a_byte_budget_ends_growth_or_is_one_clear_error() {
-    let posed = Posed::new(&PosedOptions::default());
+    let posed = posed(&PosedOptions::default());
     let (_, data) = load(&posed);
     let over = |bytes: u64| {
         let density = "[density]\ngradient_threshold = 1e-7\nmin_opacity = 0.0001\ninterval = 3\nuntil = 40";
@@ -68,7 +68,7 @@ fn a_byte_budget_ends_growth_or_is_one_clear_error() {
 
 #[test]
 fn every_allocation_may_fail() {
-    let posed = Posed::new(&PosedOptions { train: 2, test: 0, ..PosedOptions::default() });
+    let posed = posed(&PosedOptions { train: 2, test: 0, ..PosedOptions::default() });
     let (_, data) = load(&posed);
     let gpu = tests_harness::gpu();
     let config = config("[schedule]\nwarm_up = 2\n[density]\nfrom = 0\ninterval = 1\nopacity_reset_interval = 0");

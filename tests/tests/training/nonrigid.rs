@@ -1,10 +1,10 @@
 //! `--nonrigid`: network G on top of a trained model.
 
-use crate::common::{Posed, PosedOptions, checkpoints, config_file, log, newest, outcome, spgs, succeed, train};
+use crate::common::{PosedOptions, checkpoints, config_file, gpu, log, newest, outcome, posed, spgs, succeed, train};
 
 #[test]
 fn the_stage_learns_is_resumed_and_is_rendered_as_evaluated() {
-    let posed = Posed::new(&PosedOptions::default());
+    let posed = posed(&PosedOptions::default());
     let folder = tempfile::tempdir().unwrap();
     let (whole, cut) = (folder.path().join("whole"), folder.path().join("cut"));
     let over = "iterations = 30\n[schedule]\nwarm_up = 15\n[nonrigid]\niterations = 12\ndensity_until = 6\n[density]\ninterval = 3\n[log]\ncheckpoint_interval = 4";
@@ -51,9 +51,9 @@ fn the_stage_learns_is_resumed_and_is_rendered_as_evaluated() {
 fn the_loss_falls() {
     use crate::common::{advance, config, load, trainer};
     use engine::train::trainer::Trainer;
-    let posed = Posed::new(&PosedOptions { train: 4, test: 0, ..PosedOptions::default() });
+    let posed = posed(&PosedOptions { train: 4, test: 0, ..PosedOptions::default() });
     let (_, data) = load(&posed);
-    let gpu = tests_harness::gpu();
+    let gpu = gpu();
     let config = config(
         "[schedule]\nwarm_up = 10\n[density]\nenabled = false\n[learning_rate]\nmean = 0\nmean_final = 0\nlog_scale = 0\nrotation = 0\nopacity_logit = 0\nsh_0 = 0\nsh_rest = 0\n[nonrigid]\niterations = 40",
     );

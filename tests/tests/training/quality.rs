@@ -2,12 +2,12 @@
 
 use engine::train::evaluate;
 
-use crate::common::{Posed, PosedOptions, advance, config, config_file, load, log, newest, succeed, train, trainer};
+use crate::common::{Posed, PosedOptions, advance, config, config_file, gpu, load, log, newest, posed, succeed, train, trainer};
 
 /// PSNR over the training views after a run.
 fn psnr(posed: &Posed, over: &str) -> f64 {
     let (dataset, data) = load(posed);
-    let gpu = tests_harness::gpu();
+    let gpu = gpu();
     let config = config(over);
     let mut trainer = trainer(&gpu, &config, &data).unwrap();
     advance(&mut trainer, config.iterations).unwrap();
@@ -34,7 +34,7 @@ mean_iterations = 320
 #[test]
 fn motion_is_learnt() {
     let options = PosedOptions { train: 12, test: 0, superpoints: 2, swing: 0.5, ..PosedOptions::default() };
-    let posed = Posed::new(&options);
+    let posed = posed(&options);
     let moving = psnr(&posed, LEARN);
     let still = psnr(&posed, &format!("{LEARN}\n[motion]\nenabled = false"));
     eprintln!("PSNR with motion {moving:.2} dB, without {still:.2} dB");
@@ -43,7 +43,7 @@ fn motion_is_learnt() {
 
 #[test]
 fn a_static_data_set_trains_without_motion() {
-    let posed = Posed::new(&PosedOptions { moving: false, ..PosedOptions::default() });
+    let posed = posed(&PosedOptions { moving: false, ..PosedOptions::default() });
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     let config = config_file(folder.path(), "");
