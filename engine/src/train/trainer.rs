@@ -616,7 +616,8 @@ impl Trainer {
             return Err(Error::Limit { what, need: instances.into(), have: limit.into() });
         }
         self.capacity = wanted.clamp(self.capacity + 1, limit);
-        Ok(())
+        // Sums over gradients that the failed step never wrote may have been reported; nothing of them was applied.
+        self.gpu.upload(&self.status, bytemuck::cast_slice(&status::clear()))
     }
 
     /// Device time of each operation of the last step, in order; empty without timestamps.
