@@ -12,6 +12,7 @@ layout(constant_id = 1) const uint SH_DEGREE = 3; // active: higher bands are le
 layout(constant_id = 2) const uint MOTION = 0;    // 0 static, 1 pose table
 layout(constant_id = 3) const uint NONRIGID = 0;  // 1: nonrigid_offset is added
 layout(constant_id = 4) const uint OUTPUT = 0;    // 0 gradients, 1 Adam
+layout(constant_id = 5) const uint MEAN_GRADIENT = 0; // 1: mean_gradient, of other losses, is added
 
 #define STEP_BINDING 1
 #define STATUS_BINDING 3
@@ -47,6 +48,7 @@ layout(std430, set = 0, binding = 21) readonly buffer NonrigidOffsetBlock { floa
 layout(std430, set = 0, binding = 22) writeonly buffer NonrigidGradientBlock { float nonrigid_gradient[]; };
 layout(std430, set = 0, binding = 23) buffer DensityBlock { float density[]; };
 layout(std430, set = 0, binding = 24) buffer MaxRadiusBlock { float max_radius[]; };
+layout(std430, set = 0, binding = 25) readonly buffer MeanGradientBlock { float mean_gradient[]; };
 
 #include "lib/place.glsl"
 #include "lib/project_backward.glsl"
@@ -368,6 +370,10 @@ void main() {
         if (visible) {
             vec3 direction = (along - view * dot(view, along)) / distance;
             o = geometry_backward(g, n, canonical, d, turn, shape, direction);
+        }
+        uint with_mean_gradient = MEAN_GRADIENT;
+        if (with_mean_gradient == 1u) {
+            o.mean += vec3(mean_gradient[g], mean_gradient[n + g], mean_gradient[2u * n + g]);
         }
         apply_geometry(t, canonical, o);
         uint motion = MOTION;

@@ -46,42 +46,55 @@ float squared_distance(vec3 a, vec3 b) {
     return number_is_finite(d) ? d : uintBitsToFloat(LARGEST);
 }
 
-// Inserts a candidate with an index above all earlier ones into the list sorted by distance.
-void insert(float d, uint index, inout float distance_to[MAX_NEIGHBORS], inout uint nearest[MAX_NEIGHBORS]) {
-    uint neighbors = NEIGHBORS;
-    [[unroll]] for (uint k = MAX_NEIGHBORS - 1u; k > 0u; k--) {
-        if (k < neighbors) {
-            bool before = d < distance_to[k - 1u];
-            bool here = d < distance_to[k];
-            distance_to[k] = before ? distance_to[k - 1u] : here ? d : distance_to[k];
-            nearest[k] = before ? nearest[k - 1u] : here ? index : nearest[k];
-        }
+// Moves entry a of the sorted list on to b when candidate (d, index) comes before it, else puts the candidate there when it
+// comes before b. Scalars rather than arrays: they stay in registers everywhere.
+#define MOVE_ON(k, d_a, n_a, d_b, n_b)                \
+    if (neighbors > k) {                              \
+        bool before = d < d_a;                        \
+        bool here = d < d_b;                          \
+        n_b = before ? n_a : here ? index : n_b;      \
+        d_b = before ? d_a : here ? d : d_b;          \
     }
-    bool first = d < distance_to[0];
-    distance_to[0] = first ? d : distance_to[0];
-    nearest[0] = first ? index : nearest[0];
-}
 
-// Each lane loads one superpoint and the subgroup takes turns to broadcast it: no shared memory, no barrier.
-void find_nearest(vec3 x, inout uint nearest[MAX_NEIGHBORS]) {
+// Each lane loads one superpoint and the subgroup takes turns to broadcast it: no shared memory, no barrier. Candidates
+// come in index order, so that of equal distances the lowest index stays first.
+void find_nearest(vec3 x, out uint nearest[MAX_NEIGHBORS]) {
     uint size = SUBGROUP_SIZE;
     uint neighbors = NEIGHBORS;
     uint superpoints = step_data.counts.y;
-    float distance_to[MAX_NEIGHBORS];
-    [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
-        distance_to[k] = uintBitsToFloat(INFINITE);
-    }
+    float d_0 = uintBitsToFloat(INFINITE);
+    float d_1 = d_0, d_2 = d_0, d_3 = d_0, d_4 = d_0, d_5 = d_0, d_6 = d_0;
+    float worst = d_0;
+    uint n_0 = 0u, n_1 = 0u, n_2 = 0u, n_3 = 0u, n_4 = 0u, n_5 = 0u, n_6 = 0u;
     for (uint base = 0u; base < superpoints; base += size) {
         uint mine = 3u * min(base + gl_SubgroupInvocationID, superpoints - 1u);
         vec3 p = vec3(superpoint_position[mine], superpoint_position[mine + 1u], superpoint_position[mine + 2u]);
-        [[unroll]] for (uint j = 0u; j < size; j++) {
+        uint count = min(size, superpoints - base);
+        for (uint j = 0u; j < count; j++) {
             vec3 q = vec3(subgroupShuffle(p.x, j), subgroupShuffle(p.y, j), subgroupShuffle(p.z, j));
             float d = squared_distance(x, q);
-            if (base + j < superpoints && d < distance_to[neighbors - 1u]) {
-                insert(d, base + j, distance_to, nearest);
+            uint index = base + j;
+            if (d < worst) {
+                MOVE_ON(6u, d_5, n_5, d_6, n_6)
+                MOVE_ON(5u, d_4, n_4, d_5, n_5)
+                MOVE_ON(4u, d_3, n_3, d_4, n_4)
+                MOVE_ON(3u, d_2, n_2, d_3, n_3)
+                MOVE_ON(2u, d_1, n_1, d_2, n_2)
+                MOVE_ON(1u, d_0, n_0, d_1, n_1)
+                n_0 = d < d_0 ? index : n_0;
+                d_0 = min(d, d_0);
+                worst = neighbors > 6u ? d_6 : neighbors > 5u ? d_5 : neighbors > 4u ? d_4 : neighbors > 3u ? d_3
+                    : neighbors > 2u ? d_2 : neighbors > 1u ? d_1 : d_0;
             }
         }
     }
+    nearest[0] = n_0;
+    nearest[1] = n_1;
+    nearest[2] = n_2;
+    nearest[3] = n_3;
+    nearest[4] = n_4;
+    nearest[5] = n_5;
+    nearest[6] = n_6;
 }
 
 void write_slot(uint at, uint superpoint, vec3 value) {
@@ -202,9 +215,6 @@ void main() {
     uint at = min(i, n - 1u);
     vec3 x = vec3(mean[at], mean[n + at], mean[2u * n + at]);
     uint nearest[MAX_NEIGHBORS];
-    [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
-        nearest[k] = 0u;
-    }
     find_nearest(x, nearest);
     if (i < n) {
         update_row(i * slots, nearest);

@@ -1,16 +1,17 @@
 // Network G for every Gaussian: its rigidly moved centre and the time to (dx, dq, ds), as planes.
 //
 // A workgroup owns 64 Gaussians. Activations lie in shared memory, [inputs][64 Gaussians]; a thread owns 4 Gaussians (one
-// vec4) and OUTPUTS outputs of the current layer. Threads of a subgroup share their outputs, so that a weight is one
-// broadcast read (STAGE 1), or is read once by some lane and shuffled (STAGE 0, for devices where a read costs the same
-// whatever the neighbours do). Layers 84 -> 64 -> 64 -> 64 with ReLU, then 10 outputs (12 rows of weights, two of them 0).
-// `parameter` holds each layer's [outputs][inputs] and bias, padded to 64 floats, as training keeps them.
+// vec4) and 8 outputs of the current layer (STAGE 0: 16, and half of the threads none). Threads of a subgroup share their
+// outputs, so that a weight is one broadcast read (STAGE 1), or is read once by some lane and shuffled (STAGE 0, for devices
+// where a read costs the same whatever the neighbours do). Layers 84 -> 64 -> 64 -> 64 with ReLU, then 10 outputs (12 rows
+// of weights, two of them 0). `parameter` holds each layer's [outputs][inputs] and bias, padded to 64 floats, as training
+// keeps them.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_shuffle : require
 
-layout(local_size_x = 256) in;
+layout(local_size_x = 128) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 1) const uint MOTION = 1; // 0 static, 1 pose table
 layout(constant_id = 2) const uint STAGE = 1;
@@ -30,6 +31,7 @@ layout(push_constant) uniform Push { float origin_x; float origin_y; float origi
 
 #include "lib/moved_centre.glsl"
 
+const uint GROUP_THREADS = 128u;
 const uint GROUP_GAUSSIANS = 64u;
 const uint PARTS = 16u; // vec4 of Gaussians
 const uint ENCODED = 84u;
@@ -67,7 +69,7 @@ void accumulate_outputs(uint base, uint inputs, uint rows, uint first_output, ui
             vec4 a_1 = activations[(k + 1u) * PARTS + part];
             vec4 a_2 = activations[(k + 2u) * PARTS + part];
             vec4 a_3 = activations[(k + 3u) * PARTS + part];
-            for (uint o = 0u; o < 4u; o++) {
+            for (uint o = 0u; o < 8u; o++) {
                 vec4 w = parameter[base + (min(first_output + o, rows - 1u) * inputs + k) / 4u];
                 sum[o] += w.x * a_0 + w.y * a_1 + w.z * a_2 + w.w * a_3;
             }
@@ -79,7 +81,7 @@ void main() {
     uint stage = STAGE;
     uint thread = gl_LocalInvocationIndex;
     uint part = thread % PARTS;
-    uint per_thread = stage == 0u ? 16u : 4u;
+    uint per_thread = stage == 0u ? 16u : 8u;
     uint first_output = thread / PARTS * per_thread;
     uint count = frame.counts.x;
     uint first_gaussian = workgroup_index() * GROUP_GAUSSIANS;
@@ -89,7 +91,7 @@ void main() {
         centres[thread] = vec4(moved_centre(g) + vec3(push.origin_x, push.origin_y, push.origin_z), frame.background.w);
     }
     barrier();
-    for (uint item = thread; item < ENCODED * GROUP_GAUSSIANS; item += 256u) {
+    for (uint item = thread; item < ENCODED * GROUP_GAUSSIANS; item += GROUP_THREADS) {
         uint g = item % GROUP_GAUSSIANS;
         EncodedElement e = encoded_element(item / GROUP_GAUSSIANS);
         activations[item / GROUP_GAUSSIANS * PARTS + g / 4u][g % 4u] = encoded_value(e, centres[g][e.axis]);

@@ -91,7 +91,8 @@ fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64) -> KernelC
     let b = forward.buffers;
     KernelCase {
         kernel: &DEFORM_PROJECT_BACKWARD,
-        spec: vec![spec[1], spec[2], spec[3], output],
+        // Gradients of other losses at the centres come along in every other case.
+        spec: vec![spec[1], spec[2], spec[3], output, (seed % 2) as u32],
         push: Vec::new(),
         buffers: vec![
             b[0].clone(),
@@ -119,6 +120,7 @@ fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64) -> KernelC
             vec![0; 10 * n],
             vec![0; 2 * n],
             vec![0; n],
+            words(&(0..3 * n).map(|_| r.range(-1e-3, 1e-3)).collect::<Vec<_>>()),
         ],
         groups: (n as u32).div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1),
     }

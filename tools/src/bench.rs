@@ -13,7 +13,7 @@ use engine::scene::{Camera, Scene};
 use serde_json::{Value, json};
 
 use crate::args::{BenchArgs, Global};
-use crate::measure::{self, Measurement, PAPER_FRAMES, Plan};
+use crate::measure::{self, Measurement, PAPER_FRAMES, Plan, commit};
 use crate::{gpu_session, model, output, progress, report, view};
 
 /// Image size where neither arguments nor cameras say one: that of the paper's synthetic scenes.
@@ -117,7 +117,7 @@ fn record(
     let info = gpu.info();
     let camera = &plan.camera;
     json!({
-        "program": { "name": "spgs", "version": env!("CARGO_PKG_VERSION"), "commit": crate::measure::commit() },
+        "program": { "name": "spgs", "version": env!("CARGO_PKG_VERSION"), "commit": commit() },
         "command": std::env::args().collect::<Vec<_>>().join(" "),
         "device": info,
         "scene": {

@@ -39,7 +39,7 @@ const MAX_ABS_CENTRE: f32 = 1e15;
 pub static NONRIGID_NETWORK: Kernel = Kernel {
     name: "nonrigid_network",
     doc: "network G: moved centre and time to offsets of centre, rotation and scale",
-    local_size: 256,
+    local_size: 128,
     spec: &["SUBGROUP_SIZE", "MOTION", "STAGE"],
     push: NonrigidPush::FIELDS,
     bindings: &[

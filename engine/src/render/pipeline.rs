@@ -278,7 +278,7 @@ fn slices(buffers: &[&Buffer]) -> Vec<Slice> {
 /// Every kernel of the renderer, for the tests, the docs and the freshness check.
 pub static KERNELS: &[&Kernel] = &[
     &DEFORM_NETWORK,
-    &super::nonrigid_network::NONRIGID_NETWORK,
+    &nonrigid_network::NONRIGID_NETWORK,
     &DEFORM_PROJECT,
     &COMPACT,
     &super::radix_sort::SORT_HISTOGRAM,

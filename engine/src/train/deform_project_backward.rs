@@ -11,6 +11,9 @@
 //! when the forward failed (`counters`). What is not finite is reported in `status` and not applied; in `gradient`,
 //! `pose_gradient` and `nonrigid_gradient` it is 0.
 //!
+//! With `MEAN_GRADIENT` = 1, `mean_gradient float[3][N]` (of the property losses in the paper's form) is added to the gradient
+//! of the centres, culled or not.
+//!
 //! When the step keeps statistics, a visible Gaussian adds ‖dL/d mean2d·(W/2, H/2)‖ to plane 0 and 1 to plane 1 of
 //! `density float[2][N]`, and raises `max_radius float[N]` to ⌈3√λ⌉ px, λ the larger eigenvalue of Σ₂ (3DGS's criteria).
 
@@ -41,7 +44,7 @@ pub static DEFORM_PROJECT_BACKWARD: Kernel = Kernel {
     name: "deform_project_backward",
     doc: "gradients of Gaussians, poses and non-rigid offsets from those of the splats; Adam step of the Gaussians",
     local_size: DEFORM_PROJECT_BACKWARD_THREADS,
-    spec: &["SUBGROUP_SIZE", "SH_DEGREE", "MOTION", "NONRIGID", "OUTPUT"],
+    spec: &["SUBGROUP_SIZE", "SH_DEGREE", "MOTION", "NONRIGID", "OUTPUT", "MEAN_GRADIENT"],
     push: &[],
     bindings: &[
         Binding::of_struct("frame", Access::Read, Frame::FIELDS),
@@ -69,6 +72,7 @@ pub static DEFORM_PROJECT_BACKWARD: Kernel = Kernel {
         Binding::new("nonrigid_gradient", Access::Write, Element::F32),
         Binding::new("density", Access::Update, Element::F32),
         Binding::new("max_radius", Access::Update, Element::F32),
+        Binding::new("mean_gradient", Access::Read, Element::F32),
     ],
     twin: twin::deform_project_backward_twin,
     // The twin is exact to f64: this is the rounding of the f32 chain, on a GPU with its own exp, sqrt and division.

@@ -185,11 +185,12 @@ impl Run<'_> {
             &rest[1],
             &rest[2],
             &rest[3],
+            &rest[0],
         ];
         let mut slices: Vec<Slice> = buffers.into_iter().map(Slice::from).collect();
         slices[2] = work.counters.clone();
         let motion = if scene.moves() { MOTION_TABLE } else { MOTION_STATIC };
-        let spec = [scene.sh_degree, motion, 0, OUTPUT_GRADIENT];
+        let spec = [scene.sh_degree, motion, 0, OUTPUT_GRADIENT, 0];
         let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
         r.dispatch(&DEFORM_PROJECT_BACKWARD, &spec, &[], &slices, Groups::Direct(groups))?;
         gpu.run(r)?;

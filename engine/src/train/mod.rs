@@ -1,4 +1,22 @@
 //! Posed images → scene, on the GPU.
+//!
+//! [`trainer::Trainer::step`] is one iteration of Superpoint Gaussian Splatting, one submission:
+//!
+//! ```text
+//! network F → pose            superpoint poses at the photo's time (after warm-up)
+//! network G → nonrigid_offset (non-rigid stage only)
+//! deform_project … blend      the renderer's own forward pass, with tile lists of slots where gradients are summed in order
+//! nearest_superpoints … property_total   association, property losses, logits' Adam
+//! ssim_forward, image_loss    L1 + D-SSIM and its gradient by the image
+//! blend_backward, sum_instance_gradients → splat_gradient
+//! deform_project_backward     gradients of Gaussians and poses, Adam of the Gaussians, density statistics
+//! superpoint_sum, superpoint_gradient → linear_backward_*, linear_update: network F (or G) and its Adam
+//! superpoint_commit           assignment and centres of the next step
+//! ```
+//!
+//! Nothing is applied when the view needs more tile instances than there is room for (the step is repeated with larger
+//! buffers), and nothing that is not finite is ever applied ([`status`]). What happens when is [`schedule`]; every number of it
+//! is [`config`]; [`adapt`] is density control, [`checkpoint`] what a run goes on from, [`export`] and [`bake`] what is played.
 
 pub mod adam;
 pub mod adapt;
@@ -20,10 +38,10 @@ pub mod linear;
 pub mod network_f;
 pub mod network_g;
 mod numbers;
-mod parameters;
+pub mod parameters;
 pub mod property_loss;
 pub mod rng;
-mod sampler;
+pub mod sampler;
 pub mod schedule;
 pub mod start;
 pub mod status;

@@ -3,8 +3,8 @@
 //! `encode_superpoints` writes the encodings `[M, 76]`, nine `linear_forward` the activations `[M, 256]` ×8 and the pose.
 //! Both heads are one layer of 8 outputs (r, 0, τ, 0): its output *is* `pose`, `vec4[M][2]`; the two rows of zeros get
 //! no gradient and stay zero. Backward: `gather_gradient`, eight `linear_backward_input` down the layers, nine independent
-//! `linear_backward_weight`, one `linear_update` for all weights. Device memory: 16 bytes per weight and (76 + 2·(8·256 + 8))·4 ≈ 16.8 KB per
-//! superpoint.
+//! `linear_backward_weight`, one `linear_update` for all weights. Device memory: 16 bytes per weight and
+//! (76 + 2·8·256 + 8)·4 ≈ 16.7 KB per superpoint.
 
 mod encode;
 #[cfg(test)]

@@ -83,12 +83,4 @@ impl Target {
             commands: None,
         })
     }
-
-    /// Bytes of gradients, and of everything else.
-    pub(crate) fn bytes(&self) -> [u64; 2] {
-        let gradients = self.instance_gradient.as_ref().map_or(0, Buffer::bytes) + self.image_gradient.bytes();
-        let (per_gaussian, per_instance) = self.work.bytes();
-        let images = self.frame.color.bytes() + self.photo.bytes() + self.upload.bytes() + self.image_loss.bytes();
-        [gradients, per_gaussian + per_instance + images]
-    }
 }

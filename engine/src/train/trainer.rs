@@ -527,6 +527,9 @@ impl Trainer {
         let (p, s) = (&self.parameters, &self.parameters.scene);
         let slice = |b: &Buffer| Slice::from(b);
         let [sh_0, sh_1, sh_2, sh_3] = &s.sh;
+        // The paper's form of the property losses pulls at the centres too.
+        let learning = self.moving.as_ref().filter(|_| self.nonrigid.is_none());
+        let mean_gradient = learning.and_then(|m| m.superpoints.mean_gradient());
         let buffers = [
             slice(&t.frame.frame),
             slice(&self.step),
@@ -553,8 +556,15 @@ impl Trainer {
             slice(self.nonrigid.as_ref().map_or(&self.unused[2], |g| &g.gradient)),
             slice(&p.density),
             slice(&p.max_radius),
+            slice(mean_gradient.unwrap_or(&self.unused[1])),
         ];
-        let spec = [s.sh_degree, u32::from(s.moves()), u32::from(self.nonrigid.is_some()), OUTPUT_ADAM];
+        let spec = [
+            s.sh_degree,
+            u32::from(s.moves()),
+            u32::from(self.nonrigid.is_some()),
+            OUTPUT_ADAM,
+            u32::from(mean_gradient.is_some()),
+        ];
         let groups = u64::from(p.count().div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
         r.dispatch(&DEFORM_PROJECT_BACKWARD, &spec, &[], &buffers, Groups::Direct(groups))
     }

@@ -99,7 +99,10 @@ fn oracle_check(files: &[PathBuf], json: bool) -> Result<ExitCode> {
     let (mut checked, mut passed) = (0, true);
     for file in files {
         let Some(check) = oracle_task::check(&gpu, file)? else {
-            log::warn!("{}: holds neither an image with its Gaussians nor superpoint motion; skipped", file.display());
+            log::warn!(
+                "{}: holds neither an image with its Gaussians nor superpoints nor an image loss; skipped",
+                file.display()
+            );
             continue;
         };
         checked += 1;

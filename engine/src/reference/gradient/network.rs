@@ -125,7 +125,7 @@ fn accumulate(network: &Perceptron, encoding: &[f64], upstream: &[f64], sum: &mu
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "tests")]
     use super::*;
     use crate::scene::synthetic::Random;
 

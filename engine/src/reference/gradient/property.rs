@@ -106,16 +106,16 @@ impl PropertyInput<'_> {
                         d_v[i][p] += pull * a[at];
                     }
                 }
-                self.to_own(&d_v, &mut out);
+                self.add_own(&d_v, &mut out);
             }
-            _ => self.to_outputs(&residual, &d_u, &mut out),
+            _ => self.add_outputs(&residual, &d_u, &mut out),
         }
         out.logit = logit_gradient(&a, &d_a, self.neighbors);
         out
     }
 
     /// Paper: gradients of the Gaussians' properties go to their means and their superpoints' poses.
-    fn to_own(&self, d_v: &[[DVec3; 3]], out: &mut PropertyGradient) {
+    fn add_own(&self, d_v: &[[DVec3; 3]], out: &mut PropertyGradient) {
         let mut tangent = vec![DVec3::ZERO; self.pose.len()];
         for (i, d) in d_v.iter().enumerate() {
             let j = self.own(i);
@@ -129,7 +129,7 @@ impl PropertyInput<'_> {
     }
 
     /// Code: gradients of the superpoints' properties, and of the Gaussians' rotation and translation, go to the poses.
-    fn to_outputs(&self, d_v: &[[DVec3; 3]], d_u: &[[DVec3; 3]], out: &mut PropertyGradient) {
+    fn add_outputs(&self, d_v: &[[DVec3; 3]], d_u: &[[DVec3; 3]], out: &mut PropertyGradient) {
         let mut tangent = vec![DVec3::ZERO; self.pose.len()];
         for (j, d) in d_u.iter().enumerate() {
             tangent[j] = (exp(self.pose[j].rotation) * self.position[j]).cross(d[0]);

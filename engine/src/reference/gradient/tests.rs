@@ -144,7 +144,7 @@ fn check(
     gradient: fn(&Gradients, usize) -> f64,
 ) {
     let mut random = Random::new(kind.len() as u64 + 7);
-    let (mut done, mut crossed, mut worst, mut seed) = (0, 0, 0.0_f64, 0);
+    let (mut done, mut worst, mut seed) = (0, 0.0_f64, 0);
     while done < PAIRS {
         seed += 1;
         assert!(seed < 2000, "{kind}: only {done} pairs");
@@ -155,7 +155,6 @@ fn check(
             let found = gradient(&gradients, index);
             let step = 2.0e-4;
             let Some((expected, noise)) = difference(&case, &|c| value(c, index), step) else {
-                crossed += 1;
                 continue;
             };
             if found == 0.0 && expected.abs() <= noise {
@@ -174,7 +173,6 @@ fn check(
             done += 1;
         }
     }
-    println!("{kind:24} {done} pairs, worst relative error {worst:.1e}, {crossed} stencils crossed a threshold");
 }
 
 fn any(r: &mut Random, count: usize) -> usize {

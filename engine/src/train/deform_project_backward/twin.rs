@@ -36,6 +36,7 @@ mod at {
     pub(super) const OFFSET_GRADIENT: usize = 22;
     pub(super) const DENSITY: usize = 23;
     pub(super) const MAX_RADIUS: usize = 24;
+    pub(super) const MEAN_GRADIENT: usize = 25;
 }
 
 /// What a call is about.
@@ -47,6 +48,7 @@ struct Job {
     moving: bool,
     nonrigid: bool,
     adam: bool,
+    with_mean_gradient: bool,
 }
 
 pub(super) fn deform_project_backward_twin(call: &mut TwinCall<'_>) {
@@ -59,6 +61,7 @@ pub(super) fn deform_project_backward_twin(call: &mut TwinCall<'_>) {
         moving: spec(call, 2) == 1,
         nonrigid: spec(call, 3) == 1,
         adam: spec(call, 4) == OUTPUT_ADAM,
+        with_mean_gradient: spec(call, 5) == 1,
     };
     if call.buffers[2][COUNT_FAILED as usize] != 0 {
         return;
@@ -77,7 +80,11 @@ impl Job {
             self.statistics(buffers, g, gradient);
         }
         let sh_values = 3 * (self.degree + 1) * (self.degree + 1);
-        let gradient = gradient.unwrap_or(OneGradient { sh: vec![0.0; sh_values], ..OneGradient::default() });
+        let mut gradient = gradient.unwrap_or(OneGradient { sh: vec![0.0; sh_values], ..OneGradient::default() });
+        if self.with_mean_gradient {
+            let extra = |axis: usize| f64::from(f32_at(&buffers[at::MEAN_GRADIENT], axis * self.n + g));
+            gradient.mean += DVec3::new(extra(0), extra(1), extra(2));
+        }
         let mut good = true;
         for band in 0..=self.degree {
             let first = 3 * band * band;
