@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 
+use clap::Parser as _;
 use engine::data::dataset::{self, Dataset, DatasetOptions};
 use engine::error::Result;
 use engine::gpu::Gpu;
@@ -12,9 +13,8 @@ use engine::train::config::{Config, Preset};
 use engine::train::start;
 use engine::train::trainer::{Trainer, TrainingData};
 use serde_json::Value;
-use clap::Parser as _;
-use tools::args::{Cli, Command as Subcommand};
 pub use tests_harness::posed::{Posed, PosedOptions};
+use tools::args::{Cli, Command as Subcommand};
 
 /// A short run of every part of the method: superpoints from iteration 20, density control every 10 iterations.
 pub const SHORT: &str = "

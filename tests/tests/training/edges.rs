@@ -5,7 +5,10 @@ use engine::render::{RenderOptions, Renderer};
 use engine::train::export::export;
 use engine::train::trainer::Trainer;
 
-use crate::common::{PosedOptions, advance, bytes, checkpoints, config, config_file, gpu, load, log, outcome, posed, succeed, train, trainer};
+use crate::common::{
+    PosedOptions, advance, bytes, checkpoints, config, config_file, gpu, load, log, outcome, posed, succeed, train,
+    trainer,
+};
 
 fn small() -> PosedOptions {
     PosedOptions { train: 3, test: 1, ..PosedOptions::default() }
@@ -24,10 +27,7 @@ fn runs(options: &PosedOptions, over: &str) -> Trainer {
     advance(&mut whole, 12).unwrap();
     let mut resumed = Trainer::resume(&gpu, &data, &half).unwrap();
     advance(&mut resumed, 12).unwrap();
-    assert!(
-        bytes(&resumed.checkpoint().unwrap()) == bytes(&whole.checkpoint().unwrap()),
-        "resumed at 8: other bits"
-    );
+    assert!(bytes(&resumed.checkpoint().unwrap()) == bytes(&whole.checkpoint().unwrap()), "resumed at 8: other bits");
     // What comes out can be written, read and drawn.
     let cameras: Vec<_> = data.views.iter().map(|v| v.camera.clone()).collect();
     let scene = export(&gpu, &whole, &cameras).unwrap().scene;
@@ -58,7 +58,8 @@ fn more_neighbours_than_superpoints() {
 
 #[test]
 fn more_superpoints_than_gaussians() {
-    let trainer = runs(&small(), "[gaussians]\nrandom_points = 5\n[motion]\nsuperpoints = 64\n[density]\nenabled = false");
+    let trainer =
+        runs(&small(), "[gaussians]\nrandom_points = 5\n[motion]\nsuperpoints = 64\n[density]\nenabled = false");
     assert!(trainer.scene().unwrap().superpoints.unwrap().position.len() <= 5);
 }
 

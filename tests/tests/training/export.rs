@@ -7,7 +7,9 @@ use engine::train::export::export;
 use engine::train::trainer::{Trainer, TrainingData};
 use glam::DVec3;
 
-use crate::common::{SharedGpu, Posed, PosedOptions, advance, config, config_file, gpu, load, log, posed, succeed, train, trainer};
+use crate::common::{
+    Posed, PosedOptions, SharedGpu, advance, config, config_file, gpu, load, log, posed, succeed, train, trainer,
+};
 
 /// A trained moving scene: its checkpoint, data and cameras.
 fn trained(over: &str) -> (SharedGpu, Checkpoint, TrainingData, Vec<Camera>, Posed) {
@@ -44,7 +46,8 @@ fn table_error(scene: &Scene, cameras: &[Camera]) -> (f64, f64) {
             let j = superpoints.of_gaussian[i] as usize;
             let mean = DVec3::from_array(g.mean[i].map(f64::from));
             let scale = g.log_scale[i].map(|s| f64::from(s).exp());
-            let longest = if scale[0] >= scale[1] && scale[0] >= scale[2] { 0 } else { 1 + usize::from(scale[2] > scale[1]) };
+            let longest =
+                if scale[0] >= scale[1] && scale[0] >= scale[2] { 0 } else { 1 + usize::from(scale[2] > scale[1]) };
             let end = mean + 2.0 * scale[longest] * rotation_of_quaternion(g.rotation[i].map(f64::from)).col(longest);
             for x in [mean, end] {
                 let place = |p: &engine::reference::Pose| exp(p.rotation) * x + p.translation;

@@ -23,7 +23,10 @@ fn arguments<'a>(out: &Path, config: &'a str) -> Vec<&'a str> {
 fn killed_twenty_times_it_ends_with_the_same_bits() {
     let posed = posed(&PosedOptions::default());
     let folder = tempfile::tempdir().unwrap();
-    let config = config_file(folder.path(), "iterations = 40\n[schedule]\nwarm_up = 26\n[density]\ngradient_threshold = 1e-3\n[log]\ncheckpoint_interval = 2");
+    let config = config_file(
+        folder.path(),
+        "iterations = 40\n[schedule]\nwarm_up = 26\n[density]\ngradient_threshold = 1e-3\n[log]\ncheckpoint_interval = 2",
+    );
     let config = config.to_str().unwrap();
     let (whole, cut) = (folder.path().join("whole"), folder.path().join("cut"));
     let start = Instant::now();
@@ -131,6 +134,7 @@ fn a_new_run_forgets_the_checkpoints_of_the_old_one() {
     let config = config_file(folder.path(), "iterations = 20\n[schedule]\nwarm_up = 100");
     succeed(train(&posed, &out, &["--config", config.to_str().unwrap()]));
     succeed(train(&posed, &out, &["--config", config.to_str().unwrap(), "--iterations", "7"]));
-    let names: Vec<String> = checkpoints(&out).iter().map(|p| p.file_stem().unwrap().to_str().unwrap().into()).collect();
+    let names: Vec<String> =
+        checkpoints(&out).iter().map(|p| p.file_stem().unwrap().to_str().unwrap().into()).collect();
     assert_eq!(names, ["checkpoint-1-000000000", "checkpoint-1-000000005", "checkpoint-1-000000007"]);
 }

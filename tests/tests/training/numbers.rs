@@ -4,7 +4,9 @@ use engine::error::Error;
 use engine::train::checkpoint::Checkpoint;
 use engine::train::trainer::Trainer;
 
-use crate::common::{PosedOptions, advance, checkpoints, config, config_file, gpu, load, outcome, posed, succeed, train, trainer};
+use crate::common::{
+    PosedOptions, advance, checkpoints, config, config_file, gpu, load, outcome, posed, succeed, train, trainer,
+};
 
 /// Puts a value somewhere and says what the error must name: buffer and index.
 type Spoil = (&'static str, usize, fn(&mut Checkpoint) -> &mut f32);

@@ -2,7 +2,9 @@
 
 use engine::train::evaluate;
 
-use crate::common::{Posed, PosedOptions, advance, config, config_file, gpu, load, log, newest, posed, succeed, train, trainer};
+use crate::common::{
+    Posed, PosedOptions, advance, config, config_file, gpu, load, log, newest, posed, succeed, train, trainer,
+};
 
 /// PSNR over the training views after a run.
 fn psnr(posed: &Posed, over: &str) -> f64 {
