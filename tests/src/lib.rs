@@ -3,6 +3,7 @@
 pub mod compare;
 pub mod gradient;
 pub mod kernel_case;
+pub mod posed;
 pub mod render_case;
 pub mod widths;
 

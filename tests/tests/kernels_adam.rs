@@ -106,8 +106,9 @@ fn the_first_number_that_is_not_finite_is_found() {
     let good = gpu.buffer_with("good", bytemuck::cast_slice(&[1.0_f32, -2.0, f32::MAX, 0.0])).unwrap();
     let bad = gpu.buffer_with("bad", bytemuck::cast_slice(&[0.0_f32, 1.0, f32::NEG_INFINITY, f32::NAN])).unwrap();
     check_finite(&gpu, &[]).unwrap();
-    check_finite(&gpu, &[("good", &good, 4), ("none", &bad, 0), ("start", &bad, 2)]).unwrap();
-    match check_finite(&gpu, &[("good", &good, 4), ("mean", &bad, 4)]) {
+    check_finite(&gpu, &[("good", (&good).into(), 4), ("none", (&bad).into(), 0), ("start", (&bad).into(), 2)])
+        .unwrap();
+    match check_finite(&gpu, &[("good", (&good).into(), 4), ("mean", (&bad).into(), 4)]) {
         Err(Error::NonFinite { what, index, value }) => {
             assert_eq!((what.as_str(), index, value.as_str()), ("mean (2 not finite)", 2, "-inf"));
         }

@@ -28,6 +28,9 @@ use crate::args::{Global, TrainArgs};
 use crate::render::create_folder;
 use crate::{gpu_session, output, progress};
 
+/// Exit code of a process that Ctrl-C ended (128 + SIGINT).
+const INTERRUPTED: i32 = 130;
+
 /// A run in progress.
 struct Run<'a> {
     gpu: &'a Gpu,
@@ -146,17 +149,28 @@ impl Run<'_> {
     fn iterate(&mut self) -> Result<bool> {
         let stop = Arc::new(AtomicBool::new(false));
         let flag = Arc::clone(&stop);
-        if let Err(e) = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)) {
+        // The second Ctrl-C, and one after the last iteration, waits for nothing: every file is there whole or not at all.
+        let on_interrupt = move || {
+            if flag.swap(true, Ordering::Relaxed) {
+                std::process::exit(INTERRUPTED);
+            }
+        };
+        if let Err(e) = ctrlc::set_handler(on_interrupt) {
             ::log::warn!("Ctrl-C will not save a checkpoint: {e}");
+        }
+        // A run that is cut off before its first interval is resumed from here.
+        if self.trainer.iteration() == 0 && self.trainer.schedule().stage() != Stage::Nonrigid {
+            self.save()?;
         }
         while !self.trainer.is_done() {
             let step = self.trainer.step()?;
             self.after(&step)?;
-            if stop.load(Ordering::Relaxed) {
+            if stop.load(Ordering::Relaxed) && !self.trainer.is_done() {
                 self.save()?;
                 return Ok(false);
             }
         }
+        stop.store(true, Ordering::Relaxed);
         Ok(true)
     }
 

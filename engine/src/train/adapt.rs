@@ -5,12 +5,24 @@ use super::blend_backward::ROW_WORDS;
 use super::density::{Density, DensityBuffers, DensityOptions, NewRows, RowArray, reset_opacity};
 use super::parameters::plane_count;
 use super::trainer::Trainer;
+use crate::data::dataset::View;
 use crate::error::{Error, Result};
 use crate::gpu::Memory;
 use crate::render::scene_buffers::Poses;
 
 /// Opacity that a reset leaves at most (3DGS).
 const RESET_OPACITY: f64 = 0.01;
+
+/// Bytes of a step's buffers per Gaussian: splats, tile counts, keys and values by depth, gradients.
+const WORK_BYTES: u64 = 192;
+/// Tile instances per Gaussian to have room for.
+const INSTANCES: u64 = 8;
+/// Bytes of a tile instance: keys and values for sorting, its row of gradients.
+const INSTANCE_BYTES: u64 = 72;
+/// Bytes per pixel: photo, rendering, gradient, work space of SSIM.
+const PIXEL_BYTES: u64 = 96;
+/// Bytes of network G per Gaussian: offset and its gradient, activations of the chunk it is in.
+const NONRIGID_BYTES: u64 = 256;
 
 /// What density control did after an iteration.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
@@ -53,6 +65,8 @@ impl Trainer {
     }
 
     fn pass(&mut self, iteration: u64, grows: bool, prunes: bool, change: &mut DensityChange) -> Result<()> {
+        // Recorded commands hold the old buffers.
+        self.targets.clear();
         let d = &self.schedule.config().density;
         let large = prunes && self.schedule.prunes_large(iteration);
         let options = DensityOptions {
@@ -67,8 +81,6 @@ impl Trainer {
             seed: self.config.seed,
             iteration: iteration as u32,
         };
-        // Recorded commands hold the old buffers.
-        self.targets.clear();
         let n = self.parameters.count();
         let outcome = match Density::new(&self.gpu).run(self.density_buffers(), n, &options) {
             Ok(outcome) => outcome,
@@ -84,14 +96,23 @@ impl Trainer {
         self.take(outcome.new_count, outcome.buffers)
     }
 
-    /// The configured number, or fewer where the device's memory ends: what a Gaussian has cost so far, and a second copy
-    /// of its parameters while they are moved.
+    /// The configured number, or fewer where the device's memory ends: of what is free now, the images of a step come off,
+    /// the rest goes to new Gaussians. Nothing here depends on which images the run has seen, so that a resumed run decides
+    /// alike.
     fn most_gaussians(&self) -> u32 {
-        let most = self.config.budget.max_gaussians;
-        let n = u64::from(self.parameters.count().max(1));
         let (used, budget) = self.gpu.memory_used();
-        let each = used.div_ceil(n) + 12 * u64::from(plane_count(self.parameters.sh_degree));
-        most.min(u32::try_from(budget / each.max(1)).unwrap_or(u32::MAX))
+        let n = u64::from(self.parameters.count());
+        let slots = self.moving.as_ref().map_or(0, |m| u64::from(m.superpoints.options().slots));
+        // Parameters and moments exist twice while they are moved.
+        let kept = 2 * (3 * 4 * u64::from(plane_count(self.parameters.sh_degree)) + 16 * slots + 16);
+        let nonrigid = if self.nonrigid.is_some() { NONRIGID_BYTES } else { 0 };
+        let each = kept + WORK_BYTES + 32 * slots + nonrigid + INSTANCES * INSTANCE_BYTES;
+        let pixels = |v: &View| u64::from(v.camera.width) * u64::from(v.camera.height);
+        let images = PIXEL_BYTES * self.views.iter().map(pixels).max().unwrap_or(0);
+        // The step's own buffers for the Gaussians there are were freed before this.
+        let own = n * (WORK_BYTES + INSTANCES * INSTANCE_BYTES);
+        let free = budget.saturating_sub(used + images + own);
+        self.config.budget.max_gaussians.min(u32::try_from(n + free / each).unwrap_or(u32::MAX))
     }
 
     fn density_buffers(&self) -> DensityBuffers {

@@ -60,18 +60,19 @@ pub struct Checkpoint {
 }
 
 impl Checkpoint {
-    /// Writes the checkpoint durably into `folder` as `checkpoint-{stage}-{iteration}.safetensors` and removes all but the
-    /// newest three.
+    /// Writes the checkpoint durably into `folder` as `checkpoint-{stage}-{iteration}.safetensors`; then removes all but the
+    /// newest three, and those of later iterations: they are of a run that was given up for this one, and resuming must
+    /// not go on with them.
     ///
     /// # Errors
     /// [`Error::Io`].
     pub fn save(&self, folder: &Path) -> Result<PathBuf> {
         std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "make folder", e))?;
         let stage = if self.stage == Stage::Nonrigid { 2 } else { 1 };
-        let path = folder.join(format!("checkpoint-{stage}-{:07}.safetensors", self.iteration));
+        let path = folder.join(format!("checkpoint-{stage}-{:09}.safetensors", self.iteration));
         tensors::write(&path, FORMAT, self.tensors(), &self.metadata()?)?;
-        let all = list(folder)?;
-        for old in &all[..all.len().saturating_sub(KEPT)] {
+        let (kept, later): (Vec<_>, Vec<_>) = list(folder)?.into_iter().partition(|p| *p <= path);
+        for old in kept[..kept.len().saturating_sub(KEPT)].iter().chain(&later) {
             std::fs::remove_file(old).map_err(|e| Error::io(old, "remove", e))?;
         }
         Ok(path)

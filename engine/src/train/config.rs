@@ -261,7 +261,8 @@ pub struct LogConfig {
     pub interval: u64,
     /// A checkpoint every so many iterations; 0: only at the end and when interrupted.
     pub checkpoint_interval: u64,
-    /// Parameters, moments and gradients are searched for numbers that are not finite every so many iterations.
+    /// Parameters, moments, association and networks are searched for numbers that are not finite every so many iterations,
+    /// and before every checkpoint; gradients are watched at every step. 0: at checkpoints only.
     pub finite_interval: u64,
 }
 

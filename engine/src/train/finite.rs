@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
-use crate::gpu::{Buffer, Gpu, Groups, Memory, SLICE_ALIGNMENT, Slice};
+use crate::gpu::{Gpu, Groups, Memory, SLICE_ALIGNMENT, Slice};
 use crate::render::twin;
 
 /// Kernels of this module.
@@ -47,9 +47,9 @@ fn check_finite_twin(call: &mut TwinCall<'_>) {
     }
 }
 
-/// Looks for numbers that are not finite in the first `words` floats of each named buffer; waits for the device. The first
-/// such buffer in the list becomes [`Error::NonFinite`] with its first bad index.
-pub fn check_finite(gpu: &Gpu, buffers: &[(&str, &Buffer, u32)]) -> Result<()> {
+/// Looks for numbers that are not finite in the first `words` floats of each named slice; waits for the device. The first
+/// such slice in the list becomes [`Error::NonFinite`] with its first bad index.
+pub fn check_finite(gpu: &Gpu, buffers: &[(&str, Slice, u32)]) -> Result<()> {
     if buffers.is_empty() {
         return Ok(());
     }
@@ -59,7 +59,8 @@ pub fn check_finite(gpu: &Gpu, buffers: &[(&str, &Buffer, u32)]) -> Result<()> {
         let start = i as u64 * SLICE_ALIGNMENT;
         r.fill(found.slice(start, 4), 0)?;
         r.fill(found.slice(start + 4, 4), u32::MAX)?;
-        let bound = [buffer.slice(0, 4 * u64::from(*words)), found.slice(start, 8)];
+        let values = buffer.buffer.slice(buffer.start, 4 * u64::from(*words));
+        let bound = [values, found.slice(start, 8)];
         let push = CheckFinitePush { count: *words };
         let groups = Groups::Direct(words.div_ceil(CHECK_FINITE_FLOATS).into());
         r.dispatch(&CHECK_FINITE, &[], bytemuck::bytes_of(&push), &bound, groups)?;
@@ -74,7 +75,8 @@ pub fn check_finite(gpu: &Gpu, buffers: &[(&str, &Buffer, u32)]) -> Result<()> {
         let [count, index]: [u32; 2] = bytemuck::pod_read_unaligned(&place[..8]);
         if count > 0 {
             // Any start can be copied from, but only aligned ones bound.
-            let value: f32 = bytemuck::pod_read_unaligned(&gpu.download(buffer.slice(4 * u64::from(index), 4))?);
+            let at = buffer.buffer.slice(buffer.start + 4 * u64::from(index), 4);
+            let value: f32 = bytemuck::pod_read_unaligned(&gpu.download(at)?);
             let what = format!("{name} ({count} not finite)");
             return Err(Error::NonFinite { what, index: index as usize, value: value.to_string() });
         }

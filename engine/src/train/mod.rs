@@ -37,6 +37,7 @@ pub mod init;
 pub mod linear;
 pub mod network_f;
 pub mod network_g;
+mod numbers;
 pub mod parameters;
 pub mod property_loss;
 pub mod rng;

@@ -191,6 +191,12 @@ impl NetworkF {
         self.parameters.upload_moments([&unpack(moments[0])?, &unpack(moments[1])?])
     }
 
+    /// Weights, first and second moments as the device holds them, layer by layer with padding; indices as in
+    /// [`NetworkF::weight_name`].
+    pub fn state(&self) -> [Slice; 3] {
+        self.parameters.all()
+    }
+
     /// What a reported index of group `network F` stands for, as `deform.linear.2.weight[7, 30]`.
     pub fn weight_name(&self, index: u32) -> String {
         let Some((layer, at)) = self.parameters.locate(index) else { return format!("network F, word {index}") };

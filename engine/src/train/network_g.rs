@@ -157,6 +157,11 @@ impl NetworkG {
         value
     }
 
+    /// Weights, first and second moments as the device holds them, layer by layer with padding.
+    pub fn state(&self) -> [Slice; 3] {
+        self.parameters.all()
+    }
+
     /// Records: offsets `nonrigid_offset float[10][N]` of `gaussians` Gaussians.
     pub fn record_forward(
         &self,

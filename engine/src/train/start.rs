@@ -18,7 +18,7 @@ pub fn first(config: &Config, points: Option<&Points>) -> (Gaussians, String) {
         }
         None => {
             let half = f64::from(g.random_extent);
-            let line = format!("{} random points in a cube of edge {}", g.random_points, 2.0 * half);
+            let line = format!("{} random points in a cube of edge {}", g.random_points, 2.0 * g.random_extent);
             (random_points(g.random_points as usize, half, config.seed), line)
         }
     };

@@ -292,6 +292,9 @@ impl Trainer {
         let report = self.run(iteration, view, &photo)?;
         self.iteration = iteration;
         self.adapt_density(iteration)?;
+        if self.config.log.finite_interval > 0 && iteration.is_multiple_of(self.config.log.finite_interval) {
+            self.check_numbers()?;
+        }
         Ok(report)
     }
 
@@ -629,7 +632,8 @@ impl Trainer {
             return Err(Error::Limit { what, need: instances.into(), have: limit.into() });
         }
         self.capacity = wanted.clamp(self.capacity + 1, limit);
-        Ok(())
+        // Sums over gradients that the failed step never wrote may have been reported; nothing of them was applied.
+        self.gpu.upload(&self.status, bytemuck::cast_slice(&status::clear()))
     }
 
     /// Device time of each operation of the last step, in order; empty without timestamps.
@@ -646,8 +650,9 @@ impl Trainer {
     /// Everything that the next step depends on.
     ///
     /// # Errors
-    /// `DeviceLost`, `OutOfMemory`.
+    /// `NonFinite` when a number has gone bad: that is no state to go on from; `DeviceLost`, `OutOfMemory`.
     pub fn checkpoint(&self) -> Result<Checkpoint> {
+        self.check_numbers()?;
         let motion = self.moving.as_ref().map(|m| self.motion_state(m)).transpose()?;
         Ok(Checkpoint {
             config: self.config.clone(),

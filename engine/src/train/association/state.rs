@@ -122,7 +122,8 @@ impl SuperpointState {
         gaussians: u32,
         options: AssociationOptions,
     ) -> Result<Self> {
-        let state = Self::allocate(gpu, gaussians, options)?;
+        let superpoints = options.superpoints.min(gaussians);
+        let state = Self::allocate(gpu, gaussians, AssociationOptions { superpoints, ..options })?;
         let m = state.superpoints();
         let mut r = gpu.recorder("superpoint init");
         let chosen = gpu.buffer("chosen", 4 * u64::from(m), Memory::Device)?;
@@ -183,11 +184,9 @@ impl SuperpointState {
             let found = format!("{lengths:?} and {:?}", moments.map(<[f32]>::len));
             return Err(Error::usage("association", found, format!("{n} rows of {slots}")));
         }
+        // Pruning may have left fewer Gaussians than superpoints.
         let options = AssociationOptions { superpoints: m, slots: slots as u32, ..options };
         let state = Self::allocate(gpu, n as u32, options)?;
-        if state.superpoints() != m {
-            return Err(Error::usage("superpoints", m.to_string(), format!("at most {n}, one per Gaussian")));
-        }
         let mut r = gpu.recorder("clear association");
         state.clear_rows(&mut r)?;
         gpu.run(r)?;
@@ -208,7 +207,6 @@ impl SuperpointState {
         in_range("association slots", options.slots, options.neighbors, MAX_SLOTS)?;
         in_range("superpoints", options.superpoints, 1, u32::MAX)?;
         in_range("gaussians with superpoints", gaussians, 1, (1 << PAIR_SHIFT) - 1)?;
-        options.superpoints = options.superpoints.min(gaussians);
         options.neighbors = options.neighbors.min(options.superpoints);
         let m = u64::from(options.superpoints);
         let device = |name: &str, words: u64| gpu.buffer(name, 4 * words, Memory::Device);

@@ -1,0 +1,98 @@
+//! Numbers that went bad end the run, by name.
+
+use engine::error::Error;
+use engine::train::checkpoint::Checkpoint;
+use engine::train::trainer::Trainer;
+
+use crate::common::{
+    PosedOptions, advance, checkpoints, config, config_file, gpu, load, outcome, posed, succeed, train, trainer,
+};
+
+/// Puts a value somewhere and says what the error must name: buffer and index.
+type Spoil = (&'static str, usize, fn(&mut Checkpoint) -> &mut f32);
+
+fn spoils() -> Vec<Spoil> {
+    vec![
+        ("mean", 0, |c| &mut c.parameters.gaussians.mean[0][0]),
+        ("log_scale", 3, |c| &mut c.parameters.gaussians.log_scale[3][0]),
+        ("rotation", 4 * 2 + 1, |c| &mut c.parameters.gaussians.rotation[2][1]),
+        ("opacity_logit", 5, |c| &mut c.parameters.gaussians.opacity_logit[5]),
+        ("sh_0", 0, |c| &mut c.parameters.gaussians.sh[0]),
+        ("moment_1", 7, |c| &mut c.parameters.moment_1[7]),
+        ("moment_2", 8, |c| &mut c.parameters.moment_2[8]),
+        ("density", 2, |c| &mut c.parameters.density[2]),
+        ("max_radius", 1, |c| &mut c.parameters.max_radius[1]),
+        ("association logit", 6, |c| &mut c.motion.as_mut().unwrap().association.logit[6]),
+        ("association moment_1", 6, |c| &mut c.motion.as_mut().unwrap().association_moments[0][6]),
+        ("association moment_2", 9, |c| &mut c.motion.as_mut().unwrap().association_moments[1][9]),
+        ("superpoint position", 3, |c| &mut c.motion.as_mut().unwrap().position[1][0]),
+        ("network F weight", 0, |c| &mut c.motion.as_mut().unwrap().network.weights[0]),
+        ("network F moment_1", 0, |c| &mut c.motion.as_mut().unwrap().network.moment_1[0]),
+        ("network F moment_2", 0, |c| &mut c.motion.as_mut().unwrap().network.moment_2[0]),
+        ("network G weight", 0, |c| &mut c.nonrigid.as_mut().unwrap().weights[0]),
+        ("network G moment_1", 0, |c| &mut c.nonrigid.as_mut().unwrap().moment_1[0]),
+        ("network G moment_2", 0, |c| &mut c.nonrigid.as_mut().unwrap().moment_2[0]),
+    ]
+}
+
+#[test]
+fn a_bad_number_anywhere_is_named() {
+    let posed = posed(&PosedOptions::default());
+    let (_, data) = load(&posed);
+    let gpu = gpu();
+    let config = config("[schedule]\nwarm_up = 2\n[density]\nenabled = false\n[log]\nfinite_interval = 1");
+    let mut rigid = trainer(&gpu, &config, &data).unwrap();
+    advance(&mut rigid, 3).unwrap();
+    let rigid = rigid.checkpoint().unwrap();
+    let mut stage = Trainer::nonrigid(&gpu, &config, &data, &rigid).unwrap();
+    advance(&mut stage, 1).unwrap();
+    let nonrigid = stage.checkpoint().unwrap();
+    for (i, (name, index, place)) in spoils().into_iter().enumerate() {
+        let good = if name.starts_with("network G") { &nonrigid } else { &rigid };
+        let mut bad = good.clone();
+        *place(&mut bad) = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY][i % 3];
+        let mut trainer = Trainer::resume(&gpu, &data, &bad).unwrap();
+        // It must be no checkpoint, neither before the next step nor after.
+        let refused = trainer.checkpoint().unwrap_err();
+        match &refused {
+            Error::NonFinite { what, index: found, .. } => {
+                let iteration = format!("at iteration {}", good.iteration);
+                assert!(what.starts_with(name) && what.contains(&iteration), "{name}: {what}");
+                assert_eq!(*found, index, "{name}");
+            }
+            other => panic!("{name}: {other}"),
+        }
+        match trainer.step() {
+            Err(Error::NonFinite { what, .. }) => {
+                assert!(what.contains(&format!("at iteration {}", good.iteration + 1)), "{name}: {what}");
+            }
+            other => panic!("{name}: {other:?}"),
+        }
+    }
+}
+
+#[test]
+fn the_last_good_checkpoint_stays() {
+    let posed = posed(&PosedOptions::default());
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let config = config_file(folder.path(), "iterations = 20\n[schedule]\nwarm_up = 100");
+    let config = config.to_str().unwrap();
+    succeed(train(&posed, &out, &["--config", config]));
+    let all = checkpoints(&out);
+    let good = std::fs::read(&all[0]).unwrap();
+    all[1..].iter().for_each(|p| std::fs::remove_file(p).unwrap());
+    let mut bad = Checkpoint::load(&all[0]).unwrap();
+    let iteration = bad.iteration;
+    assert!(iteration < 20);
+    bad.iteration += 1;
+    // The mean that this moment belongs to is what the step cannot update.
+    bad.parameters.moment_2[4] = f32::NAN;
+    bad.save(&out.join("checkpoints")).unwrap();
+    let (code, text) = outcome(train(&posed, &out, &["--resume"]));
+    assert_eq!(code, 6, "{text}");
+    assert!(text.contains("mean at iteration") && text.contains("[4] is"), "{text}");
+    let left = checkpoints(&out);
+    assert_eq!(left.len(), 2, "no checkpoint was written: {left:?}");
+    assert!(std::fs::read(&left[0]).unwrap() == good, "the good checkpoint stays");
+}
