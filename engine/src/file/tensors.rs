@@ -123,7 +123,7 @@ pub struct StoredTensor {
 /// Tensors by name, and the metadata.
 pub type TensorFile = (BTreeMap<String, StoredTensor>, BTreeMap<String, String>);
 
-/// Reads a file that [`write`] made with the same format and version; checksums must be there and right.
+/// Reads a file that [`write()`] made with the same format and version; checksums must be there and right.
 ///
 /// # Errors
 /// [`Error::Corrupt`] naming the tensor or metadata entry; [`Error::Io`].

@@ -419,6 +419,9 @@ impl Drop for Commands {
         let gpu = Gpu(Arc::clone(&self.gpu));
         if let Err(error) = gpu.wait(self.last) {
             log::error!("dropping `{}`: {error}", self.name);
+            // Too slow is not finished: what it uses may only be freed once the device is idle or lost.
+            // SAFETY: the device lives as long as `self.gpu`.
+            let _ = unsafe { self.gpu.device.device_wait_idle() };
         }
         // SAFETY: not pending any more; null handles are ignored.
         unsafe {

@@ -113,8 +113,8 @@ impl FarthestPoint {
         Ok(Self { distance_to, candidates: [a, b], points })
     }
 
-    /// Records the choice of `count` centres (≤ points): `chosen` uint[count] gets their indices,
-    /// `superpoint_position` float[count][3] their places.
+    /// Records the choice of `count` centres (≤ points): `chosen` `uint[count]` gets their indices,
+    /// `superpoint_position` `float[count][3]` their places.
     pub fn record(&self, r: &mut Recorder, mean: &Slice, count: u32, chosen: &Slice, position: &Slice) -> Result<()> {
         r.fill(&self.distance_to, f32::MAX.to_bits())?;
         let groups = self.points.div_ceil(FARTHEST_POINTS);

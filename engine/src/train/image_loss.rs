@@ -53,11 +53,11 @@ pub struct ImageLossBuffers<'a> {
     pub frame: &'a Buffer,
     /// [`crate::train::step::Step`]: λ.
     pub step: &'a Buffer,
-    /// vec4[H·W] rendered image.
+    /// `vec4[H·W]` rendered image.
     pub color: &'a Buffer,
     /// Target image, as [`TargetFormat`] says.
     pub target: &'a Buffer,
-    /// vec4[H·W] result: gradient by the channels, w = 0.
+    /// `vec4[H·W]` result: gradient by the channels, w = 0.
     pub image_gradient: &'a Buffer,
     /// float[[`LOSS_WORDS`]] result.
     pub loss: &'a Buffer,

@@ -39,7 +39,7 @@ use crate::scene::{Linear, Scene};
 /// ```
 ///
 /// # Errors
-/// [`Error::Usage`] naming the tensor when the scene is inconsistent; [`Error::Io`].
+/// [`crate::Error::Usage`] naming the tensor when the scene is inconsistent; [`crate::Error::Io`].
 pub fn write(path: &Path, scene: &Scene) -> Result<()> {
     check::scene(scene).map_err(|problem| problem.usage(path))?;
     tensors::write(path, [FORMAT, VERSION], tensors(scene), &scene.metadata)

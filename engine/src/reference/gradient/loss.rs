@@ -1,7 +1,7 @@
 //! The image loss (1 − λ)·L1 + λ·(1 − SSIM) and its gradient, in f64.
 //!
 //! SSIM in its usual form (Wang et al. 2004, eq. 13) with an 11×11 Gaussian window of σ = 1.5 px, zeros outside the image:
-//! (2μ_xμ_y + C1)(2σ_xy + C2) / ((μ_x² + μ_y² + C1)(σ_x² + σ_y² + C2)), σ_xy = E[xy] − μ_xμ_y, averaged over pixels and
+//! (2μ_xμ_y + C1)(2σ_xy + C2) / ((μ_x² + μ_y² + C1)(σ_x² + σ_y² + C2)), σ_xy = E\[xy\] − μ_xμ_y, averaged over pixels and
 //! channels.
 
 /// 0.01².
@@ -58,7 +58,7 @@ pub fn image_loss(image: &[f64], target: &[f64], [width, height]: [usize; 2], la
     out
 }
 
-/// SSIM from the moments μ_x, μ_y, E[x²], E[y²], E[xy], and its derivatives by μ_x, E[x²] and E[xy].
+/// SSIM from the moments μ_x, μ_y, E[x²], E[y²], E\[xy\], and its derivatives by μ_x, E[x²] and E\[xy\].
 fn ssim([mu_x, mu_y, xx, yy, xy]: [f64; 5]) -> (f64, [f64; 3]) {
     let a_1 = 2.0 * mu_x * mu_y + C1;
     let a_2 = 2.0 * (xy - mu_x * mu_y) + C2;

@@ -81,7 +81,7 @@ fn squared_distance(a: [f32; 3], b: [f32; 3]) -> f32 {
     if d.is_finite() { d } else { f32::MAX }
 }
 
-/// Indices of the `count` nearest positions (float[M][3]), nearest first, ties by lowest index.
+/// Indices of the `count` nearest positions (`float[M][3]`), nearest first, ties by lowest index.
 fn nearest(x: [f32; 3], position: &[u32], superpoints: usize, count: usize) -> Vec<u32> {
     let mut order: Vec<(f32, u32)> = (0..superpoints)
         .map(|j| (squared_distance(x, [0, 1, 2].map(|c| twin::f32_at(position, 3 * j + c))), j as u32))

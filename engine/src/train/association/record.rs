@@ -24,7 +24,7 @@ impl SuperpointState {
         }
     }
 
-    /// The part after `deform_project_backward`: `pose_gradient` float[6][N] → [`SuperpointState::gradient`].
+    /// The part after `deform_project_backward`: `pose_gradient` `float[6][N]` → [`SuperpointState::gradient`].
     pub fn record_reduce_pose(&self, r: &mut Recorder, b: &StepBuffers, pose_gradient: &Slice) -> Result<()> {
         self.record_own_sum(r, b, &self.pose_sum, [0, 6], pose_gradient, POSE_GROUP)?;
         let (form, sums) = match self.options.property_loss {

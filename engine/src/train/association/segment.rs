@@ -18,7 +18,7 @@ crate::gpu_struct! {
     }
 }
 
-/// Planes of a sum buffer float[22][M]: Σa, Σa·mean (3), Σa·pair_data (9), Σ own_data (9).
+/// Planes of a sum buffer `float[22][M]`: Σa, Σa·mean (3), Σa·pair_data (9), Σ own_data (9).
 pub const SUM_PLANES: usize = 22;
 /// First plane of Σa·pair_data.
 pub const FIRST_PAIR_VALUE: usize = 4;

@@ -47,28 +47,28 @@ impl Default for AssociationOptions {
 pub struct StepBuffers {
     /// `Step`; counts = N, M, K', iteration.
     pub step: Slice,
-    /// uint[8] of the frame.
+    /// `uint[8]` of the frame.
     pub counters: Slice,
     /// Not-finite reports.
     pub status: Slice,
-    /// float[3][N] canonical means.
+    /// `float[3][N]` canonical means.
     pub mean: Slice,
-    /// uint[N].
+    /// `uint[N]`.
     pub superpoint_of_gaussian: Slice,
-    /// vec4[M][2] at the step's time.
+    /// `vec4[M][2]` at the step's time.
     pub pose: Slice,
 }
 
 /// Association rows that live as long as their Gaussians: gathered by density control, K' words per Gaussian in each.
 #[derive(Debug, Clone)]
 pub struct Rows {
-    /// uint[N][K'] superpoints: K in use, nearest first, then remembered ones; [`NO_SUPERPOINT`] where never used.
+    /// `uint[N][K']` superpoints: K in use, nearest first, then remembered ones; [`NO_SUPERPOINT`] where never used.
     pub neighbor: Buffer,
-    /// float[N][K'].
+    /// `float[N][K']`.
     pub logit: Buffer,
-    /// float[N][K'] Adam's first moment.
+    /// `float[N][K']` Adam's first moment.
     pub moment_1: Buffer,
-    /// float[N][K'] Adam's second moment.
+    /// `float[N][K']` Adam's second moment.
     pub moment_2: Buffer,
 }
 
@@ -96,11 +96,11 @@ pub struct SuperpointState {
     pub(super) options: AssociationOptions,
     pub(super) rows: Rows,
     pub(super) work: Work,
-    /// float[M][3] canonical centres p^c.
+    /// `float[M][3]` canonical centres p^c.
     pub position: Buffer,
-    /// float[6][M] planes: dL/dr, dL/dτ.
+    /// `float[6][M]` planes: dL/dr, dL/dτ.
     pub gradient: Buffer,
-    /// float[4]: property losses of position, rotation, translation (unweighted means), weighted total.
+    /// `float[4]`: property losses of position, rotation, translation (unweighted means), weighted total.
     pub property_loss: Buffer,
     /// Σa, Σa·mean and (code) residuals or (paper) properties.
     pub(super) first_sum: Buffer,
@@ -111,7 +111,7 @@ pub struct SuperpointState {
 
 impl SuperpointState {
     /// Samples min(M, N) superpoint centres, assigns every Gaussian to its nearest (written to
-    /// `superpoint_of_gaussian`), fills the association. `mean` is float[3][N]. Blocks.
+    /// `superpoint_of_gaussian`), fills the association. `mean` is `float[3][N]`. Blocks.
     ///
     /// # Errors
     /// `Usage` for K or K' out of range or no Gaussian, `Limit` for too many, or when memory runs out.
@@ -203,10 +203,10 @@ impl SuperpointState {
             true => Ok(()),
             false => Err(Error::usage(what, value.to_string(), format!("{low} to {high}"))),
         };
+        in_range("gaussians with superpoints", gaussians, 1, (1 << PAIR_SHIFT) - 1)?;
         in_range("association neighbors", options.neighbors, 1, MAX_NEIGHBORS)?;
         in_range("association slots", options.slots, options.neighbors, MAX_SLOTS)?;
         in_range("superpoints", options.superpoints, 1, u32::MAX)?;
-        in_range("gaussians with superpoints", gaussians, 1, (1 << PAIR_SHIFT) - 1)?;
         options.neighbors = options.neighbors.min(options.superpoints);
         let m = u64::from(options.superpoints);
         let device = |name: &str, words: u64| gpu.buffer(name, 4 * words, Memory::Device);
@@ -252,7 +252,7 @@ impl SuperpointState {
         &self.rows
     }
 
-    /// Gradient of the property losses by the canonical means, float[3][N]: only the paper's form has one.
+    /// Gradient of the property losses by the canonical means, `float[3][N]`: only the paper's form has one.
     pub fn mean_gradient(&self) -> Option<&Buffer> {
         (self.options.property_loss == PropertyLoss::Paper).then_some(&self.work.mean_gradient)
     }

@@ -113,7 +113,7 @@ fn decide_twin(call: &mut TwinCall<'_>) {
     }
 }
 
-/// Dispatch ceil(N / 256) workgroups after `density_decide`; `histogram` uint[2048] must be zero.
+/// Dispatch ceil(N / 256) workgroups after `density_decide`; `histogram` `uint[2048]` must be zero.
 pub static DENSITY_HISTOGRAM: Kernel = Kernel {
     name: "density_histogram",
     doc: "counts one 11-bit digit of the growing Gaussians' keys, to select those within the budget",

@@ -76,17 +76,17 @@ pub struct RowArray {
 /// if the caller keeps no other handles (recorded commands hold handles too).
 #[derive(Debug, Clone)]
 pub struct DensityBuffers {
-    /// float[3][N].
+    /// `float[3][N]`.
     pub mean: Buffer,
-    /// float[3][N].
+    /// `float[3][N]`.
     pub log_scale: Buffer,
-    /// vec4[N], w,x,y,z.
+    /// `vec4[N]`, w,x,y,z.
     pub rotation: Buffer,
-    /// float[N].
+    /// `float[N]`.
     pub opacity_logit: Buffer,
-    /// float[2][N]: sum of screen-gradient norms, number of views. New buffer of zeros afterwards.
+    /// `float[2][N]`: sum of screen-gradient norms, number of views. New buffer of zeros afterwards.
     pub density: Buffer,
-    /// float[N] largest screen radius, px. New buffer of zeros afterwards.
+    /// `float[N]` largest screen radius, px. New buffer of zeros afterwards.
     pub max_radius: Buffer,
     /// Every other array, in any order, given back in the same order: SH bands, moments, superpoints, association.
     pub rows: Vec<RowArray>,

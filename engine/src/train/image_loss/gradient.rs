@@ -10,7 +10,7 @@ use crate::train::step::Step;
 /// Place of `image_gradient` in [`status::GROUPS`].
 const STATUS_IMAGE_GRADIENT: usize = 8;
 
-/// Gradient by the rendered image. Dispatch [`super::groups`] workgroups. `image_gradient` vec4[H·W], w = 0; `loss_partial`
+/// Gradient by the rendered image. Dispatch [`super::groups`] workgroups. `image_gradient` `vec4[H·W]`, w = 0; `loss_partial`
 /// gets the sums of |x − y| in plane 1 and of (x − y)² in plane 2. With `WITH_SSIM` = 0 λ is taken as 0 and `ssim_maps` may
 /// be a dummy.
 pub static IMAGE_LOSS: Kernel = Kernel {

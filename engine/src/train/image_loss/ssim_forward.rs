@@ -5,8 +5,8 @@ use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
 use crate::render::frame::Frame;
 use crate::render::twin::{self, set_f32, struct_at};
 
-/// Local moments, SSIM, and its derivatives. Dispatch [`super::groups`] workgroups. `ssim_maps` float[3 channels][3][H·W]
-/// holds dSSIM/dμ_x, dSSIM/dE[x² + y²] and dSSIM/dE[(x − y)²] of each pixel; `loss_partial` float[3][workgroups] gets the
+/// Local moments, SSIM, and its derivatives. Dispatch [`super::groups`] workgroups. `ssim_maps float[3 channels][3][H·W]`
+/// holds dSSIM/dμ_x, dSSIM/dE[x² + y²] and dSSIM/dE[(x − y)²] of each pixel; `loss_partial` `float[3][workgroups]` gets the
 /// sums of SSIM in plane 0.
 pub static SSIM_FORWARD: Kernel = Kernel {
     name: "ssim_forward",

@@ -5,7 +5,7 @@ use crate::render::frame::Frame;
 use crate::render::twin::{self, f32_at, set_f32, struct_at};
 use crate::train::step::Step;
 
-/// Adds up `loss_partial` in a fixed order. Dispatch 1 workgroup. `loss` float[8] = (L, L1, SSIM, MSE, 0, 0, 0, 0); SSIM is 0
+/// Adds up `loss_partial` in a fixed order. Dispatch 1 workgroup. `loss` `float[8]` = (L, L1, SSIM, MSE, 0, 0, 0, 0); SSIM is 0
 /// when `WITH_SSIM` is 0.
 pub static IMAGE_LOSS_SUM: Kernel = Kernel {
     name: "image_loss_sum",
