@@ -74,3 +74,15 @@ impl Motion {
         KeyInterval { first: (after - 1) as u32, second: after as u32, weight: (t - t0) / (t1 - t0) }
     }
 }
+
+/// Form of the property losses.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub enum PropertyLoss {
+    /// None: logits stay, superpoints are moved by the rendering loss alone.
+    Off,
+    /// The released code's.
+    #[default]
+    Code,
+    /// The paper's equation.
+    Paper,
+}

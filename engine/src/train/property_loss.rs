@@ -12,6 +12,7 @@ pub mod residual;
 
 use crate::gpu::kernel::Kernel;
 use crate::render::{quaternion, twin};
+pub use crate::scene::motion::PropertyLoss;
 use crate::train::adam;
 use crate::train::association::nearest::ASSOCIATION_GROUP;
 use crate::train::status;
@@ -24,18 +25,6 @@ pub static KERNELS: &[&Kernel] = &[
     &backward::PROPERTY_VALUES,
     &backward::PROPERTY_BACKWARD,
 ];
-
-/// Form of the property losses.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
-pub enum PropertyLoss {
-    /// None: logits stay, superpoints are moved by the rendering loss alone.
-    Off,
-    /// The released code's.
-    #[default]
-    Code,
-    /// The paper's equation.
-    Paper,
-}
 
 /// A Gaussian's or superpoint's properties in f32.
 #[derive(Debug, Clone, Copy, Default)]

@@ -1,17 +1,14 @@
 //! [`Trainer`]: state and the one step that reads like the paper's algorithm.
 
-use std::sync::Arc;
+mod record;
+mod restore;
 
 use super::adapt::DensityChange;
-use super::association::{AssociationInit, AssociationOptions, StepBuffers, SuperpointState};
-use super::blend_backward::{self, Accumulation, BackwardInput, BackwardTarget, ROW_WORDS};
-use super::checkpoint::{Checkpoint, MotionState, NetworkState};
+use super::association::{AssociationInit, AssociationOptions, SuperpointState};
+use super::blend_backward::{Accumulation, ROW_WORDS};
 use super::config::{Config, Form};
-use super::deform_project_backward::{DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, OUTPUT_ADAM};
-use super::image_loss::{ImageLossBuffers, LOSS_WORDS, TargetFormat};
-use super::linear::Output;
-use super::network_f::{Backward, NetworkF};
-use super::network_g::{self, NetworkG};
+use super::network_f::NetworkF;
+use super::network_g::NetworkG;
 use super::parameters::{ParameterState, Parameters};
 use super::property_loss::PropertyLoss;
 use super::rng;
@@ -25,12 +22,12 @@ use crate::data::loader::ImageLoader;
 use crate::data::pixels::Pixels;
 use crate::error::{Error, Result};
 use crate::gpu::capability::TRAINING_STORAGE_BUFFERS;
-use crate::gpu::{Buffer, Commands, Gpu, Groups, Memory, Recorder, Slice, Timing};
+use crate::gpu::{Buffer, Gpu, Memory, Slice, Timing};
 use crate::render::frame::{Frame, FrameOptions};
 use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE};
-use crate::render::pipeline::record_forward;
 use crate::render::scene_buffers::Poses;
-use crate::scene::{DeformNetwork, Gaussians, Motion, NonrigidNetwork, Scene};
+use crate::scene::{DeformNetwork, Gaussians};
+use std::sync::Arc;
 
 /// Random stream of the noise on time.
 const TIME_STREAM: u32 = 0x5449_4d45;
@@ -137,60 +134,6 @@ impl Trainer {
         let first = if first.len() > most { thinned(first, most) } else { first.clone() };
         let state = ParameterState::new(&first, config.gaussians.sh_degree);
         Self::assemble(gpu, config, data, stage, 0, &state)
-    }
-
-    /// Goes on from a checkpoint.
-    ///
-    /// # Errors
-    /// As [`Trainer::new`].
-    pub fn resume(gpu: &Gpu, data: &TrainingData, checkpoint: &Checkpoint) -> Result<Self> {
-        let c = checkpoint;
-        let mut trainer = Self::assemble(gpu, &c.config, data, c.stage, c.iteration, &c.parameters)?;
-        trainer.restore_motion(c)?;
-        if let Some(g) = &c.nonrigid {
-            trainer.set_nonrigid(&g.nonrigid()?)?;
-            if let Some(own) = &trainer.nonrigid {
-                own.network.upload_moments([&g.moment_1, &g.moment_2])?;
-            }
-        }
-        Ok(trainer)
-    }
-
-    /// Begins the non-rigid stage on a trained model: all Gaussians and network G are trained, network F and the association
-    /// are not. Moments start at zero.
-    ///
-    /// # Errors
-    /// As [`Trainer::new`].
-    pub fn nonrigid(gpu: &Gpu, config: &Config, data: &TrainingData, trained: &Checkpoint) -> Result<Self> {
-        let state = ParameterState {
-            superpoint_of_gaussian: trained.parameters.superpoint_of_gaussian.clone(),
-            ..ParameterState::new(&trained.parameters.gaussians, trained.parameters.gaussians.sh_degree)
-        };
-        let mut trainer = Self::assemble(gpu, config, data, Stage::Nonrigid, 0, &state)?;
-        trainer.restore_motion(trained)?;
-        trainer.set_nonrigid(&NonrigidNetwork::init(config.seed))?;
-        Ok(trainer)
-    }
-
-    fn set_nonrigid(&mut self, network: &NonrigidNetwork) -> Result<()> {
-        let n = self.parameters.count().max(1);
-        let buffer = |name: &str| self.gpu.buffer(name, u64::from(n) * 40, Memory::Device);
-        let (offset, gradient) = (buffer("nonrigid_offset")?, buffer("nonrigid_gradient")?);
-        self.nonrigid = Some(Nonrigid { network: NetworkG::new(&self.gpu, network, n)?, offset, gradient });
-        Ok(())
-    }
-
-    fn restore_motion(&mut self, checkpoint: &Checkpoint) -> Result<()> {
-        let gpu = self.gpu.clone();
-        if let Some(m) = &checkpoint.motion {
-            let [first, second] = &m.association_moments;
-            let options = self.association_options();
-            let superpoints = SuperpointState::from_parts(&gpu, &m.position, &m.association, [first, second], options)?;
-            let network = NetworkF::new(&gpu, &m.network.deform()?, m.position.len() as u32)?;
-            network.upload_moments([&m.network.moment_1, &m.network.moment_2])?;
-            self.set_motion(superpoints, network)?;
-        }
-        Ok(())
     }
 
     fn assemble(
@@ -425,168 +368,6 @@ impl Trainer {
         Accumulation::of_device(&self.gpu, self.config.deterministic) == Accumulation::Instances
     }
 
-    /// Records a step for a target: the order of the paper's algorithm.
-    fn record(&self, at: usize) -> Result<Commands> {
-        let t = &self.targets[at];
-        let mut r = self.gpu.recorder("train step").with_timestamps(self.profile);
-        r.copy(&t.upload, &t.photo)?;
-        if let Some(m) = &self.moving {
-            let (step, position) = (Slice::from(&self.step), Slice::from(&m.superpoints.position));
-            m.network.record_forward(&mut r, m.superpoints.superpoints(), &step, &position, &Slice::from(&m.pose))?;
-        }
-        let mut shape = t.shape.clone();
-        if let Some(g) = &self.nonrigid {
-            let offset = Slice::from(&g.offset);
-            g.network.record_forward(&mut r, self.parameters.count(), &self.nonrigid_inputs(t).borrow(), &offset)?;
-            shape.nonrigid_offset = Some(offset);
-        }
-        record_forward(&self.gpu, &mut r, &self.parameters.scene, &t.work, &t.frame, &shape)?;
-        let shared = self.step_buffers(t);
-        // In the non-rigid stage network F and the association are frozen.
-        let learning = self.moving.as_ref().filter(|_| self.nonrigid.is_none());
-        if let Some(m) = learning {
-            m.superpoints.record_before(&mut r, &shared)?;
-        }
-        let loss = ImageLossBuffers {
-            frame: &t.frame.frame,
-            step: &self.step,
-            color: &t.frame.color,
-            target: &t.photo,
-            image_gradient: &t.image_gradient,
-            loss: &t.loss,
-            status: &self.status,
-        };
-        t.image_loss.record(&mut r, &loss, TargetFormat::Rgba8)?;
-        self.record_blend_backward(&mut r, t)?;
-        self.record_project_backward(&mut r, t)?;
-        if let Some(m) = learning {
-            m.superpoints.record_reduce_pose(&mut r, &shared, &Slice::from(&self.pose_gradient))?;
-            let backward = Backward {
-                step: &shared.step,
-                counters: &shared.counters,
-                status: &shared.status,
-                superpoint_gradient: &Slice::from(&m.superpoints.gradient),
-                plane_stride: m.superpoints.superpoints(),
-            };
-            m.network.record_backward(&mut r, m.superpoints.superpoints(), Output::Adam, &backward)?;
-            m.superpoints.record_commit(&mut r, &shared)?;
-        }
-        if let Some(g) = &self.nonrigid {
-            let backward = network_g::Backward {
-                step: &shared.step,
-                counters: &shared.counters,
-                status: &shared.status,
-                nonrigid_gradient: &Slice::from(&g.gradient),
-            };
-            let inputs = self.nonrigid_inputs(t);
-            g.network.record_backward(&mut r, self.parameters.count(), Output::Adam, &inputs.borrow(), &backward)?;
-        }
-        self.record_readback(&mut r, t)?;
-        r.finish()
-    }
-
-    fn nonrigid_inputs(&self, t: &Target) -> NonrigidInputs {
-        let s = &self.parameters.scene;
-        NonrigidInputs {
-            frame: Slice::from(&t.frame.frame),
-            mean: Slice::from(&s.mean),
-            superpoint_of_gaussian: Slice::from(&s.superpoint_of_gaussian),
-            pose: Slice::from(&s.pose),
-            moving: s.moves(),
-        }
-    }
-
-    fn step_buffers(&self, t: &Target) -> StepBuffers {
-        let s = &self.parameters.scene;
-        StepBuffers {
-            step: Slice::from(&self.step),
-            counters: t.work.counters.clone(),
-            status: Slice::from(&self.status),
-            mean: Slice::from(&s.mean),
-            superpoint_of_gaussian: Slice::from(&s.superpoint_of_gaussian),
-            pose: Slice::from(&s.pose),
-        }
-    }
-
-    fn record_blend_backward(&self, r: &mut Recorder, t: &Target) -> Result<()> {
-        let input = BackwardInput {
-            frame: Slice::from(&t.frame.frame),
-            counters: t.work.counters.clone(),
-            ranges: t.work.ranges.clone(),
-            values: Slice::from(t.work.tile_values()),
-            tile_count: Slice::from(&t.work.tile_count),
-            splats: Slice::from(&t.work.splats),
-            color: Slice::from(&t.frame.color),
-            image_gradient: Slice::from(&t.image_gradient),
-            gaussians: self.parameters.count(),
-            tiles: t.shape.tiles,
-        };
-        let target = match (&t.shape.slots, &t.instance_gradient) {
-            (Some(slots), Some(rows)) => BackwardTarget::Instances(slots.clone(), Slice::from(rows)),
-            _ if self.gpu.info().capabilities.float_atomics => BackwardTarget::NativeAtomics,
-            _ => BackwardTarget::CompareAndSwap,
-        };
-        blend_backward::record(&self.gpu, r, &input, &target, &Slice::from(&self.splat_gradient))
-    }
-
-    fn record_project_backward(&self, r: &mut Recorder, t: &Target) -> Result<()> {
-        let (p, s) = (&self.parameters, &self.parameters.scene);
-        let slice = |b: &Buffer| Slice::from(b);
-        let [sh_0, sh_1, sh_2, sh_3] = &s.sh;
-        // The paper's form of the property losses pulls at the centres too.
-        let learning = self.moving.as_ref().filter(|_| self.nonrigid.is_none());
-        let mean_gradient = learning.and_then(|m| m.superpoints.mean_gradient());
-        let buffers = [
-            slice(&t.frame.frame),
-            slice(&self.step),
-            t.work.counters.clone(),
-            slice(&self.status),
-            slice(&t.work.splats),
-            slice(&t.work.tile_count),
-            slice(&self.splat_gradient),
-            slice(&s.mean),
-            slice(&s.log_scale),
-            slice(&s.rotation),
-            slice(&s.opacity_logit),
-            slice(&s.superpoint_of_gaussian),
-            slice(&s.pose),
-            slice(sh_0),
-            slice(sh_1),
-            slice(sh_2),
-            slice(sh_3),
-            slice(&p.moment_1),
-            slice(&p.moment_2),
-            slice(&self.unused[0]),
-            slice(&self.pose_gradient),
-            slice(self.nonrigid.as_ref().map_or(&self.unused[1], |g| &g.offset)),
-            slice(self.nonrigid.as_ref().map_or(&self.unused[2], |g| &g.gradient)),
-            slice(&p.density),
-            slice(&p.max_radius),
-            slice(mean_gradient.unwrap_or(&self.unused[1])),
-        ];
-        let spec = [
-            s.sh_degree,
-            u32::from(s.moves()),
-            u32::from(self.nonrigid.is_some()),
-            OUTPUT_ADAM,
-            u32::from(mean_gradient.is_some()),
-        ];
-        let groups = u64::from(p.count().div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
-        r.dispatch(&DEFORM_PROJECT_BACKWARD, &spec, &[], &buffers, Groups::Direct(groups))
-    }
-
-    fn record_readback(&self, r: &mut Recorder, t: &Target) -> Result<()> {
-        let [counters, loss, property, status] = READBACK;
-        r.copy(t.work.counters.clone(), self.readback.slice(counters, t.work.counters.bytes))?;
-        r.copy(&t.loss, self.readback.slice(loss, LOSS_WORDS as u64 * 4))?;
-        if let Some(m) = self.moving.as_ref().filter(|_| self.nonrigid.is_none()) {
-            r.copy(&m.superpoints.property_loss, self.readback.slice(property, 16))?;
-        }
-        r.copy(&self.status, self.readback.slice(status, status::STATUS_WORDS as u64 * 4))?;
-        r.host_read(&self.readback);
-        Ok(())
-    }
-
     /// What the step left. `None`: the view needed more tile instances; nothing was changed, the buffers are larger now.
     fn read_back(&mut self, iteration: u64, view: usize) -> Result<Option<StepReport>> {
         let mut bytes = vec![0; READBACK_BYTES as usize];
@@ -647,109 +428,9 @@ impl Trainer {
         }
     }
 
-    /// Everything that the next step depends on.
-    ///
-    /// # Errors
-    /// `NonFinite` when a number has gone bad: that is no state to go on from; `DeviceLost`, `OutOfMemory`.
-    pub fn checkpoint(&self) -> Result<Checkpoint> {
-        self.check_numbers()?;
-        let motion = self.moving.as_ref().map(|m| self.motion_state(m)).transpose()?;
-        Ok(Checkpoint {
-            config: self.config.clone(),
-            stage: self.schedule.stage(),
-            iteration: self.iteration,
-            parameters: self.parameters.download(&self.gpu)?,
-            motion,
-            nonrigid: self.nonrigid.as_ref().map(nonrigid_state).transpose()?,
-        })
-    }
-
-    fn motion_state(&self, m: &Moving) -> Result<MotionState> {
-        let of_gaussian = Slice::from(&self.parameters.scene.superpoint_of_gaussian);
-        let (superpoints, association) = m.superpoints.download(&self.gpu, &of_gaussian)?;
-        let [moment_1, moment_2] = m.network.download_moments()?;
-        Ok(MotionState {
-            position: superpoints.position,
-            association,
-            association_moments: m.superpoints.download_moments(&self.gpu)?,
-            network: NetworkState { weights: m.network.download()?.flatten(), moment_1, moment_2 },
-        })
-    }
-
-    /// The scene as it is: Gaussians at the SH degree in use, superpoints, association, network F.
-    ///
-    /// # Errors
-    /// `DeviceLost`, `OutOfMemory`.
-    pub fn scene(&self) -> Result<Scene> {
-        let degree = self.schedule.sh_degree(self.iteration.max(1)).min(self.parameters.sh_degree);
-        let gaussians = super::parameters::with_sh_degree(&self.parameters.download_gaussians(&self.gpu)?, degree);
-        let mut scene = Scene { gaussians, ..Scene::default() };
-        if let Some(m) = &self.moving {
-            let of_gaussian = Slice::from(&self.parameters.scene.superpoint_of_gaussian);
-            let (superpoints, association) = m.superpoints.download(&self.gpu, &of_gaussian)?;
-            scene.superpoints = Some(superpoints);
-            scene.association = Some(association);
-            scene.deform = Some(m.network.download()?);
-        }
-        scene.nonrigid = self.nonrigid.as_ref().map(|g| g.network.download()).transpose()?;
-        Ok(scene)
-    }
-
-    /// Poses of network F at `times`, as a table; `None` before motion begins.
-    ///
-    /// # Errors
-    /// `DeviceLost`, `OutOfMemory`.
-    pub fn motion_at(&self, times: &[f32]) -> Result<Option<Motion>> {
-        let Some(m) = &self.moving else { return Ok(None) };
-        let count = m.superpoints.superpoints();
-        let mut motion = Motion { times: times.to_vec(), ..Motion::default() };
-        let mut r = self.gpu.recorder("poses");
-        let position = Slice::from(&m.superpoints.position);
-        m.network.record_forward(&mut r, count, &Slice::from(&self.step), &position, &Slice::from(&m.pose))?;
-        let mut commands = r.finish()?;
-        for &time in times {
-            let step = Step { counts: [0, count, 0, 0], time: [time, time, 0.0, 0.0], ..Step::default() };
-            self.step.write(0, bytemuck::bytes_of(&step))?;
-            self.gpu.submit(&mut commands)?;
-            self.gpu.wait_for(&commands)?;
-            let poses: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&self.gpu.download(&m.pose)?);
-            for pair in poses.chunks_exact(2).take(count as usize) {
-                motion.rotation.push([pair[0][0], pair[0][1], pair[0][2]]);
-                motion.translation.push([pair[1][0], pair[1][1], pair[1][2]]);
-            }
-        }
-        Ok(Some(motion))
-    }
-
     /// What density control did since the last call.
     pub fn take_density_change(&mut self) -> Option<DensityChange> {
         self.density_change.take()
-    }
-}
-
-fn nonrigid_state(g: &Nonrigid) -> Result<NetworkState> {
-    let [moment_1, moment_2] = g.network.download_moments()?;
-    Ok(NetworkState { weights: g.network.download()?.flatten(), moment_1, moment_2 })
-}
-
-/// Owned slices of [`network_g::Inputs`].
-struct NonrigidInputs {
-    frame: Slice,
-    mean: Slice,
-    superpoint_of_gaussian: Slice,
-    pose: Slice,
-    moving: bool,
-}
-
-impl NonrigidInputs {
-    fn borrow(&self) -> network_g::Inputs<'_> {
-        network_g::Inputs {
-            frame: &self.frame,
-            mean: &self.mean,
-            superpoint_of_gaussian: &self.superpoint_of_gaussian,
-            pose: &self.pose,
-            moving: self.moving,
-        }
     }
 }
 

@@ -107,7 +107,7 @@ mod tests {
     use super::*;
     use crate::reference::gradient::property::PropertyInput;
     use crate::reference::gradient::test_numbers::{Numbers, check, quaternion};
-    use crate::train::property_loss::PropertyLoss;
+    use crate::scene::motion::PropertyLoss;
 
     /// Gaussians, superpoints and upstream gradients at random; every parameter is in one flat list.
     struct Random {

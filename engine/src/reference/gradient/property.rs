@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::association::{logit_gradient, weights};
 use super::motion::left_jacobian;
 use crate::reference::{Pose, exp};
-use crate::train::property_loss::PropertyLoss;
+use crate::scene::motion::PropertyLoss;
 
 /// Inputs of the losses.
 #[derive(Debug, Clone, Copy)]

@@ -1,0 +1,200 @@
+//! Recording of a step: the order of the paper's algorithm.
+
+use super::{READBACK, Trainer};
+use crate::error::Result;
+use crate::gpu::{Buffer, Commands, Groups, Recorder, Slice};
+use crate::render::pipeline::record_forward;
+use crate::train::association::StepBuffers;
+use crate::train::blend_backward::{self, BackwardInput, BackwardTarget};
+use crate::train::deform_project_backward::{DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, OUTPUT_ADAM};
+use crate::train::image_loss::{ImageLossBuffers, LOSS_WORDS, TargetFormat};
+use crate::train::linear::Output;
+use crate::train::network_f::Backward;
+use crate::train::network_g::{self};
+use crate::train::status;
+use crate::train::target::Target;
+
+impl Trainer {
+    /// Records a step for a target: the order of the paper's algorithm.
+    pub(super) fn record(&self, at: usize) -> Result<Commands> {
+        let t = &self.targets[at];
+        let mut r = self.gpu.recorder("train step").with_timestamps(self.profile);
+        r.copy(&t.upload, &t.photo)?;
+        if let Some(m) = &self.moving {
+            let (step, position) = (Slice::from(&self.step), Slice::from(&m.superpoints.position));
+            m.network.record_forward(&mut r, m.superpoints.superpoints(), &step, &position, &Slice::from(&m.pose))?;
+        }
+        let mut shape = t.shape.clone();
+        if let Some(g) = &self.nonrigid {
+            let offset = Slice::from(&g.offset);
+            g.network.record_forward(&mut r, self.parameters.count(), &self.nonrigid_inputs(t).borrow(), &offset)?;
+            shape.nonrigid_offset = Some(offset);
+        }
+        record_forward(&self.gpu, &mut r, &self.parameters.scene, &t.work, &t.frame, &shape)?;
+        let shared = self.step_buffers(t);
+        // In the non-rigid stage network F and the association are frozen.
+        let learning = self.moving.as_ref().filter(|_| self.nonrigid.is_none());
+        if let Some(m) = learning {
+            m.superpoints.record_before(&mut r, &shared)?;
+        }
+        let loss = ImageLossBuffers {
+            frame: &t.frame.frame,
+            step: &self.step,
+            color: &t.frame.color,
+            target: &t.photo,
+            image_gradient: &t.image_gradient,
+            loss: &t.loss,
+            status: &self.status,
+        };
+        t.image_loss.record(&mut r, &loss, TargetFormat::Rgba8)?;
+        self.record_blend_backward(&mut r, t)?;
+        self.record_project_backward(&mut r, t)?;
+        if let Some(m) = learning {
+            m.superpoints.record_reduce_pose(&mut r, &shared, &Slice::from(&self.pose_gradient))?;
+            let backward = Backward {
+                step: &shared.step,
+                counters: &shared.counters,
+                status: &shared.status,
+                superpoint_gradient: &Slice::from(&m.superpoints.gradient),
+                plane_stride: m.superpoints.superpoints(),
+            };
+            m.network.record_backward(&mut r, m.superpoints.superpoints(), Output::Adam, &backward)?;
+            m.superpoints.record_commit(&mut r, &shared)?;
+        }
+        if let Some(g) = &self.nonrigid {
+            let backward = network_g::Backward {
+                step: &shared.step,
+                counters: &shared.counters,
+                status: &shared.status,
+                nonrigid_gradient: &Slice::from(&g.gradient),
+            };
+            let inputs = self.nonrigid_inputs(t);
+            g.network.record_backward(&mut r, self.parameters.count(), Output::Adam, &inputs.borrow(), &backward)?;
+        }
+        self.record_readback(&mut r, t)?;
+        r.finish()
+    }
+
+    fn nonrigid_inputs(&self, t: &Target) -> NonrigidInputs {
+        let s = &self.parameters.scene;
+        NonrigidInputs {
+            frame: Slice::from(&t.frame.frame),
+            mean: Slice::from(&s.mean),
+            superpoint_of_gaussian: Slice::from(&s.superpoint_of_gaussian),
+            pose: Slice::from(&s.pose),
+            moving: s.moves(),
+        }
+    }
+
+    fn step_buffers(&self, t: &Target) -> StepBuffers {
+        let s = &self.parameters.scene;
+        StepBuffers {
+            step: Slice::from(&self.step),
+            counters: t.work.counters.clone(),
+            status: Slice::from(&self.status),
+            mean: Slice::from(&s.mean),
+            superpoint_of_gaussian: Slice::from(&s.superpoint_of_gaussian),
+            pose: Slice::from(&s.pose),
+        }
+    }
+
+    fn record_blend_backward(&self, r: &mut Recorder, t: &Target) -> Result<()> {
+        let input = BackwardInput {
+            frame: Slice::from(&t.frame.frame),
+            counters: t.work.counters.clone(),
+            ranges: t.work.ranges.clone(),
+            values: Slice::from(t.work.tile_values()),
+            tile_count: Slice::from(&t.work.tile_count),
+            splats: Slice::from(&t.work.splats),
+            color: Slice::from(&t.frame.color),
+            image_gradient: Slice::from(&t.image_gradient),
+            gaussians: self.parameters.count(),
+            tiles: t.shape.tiles,
+        };
+        let target = match (&t.shape.slots, &t.instance_gradient) {
+            (Some(slots), Some(rows)) => BackwardTarget::Instances(slots.clone(), Slice::from(rows)),
+            _ if self.gpu.info().capabilities.float_atomics => BackwardTarget::NativeAtomics,
+            _ => BackwardTarget::CompareAndSwap,
+        };
+        blend_backward::record(&self.gpu, r, &input, &target, &Slice::from(&self.splat_gradient))
+    }
+
+    fn record_project_backward(&self, r: &mut Recorder, t: &Target) -> Result<()> {
+        let (p, s) = (&self.parameters, &self.parameters.scene);
+        let slice = |b: &Buffer| Slice::from(b);
+        let [sh_0, sh_1, sh_2, sh_3] = &s.sh;
+        // The paper's form of the property losses pulls at the centres too.
+        let learning = self.moving.as_ref().filter(|_| self.nonrigid.is_none());
+        let mean_gradient = learning.and_then(|m| m.superpoints.mean_gradient());
+        let buffers = [
+            slice(&t.frame.frame),
+            slice(&self.step),
+            t.work.counters.clone(),
+            slice(&self.status),
+            slice(&t.work.splats),
+            slice(&t.work.tile_count),
+            slice(&self.splat_gradient),
+            slice(&s.mean),
+            slice(&s.log_scale),
+            slice(&s.rotation),
+            slice(&s.opacity_logit),
+            slice(&s.superpoint_of_gaussian),
+            slice(&s.pose),
+            slice(sh_0),
+            slice(sh_1),
+            slice(sh_2),
+            slice(sh_3),
+            slice(&p.moment_1),
+            slice(&p.moment_2),
+            slice(&self.unused[0]),
+            slice(&self.pose_gradient),
+            slice(self.nonrigid.as_ref().map_or(&self.unused[1], |g| &g.offset)),
+            slice(self.nonrigid.as_ref().map_or(&self.unused[2], |g| &g.gradient)),
+            slice(&p.density),
+            slice(&p.max_radius),
+            slice(mean_gradient.unwrap_or(&self.unused[1])),
+        ];
+        let spec = [
+            s.sh_degree,
+            u32::from(s.moves()),
+            u32::from(self.nonrigid.is_some()),
+            OUTPUT_ADAM,
+            u32::from(mean_gradient.is_some()),
+        ];
+        let groups = u64::from(p.count().div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
+        r.dispatch(&DEFORM_PROJECT_BACKWARD, &spec, &[], &buffers, Groups::Direct(groups))
+    }
+
+    fn record_readback(&self, r: &mut Recorder, t: &Target) -> Result<()> {
+        let [counters, loss, property, status] = READBACK;
+        r.copy(t.work.counters.clone(), self.readback.slice(counters, t.work.counters.bytes))?;
+        r.copy(&t.loss, self.readback.slice(loss, LOSS_WORDS as u64 * 4))?;
+        if let Some(m) = self.moving.as_ref().filter(|_| self.nonrigid.is_none()) {
+            r.copy(&m.superpoints.property_loss, self.readback.slice(property, 16))?;
+        }
+        r.copy(&self.status, self.readback.slice(status, status::STATUS_WORDS as u64 * 4))?;
+        r.host_read(&self.readback);
+        Ok(())
+    }
+}
+
+/// Owned slices of [`network_g::Inputs`].
+struct NonrigidInputs {
+    frame: Slice,
+    mean: Slice,
+    superpoint_of_gaussian: Slice,
+    pose: Slice,
+    moving: bool,
+}
+
+impl NonrigidInputs {
+    fn borrow(&self) -> network_g::Inputs<'_> {
+        network_g::Inputs {
+            frame: &self.frame,
+            mean: &self.mean,
+            superpoint_of_gaussian: &self.superpoint_of_gaussian,
+            pose: &self.pose,
+            moving: self.moving,
+        }
+    }
+}
