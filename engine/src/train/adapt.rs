@@ -2,8 +2,8 @@
 
 use super::association::Rows;
 use super::blend_backward::ROW_WORDS;
+use super::deform_project_backward::parameter_planes;
 use super::density::{Density, DensityBuffers, DensityOptions, NewRows, RowArray, reset_opacity};
-use super::parameters::plane_count;
 use super::trainer::Trainer;
 use crate::data::dataset::View;
 use crate::error::{Error, Result};
@@ -104,7 +104,7 @@ impl Trainer {
         let n = u64::from(self.parameters.count());
         let slots = self.moving.as_ref().map_or(0, |m| u64::from(m.superpoints.options().slots));
         // Parameters and moments exist twice while they are moved.
-        let kept = 2 * (3 * 4 * u64::from(plane_count(self.parameters.sh_degree)) + 16 * slots + 16);
+        let kept = 2 * (3 * 4 * u64::from(parameter_planes(self.parameters.sh_degree)) + 16 * slots + 16);
         let nonrigid = if self.nonrigid.is_some() { NONRIGID_BYTES } else { 0 };
         let each = kept + WORK_BYTES + 32 * slots + nonrigid + INSTANCES * INSTANCE_BYTES;
         let pixels = |v: &View| u64::from(v.camera.width) * u64::from(v.camera.height);
@@ -124,7 +124,7 @@ impl Trainer {
             new_rows,
         };
         let band = |b: u32| if b <= p.sh_degree { 3 * (2 * b + 1) } else { 0 };
-        let planes = plane_count(p.sh_degree);
+        let planes = parameter_planes(p.sh_degree);
         let mut rows: Vec<RowArray> = (0..4).map(|b| row(&s.sh[b as usize], band(b), 1, NewRows::Copy)).collect();
         rows.push(row(&p.moment_1, planes, 1, NewRows::Zero));
         rows.push(row(&p.moment_2, planes, 1, NewRows::Zero));

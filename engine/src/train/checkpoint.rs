@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::config::{Config, Preset};
-use super::parameters::{ParameterState, plane_count};
+use super::deform_project_backward::parameter_planes;
+use super::parameters::ParameterState;
 use super::schedule::Stage;
 use crate::error::{Error, Result};
 use crate::file::tensors::{self, NamedTensor, StoredTensor, floats, indices};
@@ -90,7 +91,7 @@ impl Checkpoint {
 
     fn tensors(&self) -> Vec<NamedTensor<'_>> {
         let (p, g) = (&self.parameters, &self.parameters.gaussians);
-        let (n, planes) = (g.len(), plane_count(g.sh_degree) as usize);
+        let (n, planes) = (g.len(), parameter_planes(g.sh_degree) as usize);
         let mut out = vec![
             floats("mean", vec![n, 3], g.mean.as_flattened()),
             floats("log_scale", vec![n, 3], g.log_scale.as_flattened()),
@@ -140,7 +141,7 @@ impl Checkpoint {
         }
         let opacity_logit = r.floats("opacity_logit", None)?;
         let n = opacity_logit.len();
-        let (k, planes) = (((sh_degree + 1) * (sh_degree + 1)) as usize, plane_count(sh_degree) as usize);
+        let (k, planes) = (((sh_degree + 1) * (sh_degree + 1)) as usize, parameter_planes(sh_degree) as usize);
         let gaussians = Gaussians {
             mean: r.floats("mean", Some(3 * n))?.as_chunks().0.to_vec(),
             log_scale: r.floats("log_scale", Some(3 * n))?.as_chunks().0.to_vec(),

@@ -133,8 +133,6 @@ pub struct MotionConfig {
 pub struct NonrigidConfig {
     /// Iterations of the stage (paper: 20 k).
     pub iterations: u64,
-    /// Whether G changes scales too. Paper: no; code: yes, the default (its tables were made so).
-    pub scale: bool,
     /// Density control goes on until this iteration of the stage (code: 10 k for D-NeRF and NeRF-DS, none for HyperNeRF).
     pub density_until: u64,
     /// Learning rate of G at the start (code: 8e-4).

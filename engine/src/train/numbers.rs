@@ -1,8 +1,8 @@
 //! The watch over everything that training keeps from step to step: a number that is not finite ends the run before it can
 //! spread or reach a checkpoint. (Gradients do not outlive a step; the kernels watch them, see [`super::status`].)
 
+use super::deform_project_backward::parameter_planes;
 use super::finite::check_finite;
-use super::parameters::plane_count;
 use super::trainer::Trainer;
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Slice};
@@ -24,7 +24,7 @@ impl Trainer {
     /// Name, place and length of all floats that the next step depends on.
     fn kept_numbers(&self) -> Vec<(&'static str, Slice, u32)> {
         let (p, s, n) = (&self.parameters, &self.parameters.scene, self.parameters.count());
-        let planes = plane_count(p.sh_degree);
+        let planes = parameter_planes(p.sh_degree);
         let of = |name, buffer: &Buffer, width: u32| (name, Slice::from(buffer), n * width);
         let mut all = vec![
             of("mean", &s.mean, 3),

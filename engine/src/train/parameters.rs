@@ -3,18 +3,11 @@
 
 use glam::DVec3;
 
+use super::deform_project_backward::parameter_planes;
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Memory};
 use crate::render::scene_buffers::{Poses, SceneBuffers, planes, sh_band};
 use crate::scene::{Gaussians, Rejected};
-
-/// Planes before the SH bands: mean 3, log_scale 3, rotation 4, opacity_logit 1.
-const PLANES_BEFORE_SH: u32 = 11;
-
-/// Planes of parameters for an SH degree: 14, 23, 38 or 59.
-pub fn plane_count(sh_degree: u32) -> u32 {
-    PLANES_BEFORE_SH + 3 * (sh_degree + 1) * (sh_degree + 1)
-}
 
 /// Gaussians on the device.
 #[derive(Debug)]
@@ -54,7 +47,7 @@ impl ParameterState {
     /// Gaussians without a history. SH coefficients are padded or cut to `sh_degree`.
     pub fn new(gaussians: &Gaussians, sh_degree: u32) -> Self {
         let n = gaussians.len();
-        let planes = n * plane_count(sh_degree) as usize;
+        let planes = n * parameter_planes(sh_degree) as usize;
         Self {
             gaussians: with_sh_degree(gaussians, sh_degree),
             moment_1: vec![0.0; planes],
@@ -80,7 +73,7 @@ impl Parameters {
     /// `Usage` when lengths differ; `OutOfMemory`.
     pub(crate) fn upload(gpu: &Gpu, s: &ParameterState) -> Result<Self> {
         let g = &s.gaussians;
-        let (n, p) = (g.len(), plane_count(g.sh_degree) as usize);
+        let (n, p) = (g.len(), parameter_planes(g.sh_degree) as usize);
         for (name, found, expected) in [
             ("moment_1", s.moment_1.len(), n * p),
             ("moment_2", s.moment_2.len(), n * p),
@@ -130,7 +123,7 @@ impl Parameters {
     /// Downloads everything.
     pub(crate) fn download(&self, gpu: &Gpu) -> Result<ParameterState> {
         let n = self.count() as usize;
-        let p = plane_count(self.sh_degree) as usize;
+        let p = parameter_planes(self.sh_degree) as usize;
         Ok(ParameterState {
             gaussians: self.download_gaussians(gpu)?,
             moment_1: words(gpu, &self.moment_1, n * p)?,

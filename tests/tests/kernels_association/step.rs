@@ -1,7 +1,7 @@
 //! A whole step against the f64 reference, the dense matrix and the truth from outside.
 
 use super::case::*;
-use engine::gpu::{Memory, Slice};
+use engine::gpu::Slice;
 use engine::reference::gradient::association::{nearest, weights};
 use engine::reference::gradient::motion::left_jacobian;
 use engine::reference::gradient::property::PropertyInput;
@@ -247,37 +247,4 @@ fn outside_truth_of_superpoints_is_met() {
     println!("{}", check.describe());
     assert!(check.passes(), "{}", check.describe());
     assert!(check.gradients.values().filter(|e| e.gpu.is_some()).count() > 50);
-}
-
-/// Milliseconds of a step's association by kernel; run by hand.
-#[test]
-#[ignore = "a measurement"]
-fn milliseconds_of_a_step() {
-    let gpu = gpu();
-    for (n, m) in [(10_000, 100), (50_000, 300)] {
-        for form in [PropertyLoss::Code, PropertyLoss::Paper] {
-            let case = Case::new(n, m, 5, 8, 1);
-            let device = DeviceStep::new(&gpu, &case, form);
-            let mut r = gpu.recorder("association step").with_timestamps(true);
-            device.state.record_before(&mut r, &device.buffers).unwrap();
-            device.state.record_reduce_pose(&mut r, &device.buffers, &device.pose_gradient).unwrap();
-            device.state.record_commit(&mut r, &device.buffers).unwrap();
-            let mut commands = r.finish().unwrap();
-            let mut best = f64::MAX;
-            for _ in 0..5 {
-                let start = std::time::Instant::now();
-                gpu.submit(&mut commands).unwrap();
-                gpu.wait_for(&commands).unwrap();
-                best = best.min(start.elapsed().as_secs_f64() * 1e3);
-            }
-            println!("N {n}, M {m}, {form:?}: {best:.2} ms");
-            println!("{:?}", commands.timings().unwrap());
-        }
-        let mean = gpu.buffer_with("mean", bytemuck::cast_slice(&planes(&Case::new(n, 1, 1, 1, 1).mean))).unwrap();
-        let own = Slice::from(&gpu.buffer("superpoint_of_gaussian", 4 * n as u64, Memory::Device).unwrap());
-        let options = AssociationOptions { superpoints: m as u32, ..AssociationOptions::default() };
-        let start = std::time::Instant::now();
-        SuperpointState::init(&gpu, &(&mean).into(), &own, n as u32, options).unwrap();
-        println!("N {n}, M {m}: init {:.1} ms", start.elapsed().as_secs_f64() * 1e3);
-    }
 }

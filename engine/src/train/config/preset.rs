@@ -122,7 +122,7 @@ impl Default for MotionConfig {
 
 impl Default for NonrigidConfig {
     fn default() -> Self {
-        Self { iterations: 20_000, scale: true, density_until: 10_000, rate: 8e-4, rate_final: 1.6e-6 }
+        Self { iterations: 20_000, density_until: 10_000, rate: 8e-4, rate_final: 1.6e-6 }
     }
 }
 

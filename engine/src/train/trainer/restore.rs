@@ -103,7 +103,8 @@ impl Trainer {
     /// `DeviceLost`, `OutOfMemory`.
     pub fn scene(&self) -> Result<Scene> {
         let degree = self.schedule.sh_degree(self.iteration.max(1)).min(self.parameters.sh_degree);
-        let gaussians = crate::train::parameters::with_sh_degree(&self.parameters.download_gaussians(&self.gpu)?, degree);
+        let gaussians =
+            crate::train::parameters::with_sh_degree(&self.parameters.download_gaussians(&self.gpu)?, degree);
         let mut scene = Scene { gaussians, ..Scene::default() };
         if let Some(m) = &self.moving {
             let of_gaussian = Slice::from(&self.parameters.scene.superpoint_of_gaussian);
