@@ -101,6 +101,15 @@ pub struct GaussiansConfig {
     pub initial_opacity: f32,
 }
 
+/// How network F's rotation output is understood.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RotationForm {
+    /// An so(3) vector r: μ(t) = Exp(r)μ + τ, R(t) = Exp(r)R.
+    #[default]
+    So3,
+}
+
 /// Superpoints, network F and the association.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -109,6 +118,10 @@ pub struct MotionConfig {
     pub enabled: bool,
     /// Superpoints M. Paper: not stated (ablation 50–500); code: 300, the default.
     pub superpoints: u32,
+    /// How a superpoint turns its Gaussians. Paper: a transform of the Lie algebra; code since 2025: so(3) vectors, the only
+    /// value here. The code's earlier form (`quaternion_add`: a quaternion added to each Gaussian's own, centres not turned)
+    /// is no rigid motion, so the model file's key-time table cannot hold what it learns.
+    pub rotation: RotationForm,
     /// Superpoints K that a Gaussian is associated with. Paper: not stated (ablation 1–6); code: 5, the default.
     pub neighbors: u32,
     /// Slots per Gaussian that remember association values, ≥ `neighbors`: a superpoint that leaves the neighbourhood and
@@ -131,6 +144,9 @@ pub struct MotionConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct NonrigidConfig {
+    /// Whether G changes scales too. Paper: translation and rotation only; code: scale as well, the default: it made the
+    /// published numbers. Off: the scaling head is zero and stays so.
+    pub scale: bool,
     /// Iterations of the stage (paper: 20 k).
     pub iterations: u64,
     /// Density control goes on until this iteration of the stage (code: 10 k for D-NeRF and NeRF-DS, none for HyperNeRF).

@@ -422,8 +422,8 @@ impl Trainer {
     /// # Errors
     /// `Vulkan` when the device cannot say.
     pub fn timings(&self) -> Result<Vec<Timing>> {
-        match self.targets.last().and_then(|t| t.commands.as_ref()) {
-            Some((_, commands)) if self.profile => commands.timings(),
+        match self.commands() {
+            Some(commands) if self.profile => commands.timings(),
             _ => Ok(Vec::new()),
         }
     }
