@@ -78,6 +78,11 @@ pub struct Schedule {
     pub scale: bool,
     /// Iterations without motion; then superpoints are initialised (paper and code: 3 k).
     pub warm_up: u64,
+    /// Photos are drawn from a window of times that opens over this many iterations; 0: from all at once (paper and code,
+    /// the default). For objects that move by more than their size between most photos.
+    pub time_window: u64,
+    /// Where that window begins, as a share of the time range.
+    pub time_window_centre: f64,
     /// The SH degree grows by one every so often (code: 1000); 0: all of it from the start.
     pub sh_degree_interval: u64,
     /// The noise on time fades to nothing over this many iterations (code: 20 k).
@@ -367,6 +372,7 @@ impl Config {
             ("loss.lambda_position", f64::from(self.loss.lambda_position), 0.0, 1e6),
             ("loss.lambda_rotation", f64::from(self.loss.lambda_rotation), 0.0, 1e6),
             ("loss.lambda_translation", f64::from(self.loss.lambda_translation), 0.0, 1e6),
+            ("schedule.time_window_centre", self.schedule.time_window_centre, 0.0, 1.0),
             ("near", f64::from(self.near), 0.0, 1e6),
             ("gaussians.initial_opacity", f64::from(self.gaussians.initial_opacity), 1e-6, 0.999_999),
             ("gaussians.random_extent", f64::from(self.gaussians.random_extent), 1e-6, 1e9),
@@ -412,6 +418,7 @@ impl Config {
             };
             [
                 &mut c.schedule.warm_up,
+                &mut c.schedule.time_window,
                 &mut c.schedule.sh_degree_interval,
                 &mut c.schedule.time_noise_iterations,
                 &mut c.density.from,

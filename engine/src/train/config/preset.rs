@@ -93,6 +93,8 @@ impl Default for Schedule {
             reference_iterations: 40_000,
             scale: true,
             warm_up: 3000,
+            time_window: 0,
+            time_window_centre: 0.5,
             sh_degree_interval: 1000,
             time_noise_iterations: 20_000,
         }
