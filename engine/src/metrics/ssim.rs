@@ -169,20 +169,25 @@ fn channel_sums(x: &[f64], y: &[f64], [width, height]: [usize; 2], weights: Opti
 /// Columns that are summed side by side: their sums stay in registers while the rows pass.
 const LANES: usize = 4;
 
-/// Adds tap·(x, y, x² + y², xy) of up to [`LANES`] columns.
-fn add_products(sums: &mut [[f64; LANES]; 4], x: &[f64], y: &[f64], tap: f64) {
-    let [mx, my, squares, product] = sums;
-    let mut add = |i: usize, x: f64, y: f64| {
-        mx[i] += tap * x;
-        my[i] += tap * y;
-        squares[i] += tap * (x * x + y * y);
-        product[i] += tap * (x * y);
-    };
-    if let (Some(x), Some(y)) = (x.first_chunk::<LANES>(), y.first_chunk::<LANES>()) {
-        (0..LANES).for_each(|i| add(i, x[i], y[i]));
-    } else {
-        x.iter().zip(y).enumerate().for_each(|(i, (x, y))| add(i, *x, *y));
+/// Adds tap·(x, y, x² + y², xy) of [`LANES`] columns.
+#[inline(always)]
+fn add_products(sums: &mut [[f64; LANES]; 4], x: &[f64; LANES], y: &[f64; LANES], tap: f64) {
+    for i in 0..LANES {
+        sums[0][i] += tap * x[i];
+        sums[1][i] += tap * y[i];
+        sums[2][i] += tap * (x[i] * x[i] + y[i] * y[i]);
+        sums[3][i] += tap * (x[i] * y[i]);
     }
+}
+
+/// The values of a row from `first` on; zeros past its end.
+#[inline(always)]
+fn lanes(row: &[f64], first: usize) -> [f64; LANES] {
+    row[first..].first_chunk().copied().unwrap_or_else(|| {
+        let mut padded = [0.0; LANES];
+        padded[..row.len() - first].copy_from_slice(&row[first..]);
+        padded
+    })
 }
 
 /// μ_x, μ_y, E[x² + y²] and E\[xy\] of one row of windows.
@@ -198,16 +203,18 @@ impl RowMoments {
     }
 
     fn fill(&mut self, x: &[f64], y: &[f64], [width, height]: [usize; 2], row: usize, taps: &[f64]) {
+        let first_tap = RADIUS.saturating_sub(row);
+        let last_row = (row + RADIUS).min(height - 1);
+        let rows = row.saturating_sub(RADIUS)..=last_row;
         for first in (0..width).step_by(LANES) {
-            let lanes = LANES.min(width - first);
             let mut sums = [[0.0; LANES]; 4];
-            for (k, &tap) in taps.iter().enumerate() {
-                let Some(source) = (row + k).checked_sub(RADIUS).filter(|r| *r < height) else { continue };
-                let at = source * width + first;
-                add_products(&mut sums, &x[at..at + lanes], &y[at..at + lanes], tap);
+            for (source, &tap) in rows.clone().zip(&taps[first_tap..]) {
+                let line = source * width..(source + 1) * width;
+                add_products(&mut sums, &lanes(&x[line.clone()], first), &lanes(&y[line], first), tap);
             }
+            let count = LANES.min(width - first);
             for (padded, sums) in self.padded.iter_mut().zip(&sums) {
-                padded[RADIUS + first..RADIUS + first + lanes].copy_from_slice(&sums[..lanes]);
+                padded[RADIUS + first..RADIUS + first + count].copy_from_slice(&sums[..count]);
             }
         }
         for (padded, row) in self.padded.iter().zip(&mut self.row) {
@@ -216,16 +223,17 @@ impl RowMoments {
     }
 
     fn sums(&self, inside: bool, weights: Option<&[f64]>) -> Sums {
-        let width = self.row[0].len();
+        let [mx, my, squares, product] = &self.row;
+        let width = mx.len();
+        let valid = if inside { RADIUS..width.saturating_sub(RADIUS).max(RADIUS) } else { 0..0 };
         let mut sums = Sums::default();
-        for i in 0..width {
-            let [mx, my, squares, product] = [0, 1, 2, 3].map(|m: usize| self.row[m][i]);
+        for (i, (((&mx, &my), &squares), &product)) in mx.iter().zip(my).zip(squares).zip(product).enumerate() {
             let cs = (2.0 * (product - mx * my) + C2) / (squares - mx * mx - my * my + C2);
             let ssim = cs * (2.0 * mx * my + C1) / (mx * mx + my * my + C1);
             let weight = weights.map_or(1.0, |w| w[i]);
             sums.all += weight * ssim;
             sums.all_weight += weight;
-            if inside && i >= RADIUS && i + RADIUS < width {
+            if valid.contains(&i) {
                 sums.valid += weight * ssim;
                 sums.valid_cs += weight * cs;
                 sums.valid_weight += weight;

@@ -75,6 +75,11 @@ pub fn bad_data(arguments: &[&str]) -> String {
     lines[0].to_owned()
 }
 
+/// A number of the JSON, but for the last bit that reading it may lose.
+pub fn assert_close(found: &Value, expected: f64) {
+    assert!(found.as_f64().is_some_and(|v| (v - expected).abs() <= 1e-12 * expected.abs()), "{found}, {expected}");
+}
+
 /// A path as an argument.
 pub fn text(path: &Path) -> &str {
     path.to_str().unwrap()
