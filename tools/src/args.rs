@@ -205,7 +205,7 @@ pub struct BenchArgs {
     /// How the view is drawn
     #[command(flatten)]
     pub view: ViewArgs,
-    /// Measured frames, or training steps [default: 100; --train 20; --sweep 3]
+    /// Measured frames, or training steps [default: 100; --train 20; --sweep 3; drift of --hard-cases 1000]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub frames: Option<u32>,
     /// Frames or steps before the measurement [default: 10; --train 3; --sweep 1]
@@ -224,6 +224,13 @@ pub struct BenchArgs {
     /// Also the error of this view against the f64 reference
     #[arg(long)]
     pub check: bool,
+    /// Judge numerical stability on small hard scenes against the f64 truth: a table of error, bound, pass or fail, time.
+    /// Exit code 1 when a bound does not hold, 6 when a number is not finite
+    #[arg(long, conflicts_with_all = ["model", "train", "synthetic", "superpoints", "cameras", "time", "paper_protocol", "check", "width", "height", "warmup", "motion", "background"])]
+    pub hard_cases: bool,
+    /// Runs whose bits --hard-cases compares [default: 20]
+    #[arg(long, value_name = "N", requires = "hard_cases", value_parser = clap::value_parser!(u32).range(2..=100_000))]
+    pub runs: Option<u32>,
     /// Write everything as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,

@@ -7,6 +7,7 @@ pub mod dataset;
 pub mod demo;
 pub mod devices;
 pub mod gpu_session;
+pub mod hard_cases;
 pub mod inspect;
 pub mod kernel_docs;
 pub mod measure;
