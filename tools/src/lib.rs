@@ -17,6 +17,7 @@ pub mod oracle_loss;
 pub mod oracle_superpoint;
 pub mod oracle_task;
 pub mod output;
+pub mod page;
 pub mod plan_task;
 pub mod progress;
 pub mod render;

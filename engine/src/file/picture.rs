@@ -36,6 +36,15 @@ pub fn to_u8(value: f32) -> u8 {
 /// # Errors
 /// [`Error::Usage`] when the image has no pixel or the wrong number of values; [`Error::Io`].
 pub fn write_png(path: &Path, image: &Image, alpha: Alpha) -> Result<()> {
+    let encoded = encode_png(path, image, alpha)?;
+    write_atomic(path, |out| out.write_all(&encoded))
+}
+
+/// [`write_png`] into memory; `path` only names the picture in errors.
+///
+/// # Errors
+/// As [`write_png`].
+pub fn encode_png(path: &Path, image: &Image, alpha: Alpha) -> Result<Vec<u8>> {
     check(path, image)?;
     let (bytes, color): (Vec<u8>, _) = match alpha {
         Alpha::Drop => {
@@ -54,7 +63,7 @@ pub fn write_png(path: &Path, image: &Image, alpha: Alpha) -> Result<()> {
     let encoder = image::codecs::png::PngEncoder::new(&mut encoded);
     image::ImageEncoder::write_image(encoder, &bytes, image.width, image.height, color)
         .map_err(|e| Error::io(path, "encode PNG", std::io::Error::other(e)))?;
-    write_atomic(path, |out| out.write_all(&encoded))
+    Ok(encoded)
 }
 
 /// Writes a 32-bit float EXR, durably: channels A, B, G, R and, where the image has depth, Z (Σ z·α·T). Scan lines,

@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 use serde_json::Value;
 
 use super::measure::TrainMeasurement;
-use crate::report::{HEAD, MIB, chart, escape, operations_table, text_row};
+use crate::page::{self, Align, Page, Table};
+use crate::report::{MIB, operations, text_row};
 
 /// What `bench --train` prints of a training set; with `rows` also its kernels.
 pub(super) fn text(record: &Value, m: &TrainMeasurement, rows: bool) -> String {
@@ -24,10 +25,7 @@ pub(super) fn text(record: &Value, m: &TrainMeasurement, rows: bool) -> String {
 }
 
 fn title(record: &Value) -> String {
-    let of = |pointer: &str| match record.pointer(pointer) {
-        Some(Value::String(s)) => s.clone(),
-        other => other.map_or("unknown".into(), Value::to_string),
-    };
+    let of = |pointer: &str| page::field(record, pointer);
     format!(
         "{}: {} Gaussians of SH degree {}, {} superpoints, {} photos of {}×{} pixels",
         of("/scene/name"),
@@ -71,54 +69,35 @@ fn facts(m: &TrainMeasurement) -> Vec<(&'static str, String)> {
 
 /// A page without references to anything outside.
 pub(super) fn html(record: &Value, cases: &[(Value, TrainMeasurement)]) -> String {
-    let field = |pointer: &str| match record.pointer(pointer) {
-        Some(Value::String(s)) => escape(s),
-        Some(Value::Null) | None => "unknown".into(),
-        Some(other) => escape(&other.to_string()),
-    };
-    let mut h = String::from(HEAD);
-    let _ = writeln!(h, "<h1>spgs bench --train: {}</h1>\n<table class=\"facts\">", field("/device/name"));
-    let fact = |h: &mut String, name: &str, value: &str| {
-        let _ = writeln!(h, "<tr><th>{name}</th><td>{value}</td></tr>");
-    };
-    fact(&mut h, "Driver", &format!("{}, Vulkan {}", field("/device/driver"), field("/device/vulkan")));
-    fact(&mut h, "Commit", &field("/program/commit"));
-    fact(&mut h, "Command", &format!("<code>{}</code>", field("/command")));
-    h.push_str("</table>\n");
+    let mut page = Page::new(&format!("spgs bench --train: {}", page::field(record, "/device/name")));
+    page.provenance(record);
     if cases.len() > 1 {
-        h.push_str(&sweep_table(cases));
+        page.table(&sweep_table(cases));
     }
     for (record, m) in cases {
-        let _ = writeln!(h, "<h2>{}</h2>\n<table class=\"facts\">", escape(&title(record)));
-        facts(m).iter().for_each(|(name, value)| fact(&mut h, name, &escape(value)));
-        h.push_str("</table>\n<h3>Device time of each kernel in a step, median, µs</h3>\n");
-        h.push_str(&chart(&m.kernels));
-        h.push_str(&operations_table(&m.kernels));
+        page.heading(&title(record));
+        page.facts(&facts(m));
+        page.subheading("Device time of each kernel in a step, median, µs");
+        operations(&mut page, &m.kernels);
     }
-    h.push_str("</body></html>\n");
-    h
+    page.finish()
 }
 
 /// One row per training set.
-fn sweep_table(cases: &[(Value, TrainMeasurement)]) -> String {
-    let mut t = String::from(
-        "<table><tr><th>Gaussians</th><th>pixels</th><th>ms per step</th><th>device ms</th><th>state / parameters</th><th>slowest kernel</th></tr>\n",
-    );
+fn sweep_table(cases: &[(Value, TrainMeasurement)]) -> Table {
+    let columns = ["Gaussians", "pixels", "ms per step", "device ms", "state / parameters"].map(|c| (c, Align::Right));
+    let mut table = Table::new(&[&columns[..], &[("slowest kernel", Align::Left)]].concat());
     for (record, m) in cases {
         let number = |pointer: &str| record.pointer(pointer).and_then(Value::as_u64).unwrap_or(0);
         let slowest = m.kernels.iter().max_by(|a, b| a.us.total_cmp(&b.us));
-        let _ = writeln!(
-            t,
-            "<tr><td>{}</td><td>{}×{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{}</td></tr>",
-            number("/scene/gaussians"),
-            number("/photos/width"),
-            number("/photos/height"),
-            m.step_ms.median,
-            m.device_ms.map_or(f64::NAN, |d| d.median),
-            m.state_ratio,
-            slowest.map_or(String::new(), |r| format!("{} ({:.0} %)", escape(&r.label), 100.0 * r.share))
-        );
+        table.row([
+            number("/scene/gaussians").to_string(),
+            format!("{}×{}", number("/photos/width"), number("/photos/height")),
+            format!("{:.2}", m.step_ms.median),
+            format!("{:.2}", m.device_ms.map_or(f64::NAN, |d| d.median)),
+            format!("{:.2}", m.state_ratio),
+            slowest.map_or(String::new(), |r| format!("{} ({:.0} %)", r.label, 100.0 * r.share)),
+        ]);
     }
-    t.push_str("</table>\n");
-    t
+    table
 }

@@ -1,14 +1,13 @@
 //! `report.html`: the curves of a run from its `run.jsonl`, and test images beside ground truth.
 
-use std::fmt::Write as _;
 use std::path::Path;
 
-use engine::error::{Error, Result};
+use engine::error::Result;
 use engine::file::durable::write_atomic;
-use plotters::prelude::*;
 use serde_json::Value;
 
 use super::log::{self, number};
+use crate::page::{Align, Axis, Chart, Mark, Page, Picture, Series, Table};
 
 /// A pair of pictures in the report, by file name relative to it.
 #[derive(Debug, Clone, serde::Serialize)]
@@ -23,9 +22,6 @@ pub struct Pair {
     pub psnr: f64,
 }
 
-/// A named curve: (iteration, value).
-type Curve<'a> = (&'a str, Vec<(f64, f64)>);
-
 /// Writes the page beside the log.
 ///
 /// # Errors
@@ -37,42 +33,38 @@ pub fn write(folder: &Path, facts: &[(String, String)], pairs: &[Pair]) -> Resul
 }
 
 fn page(lines: &[Value], facts: &[(String, String)], pairs: &[Pair]) -> Result<String> {
-    let mut h = String::from(HEAD);
-    h.push_str("<h1>spgs train</h1>\n<table class=\"facts\">\n");
-    for (name, value) in facts {
-        let _ = writeln!(h, "<tr><th>{}</th><td>{}</td></tr>", escape(name), escape(value));
-    }
-    h.push_str("</table>\n");
+    let mut page = Page::new("spgs train");
+    page.facts(facts);
     let of = |keys: &[&str]| -> Vec<(f64, f64)> {
         let value = |line: &Value| keys.iter().try_fold(line.clone(), |v, key| v.get(key).cloned())?.as_f64();
         lines.iter().filter_map(|line| Some((number(line, "iteration"), value(line)?))).collect()
     };
-    let training = ("training view (smoothed)", smooth(&of(&["psnr"])));
-    h.push_str(&plot("PSNR, dB", &[training, ("held-out views", of(&["evaluation", "psnr"]))])?);
-    h.push_str(&plot("Loss", &[("total", smooth(&of(&["loss"]))), ("L1", smooth(&of(&["l1"])))])?);
-    let property = |key: &'static str| (key, smooth(&of(&["property", key])));
-    h.push_str(&plot(
-        "Property losses, unweighted",
-        &[property("position"), property("rotation"), property("translation")],
-    )?);
-    h.push_str(&plot("Gaussians", &[("number", of(&["gaussians"]))])?);
-    h.push_str(&plot("Iterations per second", &[("rate", smooth(&of(&["iterations_per_second"])))])?);
-    h.push_str(&kernels(lines));
+    let smoothed = |name: &str, key: &'static str| Series::line(name, smooth(&of(&[key])));
+    let psnr = of(&["evaluation", "psnr"]);
+    let held_out = Series::new("held-out views", Mark::LineAndPoints, psnr);
+    page.chart(&plot("PSNR", "dB").series(smoothed("training view (smoothed)", "psnr")).series(held_out))?;
+    page.chart(&plot("Loss", "loss").series(smoothed("total", "loss")).series(smoothed("L1", "l1")))?;
+    let property = |key: &'static str| Series::line(key, smooth(&of(&["property", key])));
+    let properties = plot("Property losses, unweighted", "loss");
+    page.chart(&["position", "rotation", "translation"].into_iter().map(property).fold(properties, Chart::series))?;
+    page.chart(&plot("Gaussians", "number").series(Series::line("", of(&["gaussians"]))))?;
+    let rate = smoothed("", "iterations_per_second");
+    page.chart(&plot("Speed", "iterations per second").series(rate))?;
+    kernels(&mut page, lines);
     if !pairs.is_empty() {
-        h.push_str("<h2>Held-out views: rendered, ground truth</h2>\n");
+        page.heading("Held-out views");
     }
     for p in pairs {
-        let _ = writeln!(
-            h,
-            "<figure><img src=\"{}\" alt=\"rendered\"><img src=\"{}\" alt=\"ground truth\"><figcaption>{}: {:.2} dB</figcaption></figure>",
-            escape(&p.rendered),
-            escape(&p.truth),
-            escape(&p.name),
-            p.psnr
-        );
+        let beside = |file: &str, what: &str| Picture::beside(file, what);
+        let pair = [beside(&p.rendered, "rendered"), beside(&p.truth, "ground truth")];
+        page.pictures(&pair, &format!("{}: {:.2} dB", p.name, p.psnr));
     }
-    h.push_str("</body></html>\n");
-    Ok(h)
+    Ok(page.finish())
+}
+
+/// An empty chart over iterations.
+fn plot(title: &str, y: &str) -> Chart {
+    Chart::new(title, Axis::linear("iteration"), Axis::linear(y)).height(320)
 }
 
 /// Running mean over a fiftieth of the curve.
@@ -85,79 +77,16 @@ fn smooth(curve: &[(f64, f64)]) -> Vec<(f64, f64)> {
     (0..curve.len()).map(|i| (curve[i].0, mean(i))).collect()
 }
 
-/// One chart as inline SVG; nothing for curves without points.
-fn plot(title: &str, curves: &[Curve<'_>]) -> Result<String> {
-    let points = || curves.iter().flat_map(|c| &c.1).filter(|p| p.1.is_finite());
-    if points().count() < 2 {
-        return Ok(String::new());
-    }
-    let range = |of: fn(&(f64, f64)) -> f64| {
-        let (low, high) = points().map(of).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
-        let pad = 0.04 * (high - low).max(1e-9);
-        (low - pad)..(high + pad)
-    };
-    let mut svg = String::new();
-    draw(&mut svg, title, curves, range(|p| p.0), range(|p| p.1))
-        .map_err(|e| Error::usage(format!("plot of {title}"), e.to_string(), "a chart"))?;
-    Ok(svg)
-}
-
-fn draw(
-    svg: &mut String,
-    title: &str,
-    curves: &[Curve<'_>],
-    x: std::ops::Range<f64>,
-    y: std::ops::Range<f64>,
-) -> std::result::Result<(), Box<dyn std::error::Error>> {
-    let root = SVGBackend::with_string(svg, (860, 300)).into_drawing_area();
-    let mut chart = ChartBuilder::on(&root)
-        .caption(title, ("sans-serif", 16))
-        .margin(8)
-        .x_label_area_size(30)
-        .y_label_area_size(70)
-        .build_cartesian_2d(x, y)?;
-    chart.configure_mesh().light_line_style(BLACK.mix(0.05)).x_desc("iteration").draw()?;
-    for (i, (name, points)) in curves.iter().enumerate().filter(|(_, c)| !c.1.is_empty()) {
-        let color = COLORS[i % COLORS.len()];
-        let finite = points.iter().copied().filter(|p| p.1.is_finite());
-        chart
-            .draw_series(LineSeries::new(finite, color.stroke_width(2)))?
-            .label(*name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], color.stroke_width(2)));
-    }
-    chart.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(BLACK.mix(0.3)).draw()?;
-    root.present()?;
-    Ok(())
-}
-
-const COLORS: [RGBColor; 4] =
-    [RGBColor(0x35, 0x68, 0xa8), RGBColor(0xc4, 0x4e, 0x32), RGBColor(0x3a, 0x8a, 0x4d), RGBColor(0x80, 0x55, 0xa0)];
-
 /// Where a step's time went, from the last line that has it.
-fn kernels(lines: &[Value]) -> String {
-    let Some(Value::Object(ms)) = lines.iter().rev().find_map(|l| l.get("kernel_ms")) else { return String::new() };
+fn kernels(page: &mut Page, lines: &[Value]) {
+    let Some(Value::Object(ms)) = lines.iter().rev().find_map(|l| l.get("kernel_ms")) else { return };
     let mut rows: Vec<(&String, f64)> = ms.iter().filter_map(|(k, v)| Some((k, v.as_f64()?))).collect();
     rows.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let mut h = String::from("<h2>Device time of the last logged step, ms</h2>\n<table>\n");
-    for (name, value) in rows {
-        let _ = writeln!(h, "<tr><td>{}</td><td>{value:.3}</td></tr>", escape(name));
-    }
-    h.push_str("</table>\n");
-    h
+    page.heading("Device time of the last logged step");
+    let mut table = Table::new(&[("kernel", Align::Left), ("ms", Align::Right)]);
+    rows.iter().for_each(|(name, value)| table.row([(*name).clone(), format!("{value:.3}")]));
+    page.table(&table);
 }
-
-fn escape(text: &str) -> String {
-    crate::report::escape(text)
-}
-
-const HEAD: &str = "<!doctype html>
-<html lang=\"en\"><head><meta charset=\"utf-8\"><title>spgs train</title>
-<style>
-body { font: 15px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #1b1b1b; background: #fff; }
-table { border-collapse: collapse; margin: 1rem 0; } th, td { padding: .25rem .7rem; border-bottom: 1px solid #ddd; text-align: left; }
-svg, img { max-width: 100%; height: auto; } figure { margin: 1rem 0; } figure img { width: 49%; margin-right: 1%; image-rendering: pixelated; background: #000; }
-</style></head><body>
-";
 
 #[cfg(test)]
 mod tests {
