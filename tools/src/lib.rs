@@ -2,10 +2,14 @@
 
 pub mod args;
 pub mod bench;
+pub mod bench_paper;
 pub mod bench_train;
+pub mod compare;
 pub mod dataset;
 pub mod demo;
 pub mod devices;
+pub mod error_image;
+pub mod eval;
 pub mod gpu_session;
 pub mod hard_cases;
 pub mod inspect;
@@ -18,10 +22,12 @@ pub mod oracle_superpoint;
 pub mod oracle_task;
 pub mod output;
 pub mod page;
+pub mod paper;
 pub mod plan_task;
 pub mod progress;
 pub mod render;
 pub mod report;
+pub mod scores;
 pub mod spirv_task;
 pub mod train;
 pub mod view;

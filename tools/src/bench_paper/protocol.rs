@@ -117,9 +117,8 @@ pub(super) fn measure(
     let alike = path.windows(2).all(|w| [w[0].0.width, w[0].0.height] == [w[1].0.width, w[1].0.height]);
     let path_fps_in_flight = if alike { Some(in_flight(&mut renderer, path, path.len() as u32)?) } else { None };
     let paper_frames = PAPER_FRAMES.min(affordable(percentiles.p50, budget.mul_f64(0.4)));
-    let one: Vec<Stop> = (0..paper_frames)
-        .map(|i| (path[view].0.clone(), f64::from(i) / f64::from(paper_frames.max(2) - 1)))
-        .collect();
+    let one: Vec<Stop> =
+        (0..paper_frames).map(|i| (path[view].0.clone(), f64::from(i) / f64::from(paper_frames.max(2) - 1))).collect();
     for (camera, time) in one.iter().step_by(one.len().div_ceil(3)) {
         renderer.draw(camera, *time)?;
     }

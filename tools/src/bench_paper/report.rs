@@ -164,10 +164,35 @@ pub(super) fn html(record: &Value, found: &Found) -> Result<String> {
     page.provenance(record);
     let of = |pointer: &str| crate::page::field(record, pointer);
     page.facts(&[
-        ("Processor", format!("{}, {} threads, {} MHz now", of("/processor/name"), of("/processor/threads"), of("/processor/mhz_now"))),
+        (
+            "Processor",
+            format!(
+                "{}, {} threads, {} MHz now",
+                of("/processor/name"),
+                of("/processor/threads"),
+                of("/processor/mhz_now")
+            ),
+        ),
         ("Clocks", of("/clocks")),
-        ("Scene", format!("{}: {} Gaussians, {} superpoints", of("/scene/name"), of("/scene/gaussians"), of("/scene/superpoints"))),
-        ("Path", format!("{} views of {}×{} pixels: {}", of("/path/views"), of("/path/width"), of("/path/height"), of("/path/name"))),
+        (
+            "Scene",
+            format!(
+                "{}: {} Gaussians, {} superpoints",
+                of("/scene/name"),
+                of("/scene/gaussians"),
+                of("/scene/superpoints")
+            ),
+        ),
+        (
+            "Path",
+            format!(
+                "{} views of {}×{} pixels: {}",
+                of("/path/views"),
+                of("/path/width"),
+                of("/path/height"),
+                of("/path/name")
+            ),
+        ),
     ]);
     notes(found).iter().for_each(|n| page.note(n));
     page.heading("Frames per second");
@@ -176,7 +201,9 @@ pub(super) fn html(record: &Value, found: &Found) -> Result<String> {
     page.table(&percentile_table(found));
     page.heading("Roofline");
     page.text(&bound_line(&found.roofline));
-    page.text("Arithmetic: 650 operations per Gaussian, 20 per pixel of every tile instance, two per weight of network F.");
+    page.text(
+        "Arithmetic: 650 operations per Gaussian, 20 per pixel of every tile instance, two per weight of network F.",
+    );
     page.table(&roofline_table(&found.roofline));
     for curve in &found.curves {
         page.heading(&format!("Cost against {}", curve.name));
@@ -191,9 +218,10 @@ pub(super) fn html(record: &Value, found: &Found) -> Result<String> {
 /// Measured points, and the steepest line that the theory allows through the last one.
 fn curve_chart(curve: &Curve) -> Chart {
     let of = |f: fn(&super::scaling::Point) -> f64| curve.points.iter().map(|p| (p.x, f(p))).collect::<Vec<_>>();
-    let mut chart = Chart::new(format!("Cost against {}", curve.name), Axis::log(curve.name), Axis::log("time of a frame, ms"))
-        .series(Series::new("host", Mark::LineAndPoints, of(|p| p.frame_ms)))
-        .series(Series::new("device", Mark::LineAndPoints, of(|p| p.device_ms)));
+    let mut chart =
+        Chart::new(format!("Cost against {}", curve.name), Axis::log(curve.name), Axis::log("time of a frame, ms"))
+            .series(Series::new("host", Mark::LineAndPoints, of(|p| p.frame_ms)))
+            .series(Series::new("device", Mark::LineAndPoints, of(|p| p.device_ms)));
     if let (Some(first), Some(last)) = (curve.points.first(), curve.points.last()) {
         let at = |x: f64| last.device_ms * (x / last.x).powf(curve.range[1]);
         let line = vec![(first.x, at(first.x)), (last.x, at(last.x))];

@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use super::{Bound, Check, Context, GROUPS, Row, cases};
 use crate::args::{BenchArgs, Global};
 use crate::bench::write_text;
+use crate::page::{Align, Page, Standing, Table};
 use crate::{gpu_session, output, progress};
 
 /// Runs whose bits are compared, and frames of the drift test, where the arguments do not say.
@@ -39,6 +40,9 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<ExitCode> {
     if let Some(path) = &args.json {
         write_text(path, &(output::to_json(&record)? + "\n"))?;
     }
+    if let Some(path) = &args.report {
+        write_text(path, &html(&record, &rows))?;
+    }
     if !global.quiet {
         output::line(&format!("device  {}", gpu_session::describe(&gpu)));
         output::line(text(&rows).trim_end());
@@ -61,12 +65,9 @@ fn why(row: &Row) -> String {
 
 /// A value with its bound.
 fn describe(check: &Check) -> String {
-    let value = number(check.value);
     match check.bound {
-        Bound::AtMost(bound) => format!("{} {value} (at most {})", check.what, number(bound)),
-        Bound::AtLeast(bound) => format!("{} {value} (at least {})", check.what, number(bound)),
-        Bound::Exactly(expected) => format!("{} {value} (exactly {})", check.what, number(expected)),
-        Bound::Shown => format!("{} {value}", check.what),
+        Bound::Shown => value(check),
+        _ => format!("{} ({})", value(check), bound(check)),
     }
 }
 
@@ -118,6 +119,59 @@ fn headline(row: &Row) -> String {
     let bounded = row.checks.iter().find(|c| c.bound != Bound::Shown);
     let first = row.checks.first().filter(|c| c.bound == Bound::Shown);
     first.into_iter().chain(bounded).map(describe).collect::<Vec<_>>().join(", ")
+}
+
+/// The page: a table of all cases, failures first, then every number of every case.
+fn html(record: &Value, rows: &[Row]) -> String {
+    let mut page = Page::new("spgs bench --hard-cases");
+    page.provenance(record);
+    let passed = rows.iter().filter(|r| r.pass).count();
+    page.note(&format!("{passed} of {} cases hold.", rows.len()));
+    page.text(
+        "Each case is a small scene that has broken some renderer. The truth is a 64-bit reference of the same definition, \
+         so an error is the device's arithmetic, not a choice of method; numbers without a bound describe the method or the \
+         input.",
+    );
+    let columns = ["case", "input", "what the truth says", "error", "bound", "verdict", "ms"];
+    for (i, title) in GROUPS.iter().enumerate() {
+        page.subheading(&format!("{} {title}", i + 1));
+        let align = |name: &'static str| (name, if name == "ms" { Align::Right } else { Align::Left });
+        let mut table = Table::new(&columns.map(align));
+        for row in rows.iter().filter(|r| r.number == i + 1) {
+            let standing = if row.pass { Standing::Good } else { Standing::Bad };
+            let verdict = if row.pass { "pass" } else { "FAIL" };
+            let lead = [row.name.clone(), row.input.clone(), row.truth.clone()];
+            let first = row.checks.first();
+            let (error, bound) = match (&row.error, first) {
+                (Some(error), _) => (error.clone(), String::new()),
+                (None, first) => (first.map_or(String::new(), value), first.map_or(String::new(), bound)),
+            };
+            let tail = [error, bound, verdict.to_owned(), format!("{:.1}", row.ms)];
+            table.marked(standing, lead.into_iter().chain(tail));
+            for check in row.checks.iter().skip(1) {
+                let standing = if check.passes() { Standing::Plain } else { Standing::Bad };
+                let blank = || String::new();
+                table.marked(standing, [blank(), blank(), blank(), value(check), bound(check), blank(), blank()]);
+            }
+        }
+        page.table(&table);
+    }
+    page.finish()
+}
+
+/// What was measured.
+fn value(check: &Check) -> String {
+    format!("{} {}", check.what, number(check.value))
+}
+
+/// What it is held against.
+fn bound(check: &Check) -> String {
+    match check.bound {
+        Bound::AtMost(bound) => format!("at most {}", number(bound)),
+        Bound::AtLeast(bound) => format!("at least {}", number(bound)),
+        Bound::Exactly(expected) => format!("exactly {}", number(expected)),
+        Bound::Shown => "–".into(),
+    }
 }
 
 #[cfg(test)]
