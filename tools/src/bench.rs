@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use crate::args::{BenchArgs, Global};
 use crate::measure::{self, Measurement, PAPER_FRAMES, Plan, commit};
-use crate::{bench_paper, bench_train, gpu_session, model, output, progress, report, view};
+use crate::{bench_ablation, bench_paper, bench_train, gpu_session, model, output, progress, report, view};
 
 /// Image size where neither arguments nor cameras say one: that of the paper's synthetic scenes.
 pub(crate) const DEFAULT_SIZE: u32 = 800;
@@ -32,6 +32,9 @@ const WARMUP: u32 = 10;
 pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     if args.train {
         return bench_train::run(args, global);
+    }
+    if args.ablation.is_some() {
+        return bench_ablation::run(args, global);
     }
     if args.paper {
         return bench_paper::run(args, global);

@@ -2,6 +2,7 @@
 
 pub mod args;
 pub mod bench;
+pub mod bench_ablation;
 pub mod bench_paper;
 pub mod bench_train;
 pub mod compare;
@@ -15,6 +16,7 @@ pub mod hard_cases;
 pub mod inspect;
 pub mod kernel_docs;
 pub mod measure;
+pub mod measurements;
 pub mod model;
 pub mod oracle;
 pub mod oracle_loss;

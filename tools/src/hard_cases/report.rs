@@ -142,11 +142,11 @@ fn html(record: &Value, rows: &[Row]) -> String {
             let verdict = if row.pass { "pass" } else { "FAIL" };
             let lead = [row.name.clone(), row.input.clone(), row.truth.clone()];
             let first = row.checks.first();
-            let (error, bound) = match (&row.error, first) {
+            let (error, limit) = match (&row.error, first) {
                 (Some(error), _) => (error.clone(), String::new()),
                 (None, first) => (first.map_or(String::new(), value), first.map_or(String::new(), bound)),
             };
-            let tail = [error, bound, verdict.to_owned(), format!("{:.1}", row.ms)];
+            let tail = [error, limit, verdict.to_owned(), format!("{:.1}", row.ms)];
             table.marked(standing, lead.into_iter().chain(tail));
             for check in row.checks.iter().skip(1) {
                 let standing = if check.passes() { Standing::Plain } else { Standing::Bad };
