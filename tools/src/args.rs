@@ -230,19 +230,19 @@ pub struct BenchArgs {
     #[arg(long, requires = "train", conflicts_with_all = ["model", "cameras", "synthetic", "width", "height"])]
     pub sweep: bool,
     /// Train on --cameras DATA until held-out views reach X dB; iterations per second, time to it, the curve
-    #[arg(long, value_name = "X", requires_all = ["train", "cameras"], conflicts_with_all = ["model", "synthetic", "superpoints", "sweep"], value_parser = finite)]
+    #[arg(long, value_name = "X", group = "trains", requires_all = ["train", "cameras"], conflicts_with_all = ["model", "synthetic", "superpoints", "sweep"], value_parser = finite)]
     pub until_psnr: Option<f64>,
     /// The paper's ablations on a data set, one training run per setting, beside the paper's rows
-    #[arg(long, value_name = "DATA", conflicts_with_all = ["model", "train", "cameras", "synthetic", "superpoints", "paper_protocol", "check", "time", "frames", "warmup", "width", "height"])]
+    #[arg(long, value_name = "DATA", group = "trains", conflicts_with_all = ["model", "train", "cameras", "synthetic", "superpoints", "paper_protocol", "check", "time", "frames", "warmup", "width", "height"])]
     pub ablation: Option<PathBuf>,
     /// Only these ablations, by name: superpoints, neighbors, property-loss, weight-position, … [default: all]
     #[arg(long, value_name = "NAME,…", value_delimiter = ',', requires = "ablation")]
     pub only: Vec<String>,
     /// Iterations of each run of --ablation [default: 4000] or --until-psnr [default: 40000]; the schedule scales with it
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    #[arg(long, value_name = "N", requires = "trains", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
     pub iterations: Option<u64>,
     /// Photos of --ablation or --until-psnr are averaged down by this factor [default: the data set's rule]
-    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=64))]
+    #[arg(long, value_name = "K", requires = "trains", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub downscale: Option<u32>,
     /// Also by the paper's protocol: one view, 1000 frames, t from 0 to 1
     #[arg(long)]

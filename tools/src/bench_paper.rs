@@ -19,7 +19,7 @@ use crate::args::{BenchArgs, Global};
 use crate::bench::{load_scene, size_of, write_text};
 use crate::measure::{self, Plan};
 use crate::paper::Benchmark;
-use crate::{gpu_session, model, output, progress, view};
+use crate::{gpu_session, model, output, view};
 
 /// Seconds for the whole measurement where the arguments do not say.
 const BUDGET_S: f64 = 180.0;
@@ -46,7 +46,6 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     };
     let budget = Duration::from_secs_f64(args.budget.unwrap_or(BUDGET_S));
     let start = Instant::now();
-    let bar = progress::bar(0, global.quiet);
     let rates = protocol::measure(&gpu, &scene, &options, &path, args.frame.min(path.len() - 1), budget / 3)?;
     let plan = Plan {
         camera: path[0].0.clone(),
@@ -62,7 +61,6 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     } else {
         scaling::curves(&gpu, budget.saturating_sub(start.elapsed()))?
     };
-    bar.finish_and_clear();
     gpu_session::report_validation(&gpu);
     let found = report::Found { rates, measured, roofline, curves, benchmark: benchmark(&path[0].0) };
     let record = record(&gpu, &scene, [&name, &path_name], &path, budget, &found);
@@ -92,7 +90,7 @@ fn path(args: &BenchArgs, scene: &Scene) -> Result<(Vec<Stop>, String)> {
     }
     let first = view::default_camera(scene, size_of(args));
     let [begin, end] = view::time_range(scene);
-    let target = first.position + first.rotation.transpose() * DVec3::Z * first.position.length().max(1e-3);
+    let (target, _) = view::extent(scene);
     let stops = (0..ORBIT).map(|i| {
         let share = f64::from(i) / f64::from(ORBIT);
         let turn = glam::DQuat::from_rotation_y(std::f64::consts::TAU * share);
