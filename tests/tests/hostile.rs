@@ -5,36 +5,11 @@ use engine::Error;
 use engine::gpu::Gpu;
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::{Random, random_scene};
-use engine::scene::{Camera, Gaussians, Rejected, Scene};
+use engine::scene::{Camera, Rejected, Scene};
 use glam::DVec3;
 use tests_harness::compare::compare;
+use tools::hard_cases::poison::{POISON, camera, poison, slots};
 
-const POISON: [f32; 24] = [
-    f32::NAN,
-    -f32::NAN,
-    f32::INFINITY,
-    f32::NEG_INFINITY,
-    0.0,
-    -0.0,
-    1e-45,
-    -1e-45,
-    f32::MIN_POSITIVE,
-    -f32::MIN_POSITIVE,
-    1e-20,
-    -1e-20,
-    1e20,
-    -1e20,
-    1e38,
-    -1e38,
-    f32::MAX,
-    f32::MIN,
-    1.0 / 255.0,
-    16.0,
-    -0.2,
-    0.2,
-    0.200_000_02,
-    30.1,
-];
 const SIZES: [[u32; 2]; 12] = [
     [1, 1],
     [1, 17],
@@ -49,25 +24,6 @@ const SIZES: [[u32; 2]; 12] = [
     [257, 3],
     [100, 80],
 ];
-
-fn camera([width, height]: [u32; 2]) -> Camera {
-    Camera::look_at(DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::NEG_Y, 0.9, [width, height])
-}
-
-fn slots(g: &Gaussians) -> usize {
-    3 + 3 + 4 + 1 + g.sh_coefficients() * 3
-}
-
-fn poison(g: &mut Gaussians, i: usize, slot: usize, value: f32) {
-    let k3 = g.sh_coefficients() * 3;
-    match slot {
-        0..3 => g.mean[i][slot] = value,
-        3..6 => g.log_scale[i][slot - 3] = value,
-        6..10 => g.rotation[i][slot - 6] = value,
-        10 => g.opacity_logit[i] = value,
-        _ => g.sh[i * k3 + slot - 11] = value,
-    }
-}
 
 /// Renders on both sides; the refused Gaussians must be counted on the device as on the host.
 fn check(gpu: &Gpu, scene: &Scene, size: [u32; 2], what: &str) {

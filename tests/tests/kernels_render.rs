@@ -8,6 +8,7 @@ use engine::render::blend::{self, BLEND, Stage};
 use engine::render::deform_network::{self, DEFORM_NETWORK};
 use engine::render::deform_project::DEFORM_PROJECT;
 use engine::render::frame::Frame;
+use engine::render::rate::{ARITHMETIC_RATE, ARITHMETIC_RATE_THREADS, ArithmeticRatePush, arithmetic_rate};
 use engine::scene::network::{HIDDEN_LAYERS, HIDDEN_WIDTH};
 use engine::scene::{Camera, DeformNetwork, Linear};
 use glam::DVec3;
@@ -313,4 +314,17 @@ fn deform_network_matches_twin_and_reference() {
             assert!(relative < if fp16 { 5e-3 } else { 5e-6 }, "M = {count}, fp16 {fp16}: {relative:e}");
         }
     }
+}
+
+#[test]
+fn the_rate_kernel_adds_up_what_its_twin_does() {
+    let gpu = tests_harness::gpu();
+    for (count, rounds) in [(0_u32, 4_u32), (1, 0), (255, 1), (300, 7), (513, 40)] {
+        let push = bytemuck::bytes_of(&ArithmeticRatePush { count, rounds }).to_vec();
+        let groups = count.div_ceil(ARITHMETIC_RATE_THREADS).max(1);
+        let buffers = vec![vec![0; count as usize]];
+        let case = KernelCase { kernel: &ARITHMETIC_RATE, spec: vec![], push, buffers, groups };
+        case.run(&gpu).assert_equal(&ARITHMETIC_RATE, &format!("{count} × {rounds}"));
+    }
+    assert!(arithmetic_rate(&gpu).unwrap() > 0.01);
 }

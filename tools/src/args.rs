@@ -216,7 +216,7 @@ pub struct BenchArgs {
     /// How the view is drawn
     #[command(flatten)]
     pub view: ViewArgs,
-    /// Measured frames, or training steps [default: 100; --train 20; --sweep 3]
+    /// Measured frames, or training steps [default: 100; --train 20; --sweep 3; drift of --hard-cases 1000]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub frames: Option<u32>,
     /// Frames or steps before the measurement [default: 10; --train 3; --sweep 1]
@@ -229,12 +229,41 @@ pub struct BenchArgs {
     /// Training steps of synthetic scenes of 10k, 100k and 300k Gaussians at 200x200, 400x400 and 800x800 pixels
     #[arg(long, requires = "train", conflicts_with_all = ["model", "cameras", "synthetic", "width", "height"])]
     pub sweep: bool,
+    /// Train on --cameras DATA until held-out views reach X dB; iterations per second, time to it, the curve
+    #[arg(long, value_name = "X", group = "trains", requires_all = ["train", "cameras"], conflicts_with_all = ["model", "synthetic", "superpoints", "sweep"], value_parser = finite)]
+    pub until_psnr: Option<f64>,
+    /// The paper's ablations on a data set, one training run per setting, beside the paper's rows
+    #[arg(long, value_name = "DATA", group = "trains", conflicts_with_all = ["model", "train", "cameras", "synthetic", "superpoints", "paper_protocol", "check", "time", "frames", "warmup", "width", "height"])]
+    pub ablation: Option<PathBuf>,
+    /// Only these ablations, by name: superpoints, neighbors, property-loss, weight-position, … [default: all]
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',', requires = "ablation")]
+    pub only: Vec<String>,
+    /// Iterations of each run of --ablation [default: 4000] or --until-psnr [default: 40000]; the schedule scales with it
+    #[arg(long, value_name = "N", requires = "trains", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    pub iterations: Option<u64>,
+    /// Photos of --ablation or --until-psnr are averaged down by this factor [default: the data set's rule]
+    #[arg(long, value_name = "K", requires = "trains", value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub downscale: Option<u32>,
     /// Also by the paper's protocol: one view, 1000 frames, t from 0 to 1
     #[arg(long)]
     pub paper_protocol: bool,
     /// Also the error of this view against the f64 reference
     #[arg(long)]
     pub check: bool,
+    /// Frame rates by the paper's protocol and over the whole path of --cameras, beside the paper's on its devices; the
+    /// roofline of this device; how the cost grows with Gaussians, superpoints and pixels
+    #[arg(long, conflicts_with_all = ["train", "paper_protocol", "check", "hard_cases", "ablation"])]
+    pub paper: bool,
+    /// Seconds that --paper may take, about; what it leaves out for that it says; 0: no curves [default: 180]
+    #[arg(long, value_name = "S", requires = "paper", value_parser = seconds)]
+    pub budget: Option<f64>,
+    /// Judge numerical stability on small hard scenes against the f64 truth: a table of error, bound, pass or fail, time.
+    /// Exit code 1 when a bound does not hold, 6 when a number is not finite
+    #[arg(long, conflicts_with_all = ["model", "train", "ablation", "synthetic", "superpoints", "cameras", "time", "paper_protocol", "check", "width", "height", "warmup", "motion", "background"])]
+    pub hard_cases: bool,
+    /// Runs whose bits --hard-cases compares [default: 20]
+    #[arg(long, value_name = "N", requires = "hard_cases", value_parser = clap::value_parser!(u32).range(2..=100_000))]
+    pub runs: Option<u32>,
     /// Write everything as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
@@ -384,6 +413,12 @@ fn color(text: &str) -> Result<[f32; 3], String> {
         Ok(c) if c.iter().all(|v| v.is_finite()) => Ok(c),
         _ => Err("expected three numbers, for example 1,1,1".into()),
     }
+}
+
+/// Parses a length of time, seconds.
+fn seconds(text: &str) -> Result<f64, String> {
+    let fits = |v: &f64| (0.0..=1.0e6).contains(v);
+    text.parse().ok().filter(fits).ok_or_else(|| "expected seconds, 0 to 1000000".into())
 }
 
 /// Parses a number that is neither NaN nor infinite.

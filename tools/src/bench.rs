@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use crate::args::{BenchArgs, Global};
 use crate::measure::{self, Measurement, PAPER_FRAMES, Plan, commit};
-use crate::{bench_train, gpu_session, model, output, progress, report, view};
+use crate::{bench_ablation, bench_paper, bench_train, gpu_session, model, output, progress, report, view};
 
 /// Image size where neither arguments nor cameras say one: that of the paper's synthetic scenes.
 pub(crate) const DEFAULT_SIZE: u32 = 800;
@@ -32,6 +32,12 @@ const WARMUP: u32 = 10;
 pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     if args.train {
         return bench_train::run(args, global);
+    }
+    if args.ablation.is_some() {
+        return bench_ablation::run(args, global);
+    }
+    if args.paper {
+        return bench_paper::run(args, global);
     }
     let (scene, name) = load_scene(args)?;
     let camera = choose_camera(args, &scene)?;
@@ -73,7 +79,8 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     Ok(())
 }
 
-fn load_scene(args: &BenchArgs) -> Result<(Scene, String)> {
+/// The model of the arguments, or the synthetic scene, and its name.
+pub(crate) fn load_scene(args: &BenchArgs) -> Result<(Scene, String)> {
     if let Some(path) = &args.model {
         return Ok((model::load(path)?.scene, path.display().to_string()));
     }
@@ -93,11 +100,14 @@ fn choose_camera(args: &BenchArgs, scene: &Scene) -> Result<Camera> {
             let set = model::load_cameras(path, args.split.as_deref(), [width, height])?;
             Ok(model::camera(&set, args.frame)?.clone())
         }
-        None => {
-            let (w, h) = (width.or(height).unwrap_or(DEFAULT_SIZE), height.or(width).unwrap_or(DEFAULT_SIZE));
-            Ok(view::default_camera(scene, [w, h]))
-        }
+        None => Ok(view::default_camera(scene, size_of(args))),
     }
+}
+
+/// Image size where no cameras say one.
+pub(crate) fn size_of(args: &BenchArgs) -> [u32; 2] {
+    let (width, height) = (args.view.width, args.view.height);
+    [width.or(height).unwrap_or(DEFAULT_SIZE), height.or(width).unwrap_or(DEFAULT_SIZE)]
 }
 
 /// The error of the first measured view against the f64 reference.

@@ -2,7 +2,9 @@
 
 mod measure;
 mod report;
+pub(crate) mod session;
 mod start;
+mod until;
 
 use engine::data::dataset::{self, DatasetOptions};
 use engine::error::{Error, Result};
@@ -35,6 +37,9 @@ struct Case {
 
 /// Measures and reports.
 pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
+    if let Some(wanted) = args.until_psnr {
+        return until::run(args, global, wanted);
+    }
     let gpu = gpu_session::open_to_measure(global)?;
     let [steps, warmup] = STEPS[usize::from(args.sweep)];
     let plan = Plan { steps: args.frames.unwrap_or(steps), warmup: args.warmup.unwrap_or(warmup) };

@@ -2,6 +2,8 @@
 
 pub mod args;
 pub mod bench;
+pub mod bench_ablation;
+pub mod bench_paper;
 pub mod bench_train;
 pub mod compare;
 pub mod dataset;
@@ -10,9 +12,11 @@ pub mod devices;
 pub mod error_image;
 pub mod eval;
 pub mod gpu_session;
+pub mod hard_cases;
 pub mod inspect;
 pub mod kernel_docs;
 pub mod measure;
+pub mod measurements;
 pub mod model;
 pub mod oracle;
 pub mod oracle_loss;

@@ -23,6 +23,7 @@ use engine::train::trainer::{StepReport, Trainer, TrainingData};
 use indicatif::ProgressBar;
 use serde_json::json;
 
+pub(crate) use self::decide::preset_of;
 use self::log::RunLog;
 use crate::args::{Global, TrainArgs};
 use crate::render::create_folder;

@@ -21,6 +21,7 @@ pub mod nonrigid_network;
 pub(crate) mod pipeline;
 pub mod quaternion;
 pub mod radix_sort;
+pub mod rate;
 mod renderer;
 pub(crate) mod scene_buffers;
 #[cfg(test)]

@@ -288,4 +288,5 @@ pub static KERNELS: &[&Kernel] = &[
     &EMIT_TILES,
     &TILE_RANGES,
     &BLEND,
+    &super::rate::ARITHMETIC_RATE,
 ];

@@ -4,17 +4,18 @@ use std::process::ExitCode;
 
 use engine::error::Result;
 use tools::args::{Cli, Command};
-use tools::{bench, compare, demo, devices, eval, inspect, output, render, train};
+use tools::{bench, compare, demo, devices, eval, hard_cases, inspect, output, render, train};
 
 fn main() -> ExitCode {
     match output::parse::<Cli>("spgs") {
-        Ok(cli) => output::run_main("spgs", move || run(&cli).map(|()| ExitCode::SUCCESS)),
+        Ok(cli) => output::run_main("spgs", move || run(&cli)),
         Err(code) => code,
     }
 }
 
-fn run(cli: &Cli) -> Result<()> {
-    match &cli.command {
+fn run(cli: &Cli) -> Result<ExitCode> {
+    let done = match &cli.command {
+        Command::Bench(args) if args.hard_cases => return hard_cases::run(args, &cli.global),
         Command::Demo(args) => demo::run(args, &cli.global),
         Command::Train(args) => train::run(args, &cli.global),
         Command::Render(args) => render::run(args, &cli.global),
@@ -23,5 +24,6 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Eval(args) => eval::run(args, &cli.global),
         Command::Inspect(args) => inspect::run(args),
         Command::Devices(args) => devices::run(args),
-    }
+    };
+    done.map(|()| ExitCode::SUCCESS)
 }

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use engine::error::{Error, Result};
 use engine::gpu::{Gpu, GpuOptions};
-use tools::{kernel_docs, oracle_task, output, plan_task, spirv_task};
+use tools::{kernel_docs, measurements, oracle_task, output, plan_task, spirv_task};
 
 /// The project's own tasks: shaders, barrier plan, checks against the oracle.
 #[derive(Parser)]
@@ -47,6 +47,15 @@ enum Task {
     },
     /// Print the kernels as a table, from their declarations
     Docs,
+    /// Write the README's table of recorded measurements from tests/measurements/*.json
+    Measurements {
+        /// Change nothing; fail when the README is not in step
+        #[arg(long)]
+        check: bool,
+        /// Print the commands that record everything for files that begin with DEVICE_, one per line
+        #[arg(long, value_name = "DEVICE", conflicts_with = "check")]
+        commands: Option<String>,
+    },
 }
 
 fn main() -> ExitCode {
@@ -63,6 +72,20 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Task::OracleCheck { files, json } => oracle_check(files, *json),
         Task::Docs => {
             output::line(kernel_docs::table().trim_end());
+            Ok(ExitCode::SUCCESS)
+        }
+        Task::Measurements { commands: Some(device), .. } => {
+            measurements::commands(device).iter().for_each(|c| output::line(c));
+            Ok(ExitCode::SUCCESS)
+        }
+        Task::Measurements { check: true, .. } => {
+            let (old, new) = measurements::updated(&cli.root)?;
+            output::line(if old == new { "README.md is in step" } else { "README.md is not in step" });
+            Ok(status(old == new))
+        }
+        Task::Measurements { .. } => {
+            let changed = measurements::write(&cli.root)?;
+            output::line(if changed { "README.md written" } else { "README.md was in step" });
             Ok(ExitCode::SUCCESS)
         }
     }

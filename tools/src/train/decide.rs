@@ -59,7 +59,7 @@ pub(super) fn first_gaussians(args: &TrainArgs, config: &Config, data: &Dataset)
 }
 
 /// The paper's settings for a format: D-NeRF's for synthetic scenes, HyperNeRF's for captures.
-fn preset_of(kind: DatasetKind) -> Preset {
+pub(crate) fn preset_of(kind: DatasetKind) -> Preset {
     match kind {
         DatasetKind::Blender => Preset::Dnerf,
         DatasetKind::NerfDs => Preset::Nerfds,
