@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use engine::render::Quality;
 use engine::scene::MotionSource;
 
 /// Renders dynamic 3D Gaussian scenes on Vulkan.
@@ -165,9 +166,24 @@ pub struct ViewArgs {
     /// Where the motion comes from [default: the key-time table where the model has one]
     #[arg(long, value_enum)]
     pub motion: Option<MotionArg>,
+    /// What may be given up for speed: exact; high: nothing that is visible; fast: a few levels of 255 in places
+    #[arg(long, value_name = "exact|high|fast", default_value = "exact", value_parser = preset)]
+    pub quality: Quality,
+    /// Single knobs on top of --quality, knob=value,…: cull, alpha_cut, stop, depth_bits, sh_degree, sh, colour, conic,
+    /// table_step, interpolation, network, nonrigid, resolution
+    #[arg(long, value_name = "KNOB=VALUE,…", value_parser = knobs)]
+    pub set: Option<String>,
 }
 
 impl ViewArgs {
+    /// `--quality` with the knobs of `--set`.
+    pub fn quality(&self) -> Quality {
+        let mut quality = self.quality;
+        // The parser has taken the list, so nothing is left to refuse.
+        let _ = quality.set_all(self.set.as_deref().unwrap_or_default());
+        quality
+    }
+
     /// The engine's name for `--motion`.
     pub fn motion_source(&self) -> MotionSource {
         match self.motion {
@@ -205,18 +221,21 @@ pub struct BenchArgs {
     /// How the view is drawn
     #[command(flatten)]
     pub view: ViewArgs,
-    /// Measured frames, or training steps [default: 100; --train 20; --sweep 3]
+    /// Measured frames, or training steps [default: 100; --sweep 60 on a GPU, 9 on a CPU; --train 20; --train --sweep 3]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub frames: Option<u32>,
-    /// Frames or steps before the measurement [default: 10; --train 3; --sweep 1]
+    /// Frames or steps before the measurement [default: 10; --sweep 3; --train 3; --train --sweep 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
     pub warmup: Option<u32>,
     /// Measure training steps instead of frames: on the photos of --cameras, from a disturbed copy of MODEL that stands
     /// still; or on photos made of the synthetic scene, with its superpoints, network F and association
-    #[arg(long, conflicts_with_all = ["paper_protocol", "check", "time", "frame", "split"])]
+    #[arg(long, conflicts_with_all = ["paper_protocol", "check", "time", "frame", "split", "quality", "set"])]
     pub train: bool,
-    /// Training steps of synthetic scenes of 10k, 100k and 300k Gaussians at 200x200, 400x400 and 800x800 pixels
-    #[arg(long, requires = "train", conflicts_with_all = ["model", "cameras", "synthetic", "width", "height"])]
+    /// Speed against error of every knob of --set alone, of the presets of --quality, and of combinations: three views of
+    /// --cameras (or an orbit), errors against the f64 reference and, where there are photos, against them. It says what it
+    /// reduced. With --train: training steps of synthetic scenes of 10k, 100k and 300k Gaussians at 200x200, 400x400 and
+    /// 800x800 pixels
+    #[arg(long, conflicts_with_all = ["paper_protocol", "check", "frame", "quality", "set"])]
     pub sweep: bool,
     /// Also by the paper's protocol: one view, 1000 frames, t from 0 to 1
     #[arg(long)]
@@ -227,7 +246,7 @@ pub struct BenchArgs {
     /// Write everything as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// Write a page with a bar chart of the kernels
+    /// Write a self-contained page: a bar chart of the kernels; with --sweep the charts, tables and pictures
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
 }
@@ -286,6 +305,16 @@ fn color(text: &str) -> Result<[f32; 3], String> {
         Ok(c) if c.iter().all(|v| v.is_finite()) => Ok(c),
         _ => Err("expected three numbers, for example 1,1,1".into()),
     }
+}
+
+/// Parses the name of a preset.
+fn preset(text: &str) -> Result<Quality, String> {
+    Quality::named(text).map_err(|e| e.to_string())
+}
+
+/// Checks a list of knobs.
+fn knobs(text: &str) -> Result<String, String> {
+    Quality::EXACT.set_all(text).map(|()| text.to_owned()).map_err(|e| e.to_string())
 }
 
 /// Parses a number that is neither NaN nor infinite.

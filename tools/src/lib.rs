@@ -22,5 +22,6 @@ pub mod progress;
 pub mod render;
 pub mod report;
 pub mod spirv_task;
+pub mod sweep;
 pub mod train;
 pub mod view;
