@@ -21,6 +21,7 @@
 //! | [`image`] | float images and their comparison |
 //! | [`mod@reference`] | the f64 image that is the truth |
 //! | [`mod@file`], [`data`] | model files and pictures; data sets of posed pictures, camera files |
+//! | [`metrics`] | how far a picture is from its ground truth: PSNR, SSIM, MS-SSIM, FLIP, LPIPS, flicker |
 //! | [`render`] | scene(t) + camera → image on the GPU: kernels, their twins, the frame |
 //! | [`train`] | posed images → scene on the GPU: loss, backward kernels, Adam, density, checkpoints |
 //!
@@ -69,6 +70,7 @@ pub mod file;
 #[allow(unsafe_code, reason = "raw Vulkan calls")]
 pub mod gpu;
 pub mod image;
+pub mod metrics;
 pub mod reference;
 pub mod render;
 pub mod scene;
@@ -76,7 +78,7 @@ pub mod train;
 
 pub use error::{Error, Result};
 
-/// Every kernel of the engine: of the renderer, then of training.
+/// Every kernel of the engine: of metrics, of the renderer, then of training.
 pub fn kernels() -> impl Iterator<Item = &'static gpu::kernel::Kernel> {
-    render::KERNELS.iter().copied().chain(train::kernels())
+    metrics::lpips::KERNELS.iter().chain(render::KERNELS).copied().chain(train::kernels())
 }

@@ -6,8 +6,18 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Modules of `engine`, lowest first; those of one line may not import each other.
-const LAYERS: &[&[&str]] =
-    &[&["error"], &["gpu"], &["scene"], &["image"], &["reference"], &["file"], &["data"], &["render"], &["train"]];
+const LAYERS: &[&[&str]] = &[
+    &["error"],
+    &["gpu"],
+    &["scene"],
+    &["image"],
+    &["reference"],
+    &["file"],
+    &["data"],
+    &["metrics"],
+    &["render"],
+    &["train"],
+];
 /// Names that the crate root re-exports, and where they live.
 const ROOT_NAMES: &[(&str, &str)] = &[("Error", "error"), ("Result", "error"), ("gpu_struct", "gpu")];
 

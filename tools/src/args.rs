@@ -6,6 +6,8 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use engine::render::Quality;
 use engine::scene::MotionSource;
 
+use crate::paper::Benchmark;
+
 /// Renders dynamic 3D Gaussian scenes on Vulkan.
 #[derive(Debug, Parser)]
 #[command(name = "spgs", version, arg_required_else_help = false)]
@@ -40,6 +42,10 @@ pub enum Command {
     Render(RenderArgs),
     /// Measure frame and kernel times
     Bench(BenchArgs),
+    /// Compare two pictures, or the pictures of two folders: PSNR, SSIM, MS-SSIM, FLIP, LPIPS
+    Compare(CompareArgs),
+    /// Score a model on the held-out views of a data set, beside the paper's figures
+    Eval(EvalArgs),
     /// Say what is in a model file or a data set
     Inspect(InspectArgs),
     /// List the Vulkan devices and what they lack
@@ -186,11 +192,16 @@ impl ViewArgs {
 
     /// The engine's name for `--motion`.
     pub fn motion_source(&self) -> MotionSource {
-        match self.motion {
-            None => MotionSource::Auto,
-            Some(MotionArg::Table) => MotionSource::Table,
-            Some(MotionArg::Network) => MotionSource::Network,
-        }
+        motion_source(self.motion)
+    }
+}
+
+/// The engine's name for `--motion`.
+pub fn motion_source(motion: Option<MotionArg>) -> MotionSource {
+    match motion {
+        None => MotionSource::Auto,
+        Some(MotionArg::Table) => MotionSource::Table,
+        Some(MotionArg::Network) => MotionSource::Network,
     }
 }
 
@@ -249,6 +260,93 @@ pub struct BenchArgs {
     /// Write a self-contained page: a bar chart of the kernels; with --sweep the charts, tables and pictures
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
+}
+
+/// `spgs compare`.
+#[derive(Debug, Args)]
+pub struct CompareArgs {
+    /// The truth: a picture (PNG, JPEG or EXR), or a folder of them
+    pub reference: PathBuf,
+    /// What is compared with it: a picture of the same size, or a folder with pictures of the same names
+    pub test: PathBuf,
+    /// Weights for LPIPS (.safetensors with AlexNet, VGG-16 or both; may be given twice) [default: none, LPIPS is null]
+    #[arg(long, value_name = "FILE")]
+    pub lpips_weights: Vec<PathBuf>,
+    /// Colour behind pictures with alpha
+    #[arg(long, value_name = "R,G,B", default_value = "0,0,0", allow_hyphen_values = true, value_parser = color)]
+    pub background: [f32; 3],
+    /// Error images: FILE.png gets the map of FLIP of one pair; a folder gets NAME_flip.png and NAME_error.png (4 times the
+    /// absolute difference) of each
+    #[arg(long, value_name = "FILE.png|DIR")]
+    pub out: Option<PathBuf>,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `spgs eval`.
+#[derive(Debug, Args)]
+pub struct EvalArgs {
+    /// Model: .safetensors or 3DGS .ply
+    pub model: PathBuf,
+    /// Data set: a folder as for `spgs train`
+    #[arg(long, value_name = "DATA")]
+    pub data: PathBuf,
+    /// Part of the data set
+    #[arg(long, value_enum, default_value_t = SplitArg::Test)]
+    pub split: SplitArg,
+    /// By which rules of the paper [default: by the data set's format]
+    #[arg(long, value_enum)]
+    pub protocol: Option<Benchmark>,
+    /// The paper's scene to compare with [default: by the data folder's name]
+    #[arg(long, value_name = "NAME")]
+    pub scene: Option<String>,
+    /// Images are averaged down by this factor [default: as the model was trained, else the protocol's]
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub downscale: Option<u32>,
+    /// Colour behind the scene and behind pictures with alpha [default: as the model was trained, else the protocol's black]
+    #[arg(long, value_name = "R,G,B", allow_hyphen_values = true, value_parser = color)]
+    pub background: Option<[f32; 3]>,
+    /// Where the motion comes from [default: the key-time table where the model has one]
+    #[arg(long, value_enum)]
+    pub motion: Option<MotionArg>,
+    /// Weights for LPIPS (.safetensors with AlexNet, VGG-16 or both; may be given twice) [default: none, LPIPS is null]
+    #[arg(long, value_name = "FILE")]
+    pub lpips_weights: Vec<PathBuf>,
+    /// Also the scores under the data set's masks (of what moves)
+    #[arg(long)]
+    pub masks: bool,
+    /// Write everything as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Write a page with tables, charts and pictures
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
+    /// Folder for pictures of every view: NNNNN.png, NNNNN_truth.png, NNNNN_flip.png, NNNNN_error.png
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+/// `--split` of `spgs eval`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SplitArg {
+    /// Held-out views.
+    Test,
+    /// Views held out beside the test split.
+    Val,
+    /// Views that were trained on.
+    Train,
+}
+
+impl SplitArg {
+    /// Name in JSON and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Test => "test",
+            Self::Val => "val",
+            Self::Train => "train",
+        }
+    }
 }
 
 /// `spgs inspect`.

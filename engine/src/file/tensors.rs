@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use rayon::prelude::*;
-use safetensors::tensor::{Metadata, SafeTensors};
+use safetensors::tensor::{Metadata, SafeTensors, TensorView};
 use serde_json::{Map, Value, json};
 
 use super::checksum;
@@ -136,13 +136,27 @@ pub fn read(path: &Path, format_version: [&str; 2]) -> Result<TensorFile> {
     if !checksum::verify(metadata, &header, &bytes[data_begin..], path)? {
         return Err(Error::corrupt(path, "metadata entry `checksum`", "nothing", "checksums of the tensors"));
     }
+    Ok((stored(bytes, path)?, own_metadata(metadata)))
+}
+
+/// Reads the tensors of any safetensors file, whoever wrote it.
+///
+/// # Errors
+/// [`Error::Corrupt`] for a file that is not safetensors; [`Error::Io`].
+pub fn read_plain(path: &Path) -> Result<BTreeMap<String, StoredTensor>> {
+    let bytes = &*map_file(path)?;
+    parse_header(bytes, path)?;
+    stored(bytes, path)
+}
+
+fn stored(bytes: &[u8], path: &Path) -> Result<BTreeMap<String, StoredTensor>> {
     let parsed = SafeTensors::deserialize(bytes)
         .map_err(|e| Error::corrupt(path, "byte 0 (header)", e.to_string(), "a safetensors header"))?;
-    let stored = parsed.tensors().into_iter().map(|(name, view)| {
+    let tensor = |(name, view): (String, TensorView<'_>)| {
         let (dtype, shape, bytes) = (view.dtype().to_string(), view.shape().to_vec(), view.data().to_vec());
         (name, StoredTensor { dtype, shape, bytes })
-    });
-    Ok((stored.collect(), own_metadata(metadata)))
+    };
+    Ok(parsed.tensors().into_iter().map(tensor).collect())
 }
 
 /// Parses the header; returns where the data begin.

@@ -4,7 +4,7 @@ use crate::data::loader::ImageLoader;
 use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::image::Image;
-use crate::reference::gradient::loss;
+use crate::metrics::{self, Planes};
 use crate::render::{RenderOptions, Renderer};
 use crate::scene::Scene;
 
@@ -49,13 +49,10 @@ pub fn evaluate(
         let photo = loader.get(index)?;
         let rendered = renderer.render(&view.camera, view.time)?;
         let truth = composite(&photo, options.background);
-        let clamp = |image: &Image| image.rgb().map(|v| v.clamp(0.0, 1.0)).collect::<Vec<f64>>();
-        let (a, b) = (clamp(&rendered), clamp(&truth));
-        let mse = a.iter().zip(&b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>() / a.len().max(1) as f64;
-        let size = [truth.width as usize, truth.height as usize];
-        let ssim = loss::image_loss(&a, &b, size, 1.0).ssim;
-        let score =
-            ViewScore { index, name: view.name.clone(), time: view.time, psnr: -10.0 * mse.max(1e-30).log10(), ssim };
+        let (ours, photo) = (Planes::clamped(&rendered)?, Planes::clamped(&truth)?);
+        let psnr = metrics::psnr(&photo, &ours, None)?;
+        let ssim = metrics::ssim(&photo, &ours, None)?.zero_padded;
+        let score = ViewScore { index, name: view.name.clone(), time: view.time, psnr, ssim };
         each(&score, &rendered, &truth)?;
         scores.push(score);
     }

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use engine::error::Result;
 use tools::args::{Cli, Command};
-use tools::{bench, demo, devices, inspect, output, render, train};
+use tools::{bench, compare, demo, devices, eval, inspect, output, render, train};
 
 fn main() -> ExitCode {
     match output::parse::<Cli>("spgs") {
@@ -19,6 +19,8 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Train(args) => train::run(args, &cli.global),
         Command::Render(args) => render::run(args, &cli.global),
         Command::Bench(args) => bench::run(args, &cli.global),
+        Command::Compare(args) => compare::run(args, &cli.global),
+        Command::Eval(args) => eval::run(args, &cli.global),
         Command::Inspect(args) => inspect::run(args),
         Command::Devices(args) => devices::run(args),
     }

@@ -1,0 +1,101 @@
+//! Colour spaces of FLIP (supplement of the paper): sRGB, linear RGB, XYZ, YCxCz, L*a*b*.
+
+use crate::metrics::planes::Planes;
+use rayon::prelude::*;
+
+/// Linear RGB to XYZ, D65.
+const XYZ_FROM_RGB: [[f64; 3]; 3] = [
+    [10_135_552.0 / 24_577_794.0, 8_788_810.0 / 24_577_794.0, 4_435_075.0 / 24_577_794.0],
+    [2_613_072.0 / 12_288_897.0, 8_788_810.0 / 12_288_897.0, 887_015.0 / 12_288_897.0],
+    [1_425_312.0 / 73_733_382.0, 8_788_810.0 / 73_733_382.0, 70_074_185.0 / 73_733_382.0],
+];
+/// XYZ to linear RGB.
+const RGB_FROM_XYZ: [[f64; 3]; 3] = [
+    [3.241_003_275, -1.537_398_934, -0.498_615_865],
+    [-0.969_224_334, 1.875_930_071, 0.041_554_224],
+    [0.055_639_423, -0.204_011_202, 1.057_148_933],
+];
+/// XYZ of white.
+const WHITE: [f64; 3] = [0.950_428_545, 1.0, 1.088_900_371];
+
+fn multiply(m: &[[f64; 3]; 3], v: [f64; 3]) -> [f64; 3] {
+    m.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
+}
+
+fn linear(srgb: f64) -> f64 {
+    if srgb <= 0.04045 { srgb / 12.92 } else { ((srgb + 0.055) / 1.055).powf(2.4) }
+}
+
+/// YCxCz planes of a picture that is read as sRGB: achromatic, red-green, blue-yellow.
+pub(super) fn opponent(planes: &Planes) -> [Vec<f32>; 3] {
+    // Pictures hold few different values: those of 8 bits come from a table.
+    let table: Vec<f64> = (0..256).map(|k| linear(f64::from(k) / 255.0)).collect();
+    let decode = |v: f64| {
+        let k = (v * 255.0).round();
+        if (k / 255.0 - v).abs() < 1.0e-12 { table[k as usize] } else { linear(v) }
+    };
+    let [r, g, b] = &planes.rgb;
+    let values: Vec<[f32; 3]> = (0..planes.pixels())
+        .into_par_iter()
+        .with_min_len(4096)
+        .map(|i| ycxcz([decode(r[i]), decode(g[i]), decode(b[i])]).map(|v| v as f32))
+        .collect();
+    [0, 1, 2].map(|c: usize| values.iter().map(|v| v[c]).collect())
+}
+
+fn ycxcz(rgb: [f64; 3]) -> [f64; 3] {
+    let xyz = multiply(&XYZ_FROM_RGB, rgb);
+    let [x, y, z] = [0, 1, 2].map(|i: usize| xyz[i] / WHITE[i]);
+    [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
+}
+
+/// Filtered YCxCz → linear RGB clamped to [0, 1] → L*a*b* with Hunt's effect.
+pub(super) fn adapted([y, cx, cz]: [f32; 3]) -> [f32; 3] {
+    let y = (y + 16.0) / 116.0;
+    let xyz = [(y + cx / 500.0) * WHITE[0] as f32, y, (y - cz / 200.0) * WHITE[2] as f32];
+    let rgb = RGB_FROM_XYZ
+        .map(|row| (row[0] as f32 * xyz[0] + row[1] as f32 * xyz[1] + row[2] as f32 * xyz[2]).clamp(0.0, 1.0));
+    hunt(lab(rgb))
+}
+
+fn lab(rgb: [f32; 3]) -> [f32; 3] {
+    let f = |v: f32| {
+        const DELTA: f32 = 6.0 / 29.0;
+        if v > DELTA * DELTA * DELTA { v.cbrt() } else { v / (3.0 * DELTA * DELTA) + 4.0 / 29.0 }
+    };
+    let [x, y, z] = [0, 1, 2].map(|i: usize| {
+        let row = XYZ_FROM_RGB[i];
+        f((row[0] as f32 * rgb[0] + row[1] as f32 * rgb[1] + row[2] as f32 * rgb[2]) / WHITE[i] as f32)
+    });
+    [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
+}
+
+/// Colours of bright pixels look stronger.
+fn hunt([l, a, b]: [f32; 3]) -> [f32; 3] {
+    [l, 0.01 * l * a, 0.01 * l * b]
+}
+
+/// City-block in lightness, Euclidean in colour.
+pub(super) fn hyab(p: [f32; 3], q: [f32; 3]) -> f32 {
+    let (a, b) = (p[1] - q[1], p[2] - q[2]);
+    (p[0] - q[0]).abs() + (a * a + b * b).sqrt()
+}
+
+/// The largest distance there is, between pure green and pure blue.
+pub(super) fn largest_distance() -> f32 {
+    hyab(hunt(lab([0.0, 1.0, 0.0])), hunt(lab([0.0, 0.0, 1.0])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn white_and_black_are_where_they_belong() {
+        let close = |a: [f32; 3], b: [f32; 3]| (0..3).all(|i| (a[i] - b[i]).abs() < 1e-3);
+        assert!(close(lab([1.0; 3]), [100.0, 0.0, 0.0]) && close(lab([0.0; 3]), [0.0; 3]));
+        let there = ycxcz([0.2, 0.5, 0.9]).map(|v| v as f32);
+        assert!(close(adapted(there), hunt(lab([0.2, 0.5, 0.9]))), "the way there and back");
+        assert!((linear(0.5) - 0.214_041_14).abs() < 1e-7);
+    }
+}

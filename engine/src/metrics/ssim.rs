@@ -1,0 +1,261 @@
+//! Structural similarity and its multi-scale form.
+//!
+//! SSIM(x, y) = l·cs with l = (2μ_xμ_y + C1)/(μ_x² + μ_y² + C1) and cs = (2σ_xy + C2)/(σ_x² + σ_y² + C2), C1 = 0.01²,
+//! C2 = 0.03² for a data range of 1 (Wang, Bovik, Sheikh, Simoncelli 2004), moments under an 11×11 Gaussian of σ 1.5 px,
+//! not corrected for the sample, each channel by itself.
+
+use rayon::prelude::*;
+
+use super::filter::{add_scaled, gaussian, horizontal};
+use super::planes::{Planes, Weights, same_size, weights_fit};
+use crate::error::Result;
+
+/// 0.01².
+const C1: f64 = 1.0e-4;
+/// 0.03².
+const C2: f64 = 9.0e-4;
+const RADIUS: usize = 5;
+const SIGMA: f64 = 1.5;
+/// Exponents of the five scales, finest first (Wang, Simoncelli, Bovik 2003, section 3.2).
+pub const SCALE_WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
+/// Smallest picture side that five scales can be taken of: the window must fit the coarsest.
+pub const MS_SSIM_MIN_SIDE: usize = 2 * RADIUS * 16 + 1;
+
+/// SSIM of a pair of pictures.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct SsimScores {
+    /// Mean over all pixels and channels, zeros outside the picture: as `loss_utils.py` of 3DGS, SP-GS and their family.
+    pub zero_padded: f64,
+    /// Mean over windows that lie inside the picture (a margin of 5 pixels is left out), as `scikit-image` and
+    /// `pytorch_msssim` have it; `None` for a picture smaller than the window, or where the weights leave no such window.
+    pub valid: Option<f64>,
+}
+
+/// SSIM with both borders. Weights multiply the map of similarities.
+///
+/// # Errors
+/// [`crate::Error::Usage`] for pictures of different sizes or weights of another size.
+pub fn ssim(reference: &Planes, test: &Planes, weights: Option<&Weights>) -> Result<SsimScores> {
+    same_size(reference, test)?;
+    weights_fit(reference, weights)?;
+    let size = [reference.width, reference.height];
+    let mut sums = Sums::default();
+    for (x, y) in reference.rgb.iter().zip(&test.rgb) {
+        sums.add(&channel_sums(x, y, size, weights.map(Weights::values)));
+    }
+    Ok(SsimScores {
+        zero_padded: sums.all / sums.all_weight,
+        valid: (sums.valid_weight > 0.0).then(|| sums.valid / sums.valid_weight),
+    })
+}
+
+/// MS-SSIM: Π over the scales of mean(cs)^w, the coarsest by mean(SSIM)^w, windows inside the picture, negative means
+/// taken as 0, each channel by itself and their mean (as `pytorch_msssim` and, for a stated data range, `torchmetrics`).
+/// A scale is the 2×2 average of the one before; a side of odd length gets a zero at each end first. `None` for pictures
+/// with a side below [`MS_SSIM_MIN_SIDE`].
+///
+/// Note: the SP-GS code calls `torchmetrics` with the data range unset, which then follows the values of each picture; here
+/// it is always 1.
+///
+/// # Errors
+/// [`crate::Error::Usage`] for pictures of different sizes.
+pub fn ms_ssim(reference: &Planes, test: &Planes) -> Result<Option<f64>> {
+    same_size(reference, test)?;
+    if reference.width.min(reference.height) < MS_SSIM_MIN_SIDE {
+        return Ok(None);
+    }
+    let channels = reference.rgb.iter().zip(&test.rgb);
+    let of = |(x, y): (&Vec<f64>, &Vec<f64>)| channel_ms_ssim(x, y, [reference.width, reference.height]);
+    Ok(Some(channels.map(of).sum::<f64>() / 3.0))
+}
+
+fn channel_ms_ssim(x: &[f64], y: &[f64], size: [usize; 2]) -> f64 {
+    let (mut x, mut y, mut size) = (x.to_vec(), y.to_vec(), size);
+    let mut product = 1.0;
+    for (scale, weight) in SCALE_WEIGHTS.iter().enumerate() {
+        let sums = channel_sums(&x, &y, size, None);
+        let coarsest = scale + 1 == SCALE_WEIGHTS.len();
+        let mean = if coarsest { sums.valid } else { sums.valid_cs } / sums.valid_weight;
+        product *= mean.max(0.0).powf(*weight);
+        if !coarsest {
+            (x, y) = (halved(&x, size), halved(&y, size));
+            size = size.map(|side| side.div_ceil(2));
+        }
+    }
+    product
+}
+
+/// 2×2 averages; a side of odd length has a zero before its first and after its last value.
+fn halved(values: &[f64], [width, height]: [usize; 2]) -> Vec<f64> {
+    let (w, h) = (width.div_ceil(2), height.div_ceil(2));
+    // Rows (or columns) 2i − odd and 2i + 1 − odd where they exist.
+    let pair = |i: usize, side: usize| {
+        let first = (2 * i).checked_sub(side % 2);
+        [first, Some(first.map_or(0, |f| f + 1))].map(|j| j.filter(|&j| j < side))
+    };
+    let mut out = vec![0.0; w * h];
+    out.par_chunks_exact_mut(w).enumerate().for_each(|(y, row)| {
+        for source in pair(y, height).into_iter().flatten() {
+            let line = &values[source * width..(source + 1) * width];
+            for (x, value) in row.iter_mut().enumerate() {
+                *value += pair(x, width).into_iter().flatten().map(|j| line[j]).sum::<f64>() / 4.0;
+            }
+        }
+    });
+    out
+}
+
+/// Weighted sums of the maps of one channel, over all pixels and over the windows inside.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    all: f64,
+    all_weight: f64,
+    valid: f64,
+    valid_cs: f64,
+    valid_weight: f64,
+}
+
+impl Sums {
+    fn add(&mut self, other: &Self) {
+        self.all += other.all;
+        self.all_weight += other.all_weight;
+        self.valid += other.valid;
+        self.valid_cs += other.valid_cs;
+        self.valid_weight += other.valid_weight;
+    }
+}
+
+/// Both borders come from one pass: a window inside the picture sees no padding.
+fn channel_sums(x: &[f64], y: &[f64], [width, height]: [usize; 2], weights: Option<&[f64]>) -> Sums {
+    let taps = gaussian(RADIUS, SIGMA);
+    let rows: Vec<Sums> = (0..height)
+        .into_par_iter()
+        .map_init(
+            || RowMoments::new(width),
+            |moments, row| {
+                moments.fill(x, y, [width, height], row, &taps);
+                let inside = row >= RADIUS && row + RADIUS < height;
+                moments.sums(inside, weights.map(|w| &w[row * width..(row + 1) * width]))
+            },
+        )
+        .collect();
+    let mut total = Sums::default();
+    rows.iter().for_each(|r| total.add(r));
+    total
+}
+
+/// μ_x, μ_y, E[x² + y²] and E\[xy\] of one row of windows.
+struct RowMoments {
+    padded: [Vec<f64>; 4],
+    row: [Vec<f64>; 4],
+}
+
+impl RowMoments {
+    fn new(width: usize) -> Self {
+        let rows = |length: usize| std::array::from_fn(|_| vec![0.0; length]);
+        Self { padded: rows(width + 2 * RADIUS), row: rows(width) }
+    }
+
+    fn fill(&mut self, x: &[f64], y: &[f64], [width, height]: [usize; 2], row: usize, taps: &[f64]) {
+        let middle = RADIUS..RADIUS + width;
+        let [mx, my, xx, xy] = self.padded.each_mut().map(|p| &mut p[middle.clone()]);
+        [&mut *mx, &mut *my, &mut *xx, &mut *xy].into_iter().for_each(|p| p.fill(0.0));
+        for (k, &tap) in taps.iter().enumerate() {
+            let Some(source) = (row + k).checked_sub(RADIUS).filter(|r| *r < height) else { continue };
+            let (x, y) = (&x[source * width..(source + 1) * width], &y[source * width..(source + 1) * width]);
+            add_scaled(mx, x, tap);
+            add_scaled(my, y, tap);
+            for (((squares, product), &x), &y) in xx.iter_mut().zip(xy.iter_mut()).zip(x).zip(y) {
+                *squares += tap * (x * x + y * y);
+                *product += tap * (x * y);
+            }
+        }
+        for (padded, row) in self.padded.iter().zip(&mut self.row) {
+            horizontal(padded, taps, row);
+        }
+    }
+
+    fn sums(&self, inside: bool, weights: Option<&[f64]>) -> Sums {
+        let width = self.row[0].len();
+        let mut sums = Sums::default();
+        for i in 0..width {
+            let [mx, my, squares, product] = [0, 1, 2, 3].map(|m: usize| self.row[m][i]);
+            let cs = (2.0 * (product - mx * my) + C2) / (squares - mx * mx - my * my + C2);
+            let ssim = cs * (2.0 * mx * my + C1) / (mx * mx + my * my + C1);
+            let weight = weights.map_or(1.0, |w| w[i]);
+            sums.all += weight * ssim;
+            sums.all_weight += weight;
+            if inside && i >= RADIUS && i + RADIUS < width {
+                sums.valid += weight * ssim;
+                sums.valid_cs += weight * cs;
+                sums.valid_weight += weight;
+            }
+        }
+        sums
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+    use super::*;
+    use crate::reference::gradient::loss::image_loss;
+    use crate::scene::synthetic::Random;
+
+    fn noise(size: [usize; 2], seed: u64) -> Planes {
+        let mut random = Random::new(seed);
+        let mut plane = || (0..size[0] * size[1]).map(|_| random.range(0.0, 1.0)).collect();
+        Planes { width: size[0], height: size[1], rgb: [plane(), plane(), plane()] }
+    }
+
+    fn interleaved(p: &Planes) -> Vec<f64> {
+        (0..p.pixels()).flat_map(|i| [p.rgb[0][i], p.rgb[1][i], p.rgb[2][i]]).collect()
+    }
+
+    #[test]
+    fn zero_padded_is_what_the_training_loss_has() {
+        for size in [[1, 1], [3, 20], [23, 17]] {
+            let (a, b) = (noise(size, 1), noise(size, 2));
+            let truth = image_loss(&interleaved(&a), &interleaved(&b), size, 1.0).ssim;
+            assert!((ssim(&a, &b, None).unwrap().zero_padded - truth).abs() < 1e-12, "{size:?}");
+        }
+    }
+
+    #[test]
+    fn equal_pictures_are_one_and_small_ones_have_no_valid_window() {
+        let a = noise([165, 170], 3);
+        let s = ssim(&a, &a, None).unwrap();
+        assert!((s.zero_padded - 1.0).abs() < 1e-12 && (s.valid.unwrap() - 1.0).abs() < 1e-12);
+        assert!((ms_ssim(&a, &a).unwrap().unwrap() - 1.0).abs() < 1e-12);
+        let small = noise([10, 40], 4);
+        assert_eq!(ssim(&small, &small, None).unwrap().valid, None);
+        assert_eq!(ms_ssim(&small, &small).unwrap(), None);
+    }
+
+    #[test]
+    fn weights_choose_pixels() {
+        let (a, b) = (noise([30, 24], 5), noise([30, 24], 6));
+        let mut mixed = a.clone();
+        // The left half differs; a mask of the far right sees no window that reaches it.
+        for c in 0..3 {
+            for i in (0..a.pixels()).filter(|i| i % 30 < 10) {
+                mixed.rgb[c][i] = b.rgb[c][i];
+            }
+        }
+        let mask = |f: fn(usize) -> bool| {
+            Weights::new((0..a.pixels()).map(|i| f64::from(u8::from(f(i % 30)))).collect(), [30, 24]).unwrap()
+        };
+        let right = ssim(&a, &mixed, Some(&mask(|x| x >= 15))).unwrap();
+        assert!((right.zero_padded - 1.0).abs() < 1e-12, "{right:?}");
+        assert!(ssim(&a, &mixed, Some(&mask(|x| x < 10))).unwrap().zero_padded < 0.5);
+        let ones = ssim(&a, &mixed, Some(&mask(|_| true))).unwrap();
+        assert_eq!(ones, ssim(&a, &mixed, None).unwrap());
+    }
+
+    #[test]
+    fn halving_averages_and_pads_odd_sides() {
+        assert_eq!(halved(&[1.0, 2.0, 3.0, 4.0], [2, 2]), [2.5]);
+        // A side of 3 becomes 0 1 | 2 3: the first average holds one zero.
+        assert_eq!(halved(&[4.0, 8.0, 16.0, 4.0, 8.0, 16.0], [3, 2]), [2.0, 12.0]);
+    }
+}
