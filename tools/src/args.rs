@@ -412,7 +412,8 @@ fn preset(text: &str) -> Result<Quality, String> {
 
 /// Checks a list of knobs.
 fn knobs(text: &str) -> Result<String, String> {
-    Quality::EXACT.set_all(text).map(|()| text.to_owned()).map_err(|e| e.to_string())
+    let mut quality = Quality::EXACT;
+    quality.set_all(text).map(|()| text.to_owned()).map_err(|e| e.to_string())
 }
 
 /// Parses a number that is neither NaN nor infinite.

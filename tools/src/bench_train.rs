@@ -35,9 +35,14 @@ struct Case {
 
 /// Measures and reports.
 pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
-    let fixed = args.model.is_some() || args.cameras.is_some() || args.view.width.is_some() || args.view.height.is_some();
+    let fixed =
+        args.model.is_some() || args.cameras.is_some() || args.view.width.is_some() || args.view.height.is_some();
     if args.sweep && fixed {
-        return Err(Error::usage("bench --train --sweep", "a model, cameras or a size", "none: the scenes are synthetic"));
+        return Err(Error::usage(
+            "bench --train --sweep",
+            "a model, cameras or a size",
+            "none: the scenes are synthetic",
+        ));
     }
     let gpu = gpu_session::open_to_measure(global)?;
     let [steps, warmup] = STEPS[usize::from(args.sweep)];

@@ -13,7 +13,7 @@ use engine::scene::Scene;
 use serde_json::{Value, json};
 
 use self::measure::{Measured, Measurer};
-use self::settings::{Kind, Setting};
+use self::settings::Kind;
 use self::views::Views;
 use crate::args::{BenchArgs, Global};
 use crate::bench::{load_scene, write_text};
@@ -32,7 +32,7 @@ pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     let views = Views::choose(args, &scene, gpu.info().is_cpu())?;
     let mut settings = settings::alone(&scene);
     let combinations = settings.iter().filter(|s| matches!(s.kind, Kind::Knob { .. })).count();
-    let bar = progress::bar((views.cameras.len() + settings.len() + combinations / 2) as u64, global.quiet);
+    let bar = progress::sweep((views.cameras.len() + settings.len() + combinations / 2) as u64, global.quiet);
     bar.set_message("f64 reference");
     let truth = references(&scene, args, &views, &|| bar.inc(1))?;
     let measurer = Measurer::new(&gpu, &scene, args, &views, &truth)?;

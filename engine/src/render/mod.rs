@@ -27,7 +27,7 @@ pub mod quaternion;
 pub mod radix_sort;
 mod renderer;
 pub(crate) mod scene_buffers;
-pub(crate) mod sh_storage;
+pub mod sh_storage;
 #[cfg(test)]
 mod sort_tests;
 pub mod splat;

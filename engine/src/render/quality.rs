@@ -176,22 +176,22 @@ impl Quality {
     }
 
     /// Specialisation constant `ALPHA_CUT`: bits of log2(1/cut); 0 stands for 1/255.
-    pub(crate) fn alpha_cut_constant(&self) -> u32 {
+    pub fn alpha_cut_constant(&self) -> u32 {
         if self.alpha_cut == Self::EXACT.alpha_cut { 0 } else { (-self.alpha_cut.log2()).to_bits() }
     }
 
     /// Specialisation constant `TRANSMITTANCE_STOP`: bits of it; 0 stands for 1e-4.
-    pub(crate) fn stop_constant(&self) -> u32 {
+    pub fn stop_constant(&self) -> u32 {
         if self.stop == Self::EXACT.stop { 0 } else { self.stop.to_bits() }
     }
 
     /// Specialisation constant `TILE_CULL`.
-    pub(crate) fn cull_constant(&self) -> u32 {
+    pub fn cull_constant(&self) -> u32 {
         u32::from(self.cull == TileCull::Box)
     }
 
     /// Specialisation constant `PACKING`: colour + 4 · conic.
-    pub(crate) fn packing_constant(&self) -> u32 {
+    pub fn packing_constant(&self) -> u32 {
         self.colour.constant() + 4 * self.conic.constant()
     }
 }
@@ -204,7 +204,7 @@ impl Default for Quality {
 
 impl Storage {
     /// Value of a specialisation constant.
-    pub(crate) const fn constant(self) -> u32 {
+    pub const fn constant(self) -> u32 {
         match self {
             Self::F32 => 0,
             Self::F16 => 1,

@@ -289,10 +289,11 @@ impl Renderer {
             return Cow::Borrowed(camera);
         }
         let side = |s: u32| ((f64::from(s) * scale).round() as u32).max(1);
-        let (width, height) = (side(camera.width), side(camera.height));
-        let (x, y) = (f64::from(width) / f64::from(camera.width), f64::from(height) / f64::from(camera.height));
-        let (fx, fy, cx, cy) = (camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y);
-        Cow::Owned(Camera { width, height, fx, fy, cx, cy, ..camera.clone() })
+        // A senseless camera keeps its size, so that the frame says what is wrong with it.
+        if camera.width == 0 || camera.height == 0 {
+            return Cow::Borrowed(camera);
+        }
+        Cow::Owned(camera.resized(side(camera.width), side(camera.height)))
     }
 
     fn slot(&self, frame: FrameId) -> Result<&Slot> {

@@ -16,7 +16,7 @@ fn of_band(storage: u32, band: usize) -> u32 {
 }
 
 /// Words of a band from its f32 planes (`[planes][n]`).
-pub(crate) fn encode(storage: Storage, band: usize, values: &[f32], n: usize) -> Vec<u32> {
+pub fn encode(storage: Storage, band: usize, values: &[f32], n: usize) -> Vec<u32> {
     if n == 0 || values.is_empty() {
         return Vec::new();
     }
@@ -56,7 +56,7 @@ fn range(values: &[f32]) -> [f32; 2] {
 }
 
 /// Plane `p` of Gaussian `g` in a band's buffer: the twin of `SH_COEFFICIENT` in `deform_project.comp`.
-pub(crate) fn coefficient(words: &[u32], storage: u32, band: usize, p: usize, n: usize, g: usize) -> f32 {
+pub fn coefficient(words: &[u32], storage: u32, band: usize, p: usize, n: usize, g: usize) -> f32 {
     match of_band(storage, band) {
         0 => f32_at(words, p * n + g),
         1 => half::unpack(words[p / 2 * n + g])[p % 2],

@@ -8,8 +8,8 @@ use serde_json::Value;
 use super::measure::{Measured, Measurer, STAGES};
 use super::settings::Kind;
 use super::{VISIBLE, table};
-use crate::page::{self, Align, Axis, Chart, Mark, Page, Picture, Series, Standing, Table};
 use crate::error_image;
+use crate::page::{self, Align, Axis, Chart, Mark, Page, Picture, Series, Standing, Table};
 
 /// Settings that are shown as pictures, at most.
 const SHOWN: usize = 10;
@@ -35,7 +35,15 @@ pub(super) fn html(record: &Value, measurer: &Measurer<'_>, results: &[Measured]
                 field("/scene/key_times")
             ),
         ),
-        ("Errors", format!("{} views of {}×{} pixels against the f64 reference of the same model", views.cameras.len(), camera.width, camera.height)),
+        (
+            "Errors",
+            format!(
+                "{} views of {}×{} pixels against the f64 reference of the same model",
+                views.cameras.len(),
+                camera.width,
+                camera.height
+            ),
+        ),
         ("Times", format!("{w}×{h} pixels, one frame at a time, median of the host's time from submission to the end")),
     ]);
     if !views.notes.is_empty() {
@@ -74,14 +82,17 @@ fn summary(page: &mut Page, results: &[Measured]) {
     let mut row = |what: &str, m: Option<&Measured>| {
         if let Some(m) = m {
             let standing = if m.error.invisible { Standing::Good } else { Standing::Plain };
-            table.marked(standing, [
-                what.to_owned(),
-                m.setting.name.clone(),
-                format!("{:.2}", m.frame_ms.median),
-                format!("{:.2}×", exact.frame_ms.median / m.frame_ms.median),
-                format!("{:.1}", m.error.psnr),
-                format!("{:.3} %", 100.0 * m.error.visible),
-            ]);
+            table.marked(
+                standing,
+                [
+                    what.to_owned(),
+                    m.setting.name.clone(),
+                    format!("{:.2}", m.frame_ms.median),
+                    format!("{:.2}×", exact.frame_ms.median / m.frame_ms.median),
+                    format!("{:.1}", m.error.psnr),
+                    format!("{:.3} %", 100.0 * m.error.visible),
+                ],
+            );
         }
     };
     row("the definition", Some(exact));
@@ -136,15 +147,13 @@ fn by_bytes(results: &[Measured]) -> Chart {
 
 /// Where a whole picture would be off by one level of 255.
 fn visible_line(results: &[Measured], x: fn(&Measured) -> f64) -> Series {
-    let (low, high) =
-        results.iter().map(x).fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
+    let (low, high) = results.iter().map(x).fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
     Series::line("1/255", vec![(low, VISIBLE), (high, VISIBLE)])
 }
 
 /// Device time by stage.
 fn stages(results: &[Measured]) -> Table {
-    let shown: Vec<&str> =
-        STAGES.into_iter().filter(|s| results.iter().any(|r| r.stage_ms.contains_key(s))).collect();
+    let shown: Vec<&str> = STAGES.into_iter().filter(|s| results.iter().any(|r| r.stage_ms.contains_key(s))).collect();
     let mut columns = vec![("setting".to_owned(), Align::Left)];
     columns.extend(shown.iter().map(|s| (format!("{s}, ms"), Align::Right)));
     columns.push(("tile instances".into(), Align::Right));

@@ -63,7 +63,10 @@ impl Views {
         let reduced = [cameras[0].0.width, cameras[0].0.height];
         if reduced != size {
             let [w, h] = reduced;
-            notes.push(format!("errors at {w}×{h} instead of {}×{} pixels: the f64 reference is slow", size[0], size[1]));
+            notes.push(format!(
+                "errors at {w}×{h} instead of {}×{} pixels: the f64 reference is slow",
+                size[0], size[1]
+            ));
         }
         // A software device would need an hour for frames that a GPU draws in seconds.
         let timed_size = if is_cpu { reduced } else { size };
@@ -118,7 +121,8 @@ fn photos_of(data: Option<&Dataset>, cameras: &[(Camera, f64)], background: [f32
         let all = data.test.iter().chain(&data.train).chain(&data.val);
         let same = |v: &&View| {
             let c = &v.camera;
-            c.position.abs_diff_eq(camera.position, 1e-6) && c.rotation.abs_diff_eq(camera.rotation, 1e-6)
+            c.position.abs_diff_eq(camera.position, 1e-6)
+                && c.rotation.abs_diff_eq(camera.rotation, 1e-6)
                 && (v.time - camera.time).abs() < 1e-6
         };
         let Some(view) = all.clone().find(same) else { return Ok(None) };
