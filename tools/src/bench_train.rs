@@ -40,6 +40,15 @@ pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     if let Some(wanted) = args.until_psnr {
         return until::run(args, global, wanted);
     }
+    let fixed =
+        args.model.is_some() || args.cameras.is_some() || args.view.width.is_some() || args.view.height.is_some();
+    if args.sweep && fixed {
+        return Err(Error::usage(
+            "bench --train --sweep",
+            "a model, cameras or a size",
+            "none: the scenes are synthetic",
+        ));
+    }
     let gpu = gpu_session::open_to_measure(global)?;
     let [steps, warmup] = STEPS[usize::from(args.sweep)];
     let plan = Plan { steps: args.frames.unwrap_or(steps), warmup: args.warmup.unwrap_or(warmup) };
