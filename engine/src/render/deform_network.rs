@@ -310,12 +310,12 @@ mod tests {
             (2.980_232_2e-8, 0),
             (6.1e-5, 0x03FF),
         ] {
-            assert_eq!(half(x, 0).unwrap(), bits, "{x}");
+            assert_eq!(weight_half(x, 0).unwrap(), bits, "{x}");
         }
         for bits in 0..0x7C00_u32 {
-            assert_eq!(u32::from(half(unpack_half(bits), 0).unwrap()), bits);
+            assert_eq!(u32::from(weight_half(half::to_f32(bits), 0).unwrap()), bits);
         }
-        assert!(half(65_520.0, 3).unwrap_err().to_string().contains("linear.3"));
+        assert!(weight_half(65_520.0, 3).unwrap_err().to_string().contains("linear.3"));
     }
 
     #[test]
