@@ -22,7 +22,7 @@ layout(constant_id = 4) const uint PAD = 1;
 layout(std430, set = 0, binding = 0) readonly buffer FeatureInputBlock { float feature_input[]; };
 // [outputs, inputs, KERNEL, KERNEL], then the bias.
 layout(std430, set = 0, binding = 1) readonly buffer ParameterBlock { float parameter[]; };
-// [outputs, out_rows, out_width]: rows out_first_row….
+// [outputs, out_rows, out_width]: rows out_first_row…; channels first_output… are written.
 layout(std430, set = 0, binding = 2) writeonly buffer FeatureOutputBlock { float feature_output[]; };
 
 layout(push_constant) uniform Push {
@@ -35,6 +35,8 @@ layout(push_constant) uniform Push {
     uint out_width;
     uint out_first_row;
     uint out_rows;
+    uint first_output;
+    uint output_count;
 } push;
 
 uint window_size() {
@@ -43,7 +45,7 @@ uint window_size() {
 }
 
 float operand_a(uint o, uint k) {
-    return parameter[o * push.inputs * window_size() + k];
+    return parameter[(push.first_output + o) * push.inputs * window_size() + k];
 }
 
 float operand_b(uint k, uint pixel) {
@@ -60,11 +62,12 @@ float operand_b(uint k, uint pixel) {
     return inside ? feature_input[at] : 0.0;
 }
 
-void store_element(uint o, uint pixel, float value) {
+void store_element(uint at, uint pixel, float value) {
+    uint o = push.first_output + at;
     float biased = value + parameter[push.outputs * push.inputs * window_size() + o];
     feature_output[o * push.out_rows * push.out_width + pixel] = max(biased, 0.0);
 }
 
 void main() {
-    matrix_product(product_tile(), push.outputs, push.out_rows * push.out_width, 0u, push.inputs * window_size());
+    matrix_product(product_tile(), push.output_count, push.out_rows * push.out_width, 0u, push.inputs * window_size());
 }

@@ -4,6 +4,7 @@ pub mod compare;
 pub mod gradient;
 pub mod kernel_case;
 pub mod posed;
+pub mod procedural_lpips;
 pub mod render_case;
 pub mod widths;
 

@@ -10,8 +10,8 @@ use engine::metrics::lpips::{
 };
 use engine::metrics::{self, Planes};
 use serde_json::Value;
-use tests_harness::KernelCase;
 use tests_harness::render_case::Random;
+use tests_harness::{KernelCase, procedural_lpips};
 
 fn planes(path: &Path) -> Planes {
     Planes::quantised(&picture::read(path).unwrap()).unwrap()
@@ -51,73 +51,16 @@ fn published_implementations_agree() {
     }
 }
 
-/// Shapes of the convolutions, in the order of the oracle's names.
-fn shapes(network: Network) -> Vec<[usize; 4]> {
-    match network {
-        Network::Alex => {
-            vec![[64, 3, 11, 11], [192, 64, 5, 5], [384, 192, 3, 3], [256, 384, 3, 3], [256, 256, 3, 3]]
-        }
-        Network::Vgg => {
-            let widths = [3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512];
-            widths.windows(2).map(|w| [w[1], w[0], 3, 3]).collect()
-        }
-    }
-}
-
-fn head_widths(network: Network) -> [usize; 5] {
-    match network {
-        Network::Alex => [64, 192, 384, 256, 256],
-        Network::Vgg => [64, 128, 256, 512, 512],
-    }
-}
-
-/// The procedural weights that the oracle describes, by way of a file.
 fn weights(network: Network, names: &[String]) -> Weights {
-    let (shapes, heads) = (shapes(network), head_widths(network));
-    let mut all: Vec<(String, Vec<usize>, Vec<f32>)> = Vec::new();
-    let mut conv = 0;
-    for (j, name) in names.iter().enumerate() {
-        let sine = |k: usize| (0.7 * k as f64 + 1.3 * j as f64).sin();
-        let list = |n: usize, f: &dyn Fn(f64) -> f64| (0..n).map(|k| f(sine(k)) as f32).collect::<Vec<f32>>();
-        let (shape, values) = if name.starts_with("lin") {
-            let i = name.chars().find(char::is_ascii_digit).unwrap().to_digit(10).unwrap() as usize;
-            (vec![1, heads[i], 1, 1], list(heads[i], &f64::abs))
-        } else if name.ends_with("bias") {
-            conv += 1;
-            (vec![shapes[conv - 1][0]], list(shapes[conv - 1][0], &|v| 0.1 * v))
-        } else {
-            let per_output: usize = shapes[conv][1..].iter().product();
-            let scale = 1.5 / (per_output as f64).sqrt();
-            (shapes[conv].to_vec(), list(per_output * shapes[conv][0], &|v| scale * v))
-        };
-        all.push((name.clone(), shape, values));
-    }
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("weights.safetensors");
-    let tensors = all.iter().map(|(n, s, v)| tensors::floats(n.as_str(), s.clone(), v)).collect();
-    tensors::write(&path, ["test", "1"], tensors, &Default::default()).unwrap();
+    procedural_lpips::write(&path, network, names);
     WeightsFile::read(&path).unwrap().get(network).unwrap().clone()
 }
 
 fn oracle_weights(oracle: &Value, network: Network) -> Weights {
     let names = oracle["lpips_tensors"][network.name()].as_array().unwrap();
     weights(network, &names.iter().map(|n| n.as_str().unwrap().to_owned()).collect::<Vec<_>>())
-}
-
-/// The package's names, when there is no oracle.
-fn own_weights(network: Network) -> Weights {
-    let layers: &[&[usize]] = match network {
-        Network::Alex => &[&[0], &[3], &[6], &[8], &[10]],
-        Network::Vgg => &[&[0, 2], &[5, 7], &[10, 12, 14], &[17, 19, 21], &[24, 26, 28]],
-    };
-    let mut names = Vec::new();
-    for (i, slice) in layers.iter().enumerate() {
-        for layer in *slice {
-            names.extend(["weight", "bias"].map(|kind| format!("net.slice{}.{layer}.{kind}", i + 1)));
-        }
-    }
-    names.extend((0..5).map(|i| format!("lin{i}.model.1.weight")));
-    weights(network, &names)
 }
 
 fn lpips_agrees(network: Network, of_pair: impl Fn(usize) -> bool) {
@@ -160,7 +103,7 @@ fn noise(size: [usize; 2], seed: u64) -> Planes {
 fn device_and_f64_agree_whatever_the_bands() {
     let gpu = tests_harness::gpu();
     for (network, size) in [(Network::Alex, [37, 33]), (Network::Vgg, [17, 21])] {
-        let weights = own_weights(network);
+        let weights = weights(network, &procedural_lpips::names(network));
         let (a, b) = (noise(size, 1), noise(size, 2));
         for range in [Range::MinusOneToOne, Range::ZeroToOne] {
             let truth = lpips::lpips(&weights, &a, &b, range).unwrap();
@@ -179,7 +122,7 @@ fn device_and_f64_agree_whatever_the_bands() {
         }
     }
     let tiny = noise([20, 20], 3);
-    let alex = Lpips::new(&gpu, &own_weights(Network::Alex)).unwrap();
+    let alex = Lpips::new(&gpu, &weights(Network::Alex, &procedural_lpips::names(Network::Alex))).unwrap();
     assert!(alex.distance(&tiny, &tiny, Range::default()).is_err());
 }
 
@@ -191,12 +134,12 @@ fn floats(r: &mut Random, count: u32, bound: f32) -> Vec<u32> {
 fn convolutions_match_their_twin() {
     let gpu = tests_harness::gpu();
     let mut r = Random(5);
-    // inputs, outputs, window, stride, pad, width, height, first and end row of the output
-    for [inputs, outputs, side, stride, pad, width, height, first, end] in [
-        [3_u32, 64, 11, 4, 2, 40, 35, 0, 8],
-        [4, 33, 5, 1, 2, 9, 7, 0, 7],
-        [5, 64, 3, 1, 1, 37, 20, 6, 13],
-        [2, 16, 3, 1, 1, 1, 2, 0, 2],
+    // inputs, outputs, window, stride, pad, width, height, first and end row of the output, first of its channels
+    for [inputs, outputs, side, stride, pad, width, height, first, end, first_output] in [
+        [3_u32, 64, 11, 4, 2, 40, 35, 0, 8, 0],
+        [4, 33, 5, 1, 2, 9, 7, 0, 7, 0],
+        [5, 64, 3, 1, 1, 37, 20, 6, 13, 32],
+        [2, 16, 3, 1, 1, 1, 2, 0, 2, 3],
     ] {
         // The input holds just the rows that the windows reach.
         let in_first = (first * stride).saturating_sub(pad);
@@ -211,6 +154,8 @@ fn convolutions_match_their_twin() {
             out_width: (width + 2 * pad - side) / stride + 1,
             out_first_row: first,
             out_rows: end - first,
+            first_output,
+            output_count: outputs - first_output,
         };
         let depth = inputs * side * side;
         let pixels = push.out_width * push.out_rows;
@@ -224,7 +169,7 @@ fn convolutions_match_their_twin() {
                     floats(&mut r, outputs * (depth + 1), 1.0 / (depth as f32).sqrt()),
                     vec![0; (outputs * pixels) as usize],
                 ],
-                groups: lpips::conv_groups(stage, gpu.subgroup_size(), outputs, pixels) as u32,
+                groups: lpips::conv_groups(stage, gpu.subgroup_size(), push.output_count, pixels) as u32,
             };
             case.run(&gpu).assert_equal(&LPIPS_CONV, &format!("{push:?}, window {side}, stage {stage}"));
         }

@@ -80,7 +80,8 @@ impl Scorer {
     pub fn score(&self, reference: &Planes, test: &Planes) -> Result<(AllScores, FlipMap)> {
         let (pixel, map) = metrics::score(reference, test, None)?;
         let mut scores = AllScores { pixel, ..AllScores::default() };
-        for lpips in &self.networks {
+        let side = reference.width.min(reference.height);
+        for lpips in self.networks.iter().filter(|l| side >= l.network().smallest_side()) {
             let distance = Some(lpips.distance(reference, test, Range::default())?);
             match lpips.network() {
                 Network::Alex => scores.lpips_alex = distance,
@@ -110,8 +111,16 @@ pub fn read_weights(files: &[PathBuf]) -> Result<WeightsFile> {
 pub fn notes(weights: &WeightsFile, scores: &[AllScores]) -> Vec<String> {
     let mut notes = Vec::new();
     for network in Network::ALL {
+        let name = network.name();
+        let absent = |s: &AllScores| match network {
+            Network::Alex => s.lpips_alex.is_none(),
+            Network::Vgg => s.lpips_vgg.is_none(),
+        };
+        if weights.get(network).is_some() && scores.iter().any(absent) {
+            let side = network.smallest_side();
+            notes.push(format!("lpips_{name} is absent: its network needs pictures of at least {side} pixels a side"));
+        }
         if weights.get(network).is_none() {
-            let name = network.name();
             notes.push(format!(
                 "lpips_{name} is absent: no weights of {name} were given (--lpips-weights FILE.safetensors)"
             ));

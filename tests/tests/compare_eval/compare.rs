@@ -1,7 +1,9 @@
 //! Pictures and folders, and what goes wrong with them.
 
 use engine::file::picture as files;
+use engine::metrics::lpips::{Network, Range, WeightsFile, lpips};
 use engine::metrics::{self, Planes};
+use tests_harness::procedural_lpips;
 
 use super::common::{assert_close, bad_data, ok, ok_json, picture, spgs, text, write};
 
@@ -27,6 +29,26 @@ fn two_pictures_have_exactly_the_engine_s_values() {
     }
     let plain = ok(&["compare", text(&a), text(&b)]);
     assert!(plain.contains("psnr") && plain.contains(&format!("{:.2}", truth.psnr)), "{plain}");
+}
+
+#[test]
+fn weights_give_lpips_of_the_network_that_they_are_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let [a, b, weights] = ["a.png", "b.png", "w.safetensors"].map(|n| folder.path().join(n));
+    write(&a, &picture([40, 33], 1));
+    write(&b, &picture([40, 33], 2));
+    procedural_lpips::write(&weights, Network::Alex, &procedural_lpips::names(Network::Alex));
+    let json = ok_json(&["compare", text(&a), text(&b), "--json", "--lpips-weights", text(&weights)]);
+    let planes = |path| Planes::quantised(&files::read(path).unwrap()).unwrap();
+    let file = WeightsFile::read(&weights).unwrap();
+    let truth = lpips(file.get(Network::Alex).unwrap(), &planes(&a), &planes(&b), Range::default()).unwrap();
+    let ours = json["lpips_alex"].as_f64().unwrap();
+    assert!((ours - truth).abs() < 1e-5 * truth, "{ours}, {truth}");
+    assert!(json["lpips_vgg"].is_null() && !json["notes"].to_string().contains("lpips_alex"), "{json}");
+    // Too small a picture for the network has no number either.
+    write(&a, &picture([20, 20], 1));
+    let json = ok_json(&["compare", text(&a), text(&a), "--json", "--lpips-weights", text(&weights)]);
+    assert!(json["lpips_alex"].is_null() && json["notes"].to_string().contains("31 pixels"), "{json}");
 }
 
 #[test]

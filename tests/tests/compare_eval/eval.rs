@@ -3,9 +3,11 @@
 use std::path::Path;
 
 use engine::file::picture as files;
+use engine::metrics::lpips::Network;
 use engine::metrics::{self, Planes};
 use serde_json::Value;
 use tests_harness::posed::{Posed, PosedOptions};
+use tests_harness::procedural_lpips;
 
 use super::common::{assert_close, bad_data, ok, spgs, text};
 
@@ -73,10 +75,13 @@ fn scores_are_those_of_the_pictures_it_writes() {
 }
 
 #[test]
-fn masks_weight_what_moves() {
+fn masks_weight_what_moves_and_weights_give_lpips() {
     let (posed, folder) = setup(&PosedOptions { sizes: vec![[40, 30]], ..PosedOptions::default() });
     let (model, json) = (folder.path().join("model.safetensors"), folder.path().join("e.json"));
-    let base = ["eval", text(&model), "--data", text(posed.path()), "--json", text(&json)];
+    let weights = folder.path().join("w.safetensors");
+    procedural_lpips::write(&weights, Network::Alex, &procedural_lpips::names(Network::Alex));
+    let base = ["eval", text(&model), "--data", text(posed.path()), "--json", text(&json), "--lpips-weights"];
+    let base = [&base[..], &[text(&weights)]].concat();
     let line = bad_data(&[&base[..], &["--masks"]].concat());
     assert!(line.contains("mask") && !json.exists(), "{line}");
     let masks = posed.path().join("test/masks");
@@ -90,6 +95,10 @@ fn masks_weight_what_moves() {
     assert_eq!(first["masked"]["psnr"], first["psnr"], "a mask of everything");
     assert!(second["masked"].is_null(), "a mask of nothing");
     assert_eq!(e["mean"]["masked"]["psnr"], first["psnr"]);
+    // The paper's code feeds another range of values to the same network.
+    let [package, paper] = ["lpips_alex", "lpips_paper"].map(|k| e["mean"][k].as_f64().unwrap());
+    assert!(package > 0.0 && paper > 0.0 && package != paper, "{package}, {paper}");
+    assert!(e["mean"]["lpips_vgg"].is_null());
 }
 
 #[test]

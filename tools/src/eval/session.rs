@@ -150,7 +150,8 @@ impl<'a> Session<'a> {
         let view = &self.setting.views[index];
         let (scores, _) = self.scorer.score(truth, rendered)?;
         let mask = if self.setting.masks { self.mask(view, truth)? } else { None };
-        let paper = self.paper_lpips.as_ref().map(|l| l.distance(truth, rendered, Range::ZeroToOne));
+        let fits = |l: &&Lpips| truth.width.min(truth.height) >= l.network().smallest_side();
+        let paper = self.paper_lpips.as_ref().filter(fits).map(|l| l.distance(truth, rendered, Range::ZeroToOne));
         Ok(ViewResult {
             index,
             name: view.name.clone(),

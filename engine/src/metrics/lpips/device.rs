@@ -8,11 +8,16 @@ use super::kernels::{
 use super::network::{Conv, Slice, pooled_side};
 use super::{Network, Range, Weights, check_size, input};
 use crate::error::Result;
-use crate::gpu::{Buffer, Gpu, Groups, Memory, Recorder};
+use crate::gpu::kernel::Kernel;
+use crate::gpu::{Buffer, Gpu, Groups, Memory, Slice as Bytes};
 use crate::metrics::planes::{Planes, same_size};
 
 /// Bytes of a band of features.
 const BAND_BYTES: usize = 64 << 20;
+/// Products of one submission: seconds on a busy CPU, so that no device's patience ends.
+const SUBMISSION_PRODUCTS: usize = 2 << 30;
+/// Channels that are not cut further: a tile of the product.
+const CHANNEL_STEP: usize = 32;
 
 /// A network with its weights on the device.
 #[derive(Debug)]
@@ -115,7 +120,6 @@ impl Lpips {
         let (mut first, mut sum) = (0, 0.0);
         while first < height {
             let end = (first + rows).min(height);
-            let mut r = self.gpu.recorder("lpips");
             let mut bands = Vec::with_capacity(2);
             for (i, buffer) in input.buffers.iter().enumerate() {
                 let whole = Band {
@@ -130,16 +134,15 @@ impl Lpips {
                     (Some(next), Some(None)) => Some(next.buffers[i].clone()),
                     _ => None,
                 };
-                bands.push(self.convolve(&mut r, stage, whole, first..end, target)?);
+                bands.push(self.convolve(stage, whole, first..end, target)?);
             }
             let pixels = (end - first) * width;
-            self.difference(&mut r, stage.index, &bands, [channels, pixels], &distance)?;
+            self.difference(stage.index, &bands, [channels, pixels], &distance)?;
             if let (Some(next), Some(Some(kernel))) = (&next, stage.next) {
                 for (band, to) in bands.iter().zip(&next.buffers) {
-                    pool(&mut r, kernel, channels, band, [next.width, next.height], to)?;
+                    self.pool(kernel, channels, band, [next.width, next.height], to)?;
                 }
             }
-            self.gpu.run(r)?;
             let bytes = self.gpu.download(distance.slice(0, 4 * pixels as u64))?;
             let value = |b: &[u8]| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
             sum += bytes.chunks_exact(4).map(value).sum::<f64>();
@@ -166,7 +169,6 @@ impl Lpips {
     /// The slice's convolutions for `rows` of its output, which goes to `target` or a new buffer.
     fn convolve(
         &self,
-        r: &mut Recorder,
         stage: Stage,
         input: Band,
         rows: std::ops::Range<usize>,
@@ -186,34 +188,43 @@ impl Lpips {
                 }
             };
             let output = Band { buffer, width, height, first, end };
-            self.conv(r, conv, &self.convs[stage.first_conv + j], &input, &output)?;
+            self.conv(conv, &self.convs[stage.first_conv + j], &input, &output)?;
             input = output;
         }
         Ok(input)
     }
 
-    fn conv(&self, r: &mut Recorder, conv: &Conv, parameter: &Buffer, input: &Band, output: &Band) -> Result<()> {
-        let push = ConvPush {
-            inputs: conv.inputs as u32,
-            outputs: conv.outputs as u32,
-            in_width: input.width as u32,
-            in_height: input.height as u32,
-            in_first_row: input.first as u32,
-            in_rows: (input.end - input.first) as u32,
-            out_width: output.width as u32,
-            out_first_row: output.first as u32,
-            out_rows: (output.end - output.first) as u32,
-        };
-        let stage = if self.gpu.info().is_cpu() { STAGE_SHUFFLE } else { STAGE_SHARED };
-        let spec = [stage, conv.kernel as u32, conv.stride as u32, conv.pad as u32];
-        let groups = conv_groups(stage, self.gpu.subgroup_size(), push.outputs, push.out_rows * push.out_width);
-        let buffers = [(&input.buffer).into(), parameter.into(), (&output.buffer).into()];
-        r.dispatch(&LPIPS_CONV, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+    /// One submission per so many channels.
+    fn conv(&self, conv: &Conv, parameter: &Buffer, input: &Band, output: &Band) -> Result<()> {
+        let rows = output.end - output.first;
+        let per_channel = (conv.depth() * rows * output.width).max(1);
+        let step = (SUBMISSION_PRODUCTS / per_channel / CHANNEL_STEP).max(1) * CHANNEL_STEP;
+        for first in (0..conv.outputs).step_by(step) {
+            let push = ConvPush {
+                inputs: conv.inputs as u32,
+                outputs: conv.outputs as u32,
+                in_width: input.width as u32,
+                in_height: input.height as u32,
+                in_first_row: input.first as u32,
+                in_rows: (input.end - input.first) as u32,
+                out_width: output.width as u32,
+                out_first_row: output.first as u32,
+                out_rows: rows as u32,
+                first_output: first as u32,
+                output_count: step.min(conv.outputs - first) as u32,
+            };
+            let stage = if self.gpu.info().is_cpu() { STAGE_SHUFFLE } else { STAGE_SHARED };
+            let spec = [stage, conv.kernel as u32, conv.stride as u32, conv.pad as u32];
+            let pixels = push.out_rows * push.out_width;
+            let groups = conv_groups(stage, self.gpu.subgroup_size(), push.output_count, pixels);
+            let buffers = [(&input.buffer).into(), parameter.into(), (&output.buffer).into()];
+            self.run(&LPIPS_CONV, &spec, bytemuck::bytes_of(&push), &buffers, groups)?;
+        }
+        Ok(())
     }
 
     fn difference(
         &self,
-        r: &mut Recorder,
         index: usize,
         bands: &[Band],
         [channels, pixels]: [usize; 2],
@@ -222,35 +233,42 @@ impl Lpips {
         let [first, second] = bands else { return Ok(()) };
         let push = DifferencePush { channels: channels as u32, pixels: pixels as u32 };
         let buffers = [(&first.buffer).into(), (&second.buffer).into(), (&self.heads[index]).into(), distance.into()];
-        let groups = Groups::Direct((pixels as u64).div_ceil(THREADS.into()));
-        r.dispatch(&LPIPS_DIFFERENCE, &[], bytemuck::bytes_of(&push), &buffers, groups)
+        let groups = (pixels as u64).div_ceil(THREADS.into());
+        self.run(&LPIPS_DIFFERENCE, &[], bytemuck::bytes_of(&push), &buffers, groups)
     }
-}
 
-/// The rows of a pooled map that a band gives.
-fn pool(
-    r: &mut Recorder,
-    kernel: usize,
-    channels: usize,
-    band: &Band,
-    [width, height]: [usize; 2],
-    to: &Buffer,
-) -> Result<()> {
-    let (first, end) = (band.first / 2, if band.end == band.height { height } else { band.end / 2 });
-    let rows = end.saturating_sub(first);
-    if rows == 0 {
-        return Ok(());
+    /// The rows of a pooled map that a band gives.
+    fn pool(
+        &self,
+        kernel: usize,
+        channels: usize,
+        band: &Band,
+        [width, height]: [usize; 2],
+        to: &Buffer,
+    ) -> Result<()> {
+        let (first, end) = (band.first / 2, if band.end == band.height { height } else { band.end / 2 });
+        let rows = end.saturating_sub(first);
+        if rows == 0 {
+            return Ok(());
+        }
+        let push = PoolPush {
+            channels: channels as u32,
+            in_width: band.width as u32,
+            in_rows: (band.end - band.first) as u32,
+            out_width: width as u32,
+            out_height: height as u32,
+            out_first_row: first as u32,
+            out_rows: rows as u32,
+        };
+        let groups = ((channels * rows * width) as u64).div_ceil(THREADS.into());
+        let buffers = [(&band.buffer).into(), to.into()];
+        self.run(&LPIPS_POOL, &[kernel as u32], bytemuck::bytes_of(&push), &buffers, groups)
     }
-    let push = PoolPush {
-        channels: channels as u32,
-        in_width: band.width as u32,
-        in_rows: (band.end - band.first) as u32,
-        out_width: width as u32,
-        out_height: height as u32,
-        out_first_row: first as u32,
-        out_rows: rows as u32,
-    };
-    let groups = Groups::Direct(((channels * rows * width) as u64).div_ceil(THREADS.into()));
-    let buffers = [(&band.buffer).into(), to.into()];
-    r.dispatch(&LPIPS_POOL, &[kernel as u32], bytemuck::bytes_of(&push), &buffers, groups)
+
+    /// Submits one dispatch and waits for it.
+    fn run(&self, kernel: &'static Kernel, spec: &[u32], push: &[u8], buffers: &[Bytes], groups: u64) -> Result<()> {
+        let mut r = self.gpu.recorder(kernel.name);
+        r.dispatch(kernel, spec, push, buffers, Groups::Direct(groups))?;
+        self.gpu.run(r).map(drop)
+    }
 }

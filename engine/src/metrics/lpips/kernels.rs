@@ -24,6 +24,10 @@ crate::gpu_struct! {
         pub out_first_row: u32,
         /// Rows that are written, all that the output holds.
         pub out_rows: u32,
+        /// First of the channels that are written.
+        pub first_output: u32,
+        /// Channels that are written.
+        pub output_count: u32,
     }
 }
 
@@ -67,7 +71,7 @@ pub const STAGE_SHARED: u32 = 1;
 /// Threads per workgroup.
 pub(super) const THREADS: u32 = 256;
 
-/// Workgroups of [`LPIPS_CONV`] for `outputs` channels of `pixels`.
+/// Workgroups of [`LPIPS_CONV`] for `outputs` written channels of `pixels`.
 pub fn conv_groups(stage: u32, subgroup_size: u32, outputs: u32, pixels: u32) -> u64 {
     // The tiles of `product_tiles` and how many of them a workgroup takes.
     let [high, wide, per_group] =

@@ -73,8 +73,8 @@ impl Network {
         }
     }
 
-    /// Smallest side that every slice leaves a pixel of.
-    pub(super) fn smallest_side(self) -> usize {
+    /// Smallest picture side that every pool leaves a pixel of.
+    pub fn smallest_side(self) -> usize {
         match self {
             Self::Alex => 31,
             Self::Vgg => 16,

@@ -17,7 +17,7 @@ pub(super) fn conv(call: &mut TwinCall<'_>) {
     let [side, stride, pad] = [2, 3, 4].map(|i: usize| call.spec.get(i).copied().unwrap_or(0));
     let [input, parameter, output] = call.buffers else { return };
     let depth = p.inputs * side * side;
-    for o in 0..p.outputs {
+    for o in p.first_output..p.first_output + p.output_count {
         for pixel in 0..p.out_rows * p.out_width {
             let (row, column) = (p.out_first_row + pixel / p.out_width, pixel % p.out_width);
             let mut sum = value(parameter, p.outputs * depth + o);
