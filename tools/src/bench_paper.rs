@@ -55,7 +55,9 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
         paper_protocol: false,
     };
     let measured = measure::measure(&gpu, &scene, &options, &plan, &|| {})?;
-    let roofline = roofline::roofline(&gpu, &measured)?;
+    let last = plan.time(plan.frames.saturating_sub(1), plan.frames);
+    let pairs = roofline::pairs(&scene, &plan.camera, last, &options)?;
+    let roofline = roofline::roofline(&gpu, &measured, pairs)?;
     let curves = if args.budget == Some(0.0) {
         Vec::new()
     } else {

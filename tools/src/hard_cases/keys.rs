@@ -10,8 +10,7 @@ use engine::scene::synthetic::random_scene;
 
 use super::blend::{Rules, blend};
 use super::compare::{options_of, reference_options, usual_options};
-use super::{Case, Check, Context, Outcome, images, views};
-use crate::hard_cases::gradients::in_f64;
+use super::{Case, Check, Context, Outcome, images, in_f64, views};
 
 /// Key widths that published renderers use, and ours.
 const KEY_BITS: [u32; 4] = [18, 20, 24, 32];
