@@ -25,16 +25,21 @@ layout(constant_id = 1) const uint WITH_DEPTH = 0;
 layout(constant_id = 2) const uint STAGE = 1;
 layout(constant_id = 3) const uint PIXELS_PER_LANE = 2; // at most 16
 layout(constant_id = 4) const uint WITH_SLOTS = 0;      // values are slots, as emit_tiles writes them for training
+layout(constant_id = 5) const uint ALPHA_CUT = 0;       // see lib/ellipse.glsl
+layout(constant_id = 6) const uint TRANSMITTANCE_STOP = 0; // see lib/blend.glsl
+layout(constant_id = 7) const uint PACKING = 0;         // see lib/splat.glsl
+const uint TILE_CULL = 0u;                              // subtiles are tested exactly
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
 #include "lib/limits.glsl"
 #include "lib/ellipse.glsl"
 #include "lib/blend.glsl"
+#include "lib/splat.glsl"
 
 layout(std430, set = 0, binding = 1) readonly buffer RangesBlock { uint ranges[]; };
 layout(std430, set = 0, binding = 2) readonly buffer ValuesBlock { uint values[]; };
-layout(std430, set = 0, binding = 3) readonly buffer SplatsBlock { vec4 splats[]; };
+layout(std430, set = 0, binding = 3) readonly buffer SplatsBlock { uvec4 splats[]; };
 layout(std430, set = 0, binding = 4) writeonly buffer ColorBlock { vec4 color[]; };
 layout(std430, set = 0, binding = 5) writeonly buffer DepthBlock { float depth[]; };
 layout(std430, set = 0, binding = 6) readonly buffer GaussianOfSlotBlock { uint gaussian_of_slot[]; };
@@ -69,6 +74,7 @@ void main() {
     uint stage = STAGE;
     uint with_depth = WITH_DEPTH;
     uint with_slots = WITH_SLOTS;
+    uint stride = splat_stride();
     uint pixels_per_lane = PIXELS_PER_LANE;
     uint columns = size >= 128u ? 16u : min(size, 8u);
     uint lane_rows = size / columns;
@@ -103,20 +109,27 @@ void main() {
         uint index = 0u;
         vec4 first = vec4(0.0);
         vec4 second = vec4(0.0);
+        uvec4 own_a = uvec4(0u);
+        uvec4 own_b = uvec4(0u);
         if (base + lane < end) {
             index = values[base + lane];
             if (with_slots == 1u) {
                 index = gaussian_of_slot[index];
             }
-            first = splats[3u * index];
-            second = splats[3u * index + 1u];
+            own_a = splats[stride * index];
+            own_b = splats[stride * index + 1u];
+            unpack_splat(own_a, own_b, first, second);
             vec2 x = ellipse_row_interval(ellipse_of_splat(first, second), low.y, high.y);
             hit = x.x <= high.x && x.y >= low.x && x.x <= x.y;
         }
         uvec4 survivors = subgroupBallot(hit);
         vec4 third = vec4(0.0);
         if (hit) {
-            third = splats[3u * index + 2u];
+            uvec4 own_c = uvec4(0u);
+            if (stride == 3u) {
+                own_c = splats[stride * index + 2u];
+            }
+            third = vec4(unpack_colour(own_b, own_c), 0.0);
         }
         if (stage == 1u) {
             // Compact the survivors into this subgroup's slice.
@@ -155,8 +168,15 @@ void main() {
                             vec3 b = subgroupShuffle(second.xyz, source);
                             blend(a, vec4(b, 0.0), subgroupShuffle(third.xyz, source), pixel, row_step);
                         } else {
-                            uint splat = 3u * subgroupShuffle(index, source);
-                            blend(splats[splat], splats[splat + 1u], splats[splat + 2u].xyz, pixel, row_step);
+                            uint splat = stride * subgroupShuffle(index, source);
+                            uvec4 a = splats[splat];
+                            uvec4 b = splats[splat + 1u];
+                            uvec4 c = uvec4(0u);
+                            if (stride == 3u) {
+                                c = splats[splat + 2u];
+                            }
+                            unpack_splat(a, b, first, second);
+                            blend(first, second, unpack_colour(b, c), pixel, row_step);
                         }
                     } while (mask != 0u);
                 }

@@ -16,9 +16,11 @@
 #include "lib/subgroup.glsl"
 
 layout(local_size_x = 256) in;
+layout(constant_id = 1) const uint DEPTH_BITS = 0; // of a key; 0: 32
+layout(constant_id = 2) const uint PACKING = 0;    // see lib/splat.glsl
 
 layout(std430, set = 0, binding = 1) readonly buffer TileCountBlock { uint tile_count[]; };
-layout(std430, set = 0, binding = 2) readonly buffer SplatsBlock { vec4 splats[]; };
+layout(std430, set = 0, binding = 2) readonly buffer SplatsBlock { uvec4 splats[]; };
 layout(std430, set = 0, binding = 3) readonly buffer VisibleBlockBlock { uint visible_block[]; };
 layout(std430, set = 0, binding = 4) buffer CountersBlock { uint counters[]; };
 layout(std430, set = 0, binding = 5) writeonly buffer IndirectBlock { uint indirect[]; };
@@ -27,6 +29,7 @@ layout(std430, set = 0, binding = 7) writeonly buffer ValuesBlock { uint values[
 layout(std430, set = 0, binding = 8) buffer NextHistogramBlock { uint next_histogram[]; };
 
 #include "lib/count_digit.glsl"
+#include "lib/splat.glsl"
 
 layout(push_constant) uniform PushBlock {
     uint block_capacity; // where the super sums of visible_block start
@@ -34,6 +37,18 @@ layout(push_constant) uniform PushBlock {
 } push;
 
 const uint ROUNDS = 4u;
+
+// A positive float's bits grow with it. Fewer bits than 32 are spent on the range of depths that the frame may have: in
+// steps of 2^shift units in the last place from its lowest one, which is exact as long as shift is 0.
+uint depth_key(uint z) {
+    uint bits = DEPTH_BITS;
+    if (bits == 0u) {
+        return z;
+    }
+    uint low = floatBitsToUint(frame.world_to_camera_0.w);
+    uint shift = uint(frame.world_to_camera_1.w);
+    return min((z - min(z, low)) >> shift, (1u << bits) - 1u);
+}
 
 // Visible Gaussians before block `first_block` (256 Gaussians each), summed by the workgroup.
 uint visible_before(uint first_block) {
@@ -90,7 +105,7 @@ void main() {
         uint to = before + offset[r];
         uint key = 0u;
         if (visible) {
-            key = floatBitsToUint(splats[3u * i + 1u].z);
+            key = depth_key(splats[splat_stride() * i + 1u].z);
             keys[to] = key;
             values[to] = i;
         }

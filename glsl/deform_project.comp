@@ -14,11 +14,16 @@ layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 1) const uint SH_DEGREE = 3;
 layout(constant_id = 2) const uint MOTION = 0; // 0 static, 1 pose table
 layout(constant_id = 3) const uint NONRIGID = 0; // 1: nonrigid_offset is added
+layout(constant_id = 4) const uint ALPHA_CUT = 0; // these two: see lib/ellipse.glsl
+layout(constant_id = 5) const uint TILE_CULL = 0;
+layout(constant_id = 6) const uint PACKING = 0;    // see lib/splat.glsl
+layout(constant_id = 7) const uint SH_STORAGE = 0; // 0 f32, 1 f16, 2 u8 with a range per plane (band 0: f16)
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
 #include "lib/limits.glsl"
 #include "lib/ellipse.glsl"
+#include "lib/splat.glsl"
 #include "lib/quaternion.glsl"
 #include "lib/sh.glsl"
 #include "lib/projection.glsl"
@@ -29,11 +34,11 @@ layout(std430, set = 0, binding = 3) readonly buffer RotationBlock { vec4 rotati
 layout(std430, set = 0, binding = 4) readonly buffer OpacityLogitBlock { float opacity_logit[]; };
 layout(std430, set = 0, binding = 5) readonly buffer SuperpointOfGaussianBlock { uint superpoint_of_gaussian[]; };
 layout(std430, set = 0, binding = 6) readonly buffer PoseBlock { vec4 pose[]; };
-layout(std430, set = 0, binding = 7) readonly buffer Sh0Block { float sh_0[]; };
-layout(std430, set = 0, binding = 8) readonly buffer Sh1Block { float sh_1[]; };
-layout(std430, set = 0, binding = 9) readonly buffer Sh2Block { float sh_2[]; };
-layout(std430, set = 0, binding = 10) readonly buffer Sh3Block { float sh_3[]; };
-layout(std430, set = 0, binding = 11) writeonly buffer SplatsBlock { vec4 splats[]; };
+layout(std430, set = 0, binding = 7) readonly buffer Sh0Block { uint sh_0[]; };
+layout(std430, set = 0, binding = 8) readonly buffer Sh1Block { uint sh_1[]; };
+layout(std430, set = 0, binding = 9) readonly buffer Sh2Block { uint sh_2[]; };
+layout(std430, set = 0, binding = 10) readonly buffer Sh3Block { uint sh_3[]; };
+layout(std430, set = 0, binding = 11) writeonly buffer SplatsBlock { uvec4 splats[]; };
 layout(std430, set = 0, binding = 12) writeonly buffer TileCountBlock { uint tile_count[]; };
 layout(std430, set = 0, binding = 13) buffer VisibleBlockBlock { uint visible_block[]; };
 layout(std430, set = 0, binding = 14) buffer CountersBlock { uint counters[]; };
@@ -50,33 +55,56 @@ const uint VISIBLE = 2u;
 shared uint subgroup_flags[64]; // visible + 2^16 rejected
 shared uint subgroup_tiles[64];
 
-vec3 sh_coefficient_0(uint g, uint n) {
-    return vec3(sh_0[g], sh_0[n + g], sh_0[2u * n + g]);
-}
+// Coefficients of the planes 3k, 3k + 1, 3k + 2 of a band of `planes` planes. Storage: f32, one word per plane; f16, two
+// planes per word, the last one maybe half empty; u8, four planes per word, then low and step of each plane.
+#define SH_COEFFICIENT(NAME, BUFFER)                                                                       \
+    vec3 NAME(uint k, uint g, uint n, uint planes, uint storage) {                                         \
+        vec3 c;                                                                                            \
+        for (uint i = 0u; i < 3u; i++) {                                                                   \
+            uint p = 3u * k + i;                                                                           \
+            if (storage == 0u) {                                                                           \
+                c[i] = uintBitsToFloat(BUFFER[p * n + g]);                                                 \
+            } else if (storage == 1u) {                                                                    \
+                vec2 pair = unpackHalf2x16(BUFFER[(p / 2u) * n + g]);                                      \
+                c[i] = (p & 1u) == 0u ? pair.x : pair.y;                                                   \
+            } else {                                                                                       \
+                uint range = ((planes + 3u) / 4u) * n + 2u * p;                                            \
+                float level = float((BUFFER[(p / 4u) * n + g] >> (8u * (p & 3u))) & 255u);                 \
+                c[i] = uintBitsToFloat(BUFFER[range]) + level * uintBitsToFloat(BUFFER[range + 1u]);       \
+            }                                                                                              \
+        }                                                                                                  \
+        return c;                                                                                          \
+    }
+
+SH_COEFFICIENT(sh_coefficient_0, sh_0)
+SH_COEFFICIENT(sh_coefficient_1, sh_1)
+SH_COEFFICIENT(sh_coefficient_2, sh_2)
+SH_COEFFICIENT(sh_coefficient_3, sh_3)
 
 // Sum of the SH bands up to SH_DEGREE in direction d (unit).
 vec3 sh_sum(uint g, uint n, vec3 d) {
-    vec3 sum = SH_0 * sh_coefficient_0(g, n);
     uint degree = SH_DEGREE;
+    uint storage = SH_STORAGE;
+    vec3 sum = SH_0 * sh_coefficient_0(0u, g, n, 3u, min(storage, 1u));
     if (degree >= 1u) {
         float b[3];
         sh_band_1(d, b);
         for (uint k = 0u; k < 3u; k++) {
-            sum += b[k] * vec3(sh_1[(3u * k) * n + g], sh_1[(3u * k + 1u) * n + g], sh_1[(3u * k + 2u) * n + g]);
+            sum += b[k] * sh_coefficient_1(k, g, n, 9u, storage);
         }
     }
     if (degree >= 2u) {
         float b[5];
         sh_band_2(d, b);
         for (uint k = 0u; k < 5u; k++) {
-            sum += b[k] * vec3(sh_2[(3u * k) * n + g], sh_2[(3u * k + 1u) * n + g], sh_2[(3u * k + 2u) * n + g]);
+            sum += b[k] * sh_coefficient_2(k, g, n, 15u, storage);
         }
     }
     if (degree >= 3u) {
         float b[7];
         sh_band_3(d, b);
         for (uint k = 0u; k < 7u; k++) {
-            sum += b[k] * vec3(sh_3[(3u * k) * n + g], sh_3[(3u * k + 1u) * n + g], sh_3[(3u * k + 2u) * n + g]);
+            sum += b[k] * sh_coefficient_3(k, g, n, 21u, storage);
         }
     }
     return sum;
@@ -146,6 +174,7 @@ uint project(uint g, uint n, out uint tiles) {
     if (!is_finite(e.mean.x) || !is_finite(e.mean.y) || !is_finite(root.xyz) || !(root.x > 0.0) || !(root.z > 0.0)) {
         return REJECTED;
     }
+    round_conic(e.l11, e.l12, e.l22, e.log2_opacity);
     if (reaches_image(e, root.w)) {
         tiles = ellipse_tile_count(e, frame.size.xy);
     }
@@ -158,9 +187,16 @@ uint project(uint g, uint n, out uint tiles) {
         tiles = 0u;
         return REJECTED;
     }
-    splats[3u * g] = vec4(e.mean, e.l11, e.l12);
-    splats[3u * g + 1u] = vec4(e.l22, e.log2_opacity, p.z, 0.0);
-    splats[3u * g + 2u] = vec4(max(colour, vec3(0.0)), 0.0);
+    uvec4 first;
+    uvec4 second;
+    uvec4 third;
+    pack_splat(vec4(e.mean, e.l11, e.l12), vec3(e.l22, e.log2_opacity, p.z), max(colour, vec3(0.0)), first, second, third);
+    uint stride = splat_stride();
+    splats[stride * g] = first;
+    splats[stride * g + 1u] = second;
+    if (stride == 3u) {
+        splats[stride * g + 2u] = third;
+    }
     return VISIBLE;
 }
 

@@ -17,15 +17,20 @@
 #include "lib/limits.glsl"
 #include "lib/dispatch.glsl"
 #include "lib/subgroup.glsl"
-#include "lib/ellipse.glsl"
 
 layout(local_size_x = 256) in;
 layout(constant_id = 1) const uint WITH_SLOTS = 0;
+layout(constant_id = 2) const uint ALPHA_CUT = 0; // these two: see lib/ellipse.glsl
+layout(constant_id = 3) const uint TILE_CULL = 0;
+layout(constant_id = 4) const uint PACKING = 0;   // see lib/splat.glsl
+
+#include "lib/ellipse.glsl"
+#include "lib/splat.glsl"
 
 layout(std430, set = 0, binding = 1) readonly buffer CountersBlock { uint counters[]; };
 layout(std430, set = 0, binding = 2) readonly buffer TileCountBlock { uint tile_count[]; };
 layout(std430, set = 0, binding = 3) readonly buffer OrderBlock { uint order[]; };
-layout(std430, set = 0, binding = 4) readonly buffer SplatsBlock { vec4 splats[]; };
+layout(std430, set = 0, binding = 4) readonly buffer SplatsBlock { uvec4 splats[]; };
 layout(std430, set = 0, binding = 5) readonly buffer InstanceBlockBlock { uint instance_block[]; };
 layout(std430, set = 0, binding = 6) writeonly buffer KeysBlock { uint keys[]; };
 layout(std430, set = 0, binding = 7) writeonly buffer ValuesBlock { uint values[]; };
@@ -60,6 +65,14 @@ uint instances_before(uint group) {
     return total;
 }
 
+Ellipse ellipse_of(uint gaussian) {
+    uint at = splat_stride() * gaussian;
+    vec4 first;
+    vec4 second;
+    unpack_splat(splats[at], splats[at + 1u], first, second);
+    return ellipse_of_splat(first, second);
+}
+
 // Gaussian of the block that has shared instance `instance`: the last one that starts at or before it, because those
 // without shared instances start where the next one does.
 uint owner(uint instance) {
@@ -88,7 +101,7 @@ void emit(uint to, uint tile, uint gaussian, bool valid) {
 // are. Every lane of the subgroup must call it: the loops have the length of the longest lane, so that digits can be
 // counted together.
 void emit_serially(uint to, uint gaussian, uint count, uint capacity) {
-    Ellipse e = ellipse_of_splat(splats[3u * gaussian], splats[3u * gaussian + 1u]);
+    Ellipse e = ellipse_of(gaussian);
     uvec2 rows = count == 0u ? uvec2(0u) : tile_row_range(e, frame.size.xy);
     uint end = min(to + count, capacity);
     uint most_rows = subgroupMax(rows.y - rows.x);
@@ -157,7 +170,7 @@ void main() {
         uint tile = 0u;
         uint g = block_order[from];
         if (valid) {
-            tile = tile_of(ellipse_of_splat(splats[3u * g], splats[3u * g + 1u]), local);
+            tile = tile_of(ellipse_of(g), local);
         }
         emit(to, tile, g, valid);
     }

@@ -1,5 +1,5 @@
 // Planes of a gradient as rows, for the products: rows[r][column] = planes[p][first_row + r]; columns without a plane are 0.
-// A number that is not finite counts as 0 and is reported.
+// A number that is not finite counts as 0 and is reported. push.columns: how many of network G's columns get a gradient.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 
@@ -18,6 +18,7 @@ layout(push_constant) uniform Push {
     uint rows;
     uint first_row;
     uint plane_stride;
+    uint columns;
 } push;
 
 void main() {
@@ -26,7 +27,7 @@ void main() {
     uint item = workgroup_index() * 256u + gl_LocalInvocationIndex;
     uint row = push.first_row + item / columns;
     uint column = item % columns;
-    bool padding = network == 0u ? column % 4u == 3u : column >= 10u;
+    bool padding = network == 0u ? column % 4u == 3u : column >= push.columns;
     uint plane_number = network == 0u ? column - column / 4u : column;
     if (item < push.rows * columns) {
         float value = padding ? 0.0 : plane[plane_number * push.plane_stride + row];

@@ -31,18 +31,24 @@ layout(push_constant) uniform Push {
 
 #include "lib/network_update.glsl"
 
+const uint PER_THREAD = 4u;
+
 void main() {
-    uint at = workgroup_index() * 256u + gl_LocalInvocationIndex;
-    bool runs = at < push.weights && counters[COUNT_FAILED] == 0u;
-    uint count = runs ? push.slices : 0u;
-    float sum = 0.0;
-    for (uint slice = 0u; slice < count; slice++) {
-        sum += slice_gradient[slice * push.slice_stride + at];
-    }
+    uint first = workgroup_index() * 256u * PER_THREAD + gl_LocalInvocationIndex;
+    uint end = counters[COUNT_FAILED] == 0u ? push.weights : 0u;
     uint kind = OUTPUT;
-    if (runs && kind == 0u) {
-        gradient[at] = sum;
-    } else if (runs) {
-        update_weight(at, push.first_index + at, sum);
+    NetworkAdam with = network_adam();
+    for (uint i = 0u; i < PER_THREAD; i++) {
+        uint at = first + i * 256u;
+        uint count = at < end ? push.slices : 0u;
+        float sum = 0.0;
+        for (uint slice = 0u; slice < count; slice++) {
+            sum += slice_gradient[slice * push.slice_stride + at];
+        }
+        if (at < end && kind == 0u) {
+            gradient[at] = sum;
+        } else if (at < end) {
+            update_weight(with, at, push.first_index + at, sum);
+        }
     }
 }

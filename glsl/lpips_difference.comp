@@ -13,7 +13,7 @@ layout(std430, set = 0, binding = 1) readonly buffer SecondBlock { float second[
 // [channels]
 layout(std430, set = 0, binding = 2) readonly buffer HeadBlock { float head[]; };
 // [pixels]
-layout(std430, set = 0, binding = 3) writeonly buffer DistanceBlock { float distance_of_pixel[]; };
+layout(std430, set = 0, binding = 3) writeonly buffer DistanceOfPixelBlock { float distance_of_pixel[]; };
 
 layout(push_constant) uniform Push {
     uint channels;

@@ -18,6 +18,44 @@ impl Image {
     pub fn rgb(&self) -> impl Iterator<Item = f64> {
         self.rgba.chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]).map(f64::from)
     }
+
+    /// The same picture in another size, bilinearly: pixel centres (i + 0.5) keep their place, the outermost pixels are
+    /// continued beyond their centres.
+    #[must_use]
+    pub fn enlarged(&self, size: [u32; 2]) -> Self {
+        let [width, height] = size;
+        let (columns, rows) = (taps(self.width, width), taps(self.height, height));
+        let plane = |from: &[f32], channels: usize| -> Vec<f32> {
+            if from.is_empty() {
+                return Vec::new();
+            }
+            let at = |x: usize, y: usize, c: usize| from[(y * self.width as usize + x) * channels + c];
+            let mut out = Vec::with_capacity(rows.len() * columns.len() * channels);
+            for &(y0, y1, v) in &rows {
+                for &(x0, x1, u) in &columns {
+                    out.extend((0..channels).map(|c| {
+                        let top = at(x0, y0, c) * (1.0 - u) + at(x1, y0, c) * u;
+                        let bottom = at(x0, y1, c) * (1.0 - u) + at(x1, y1, c) * u;
+                        top * (1.0 - v) + bottom * v
+                    }));
+                }
+            }
+            out
+        };
+        Self { width, height, rgba: plane(&self.rgba, 4), depth: plane(&self.depth, 1) }
+    }
+}
+
+/// For each of `to` pixels the two of `from` pixels that it lies between, and its weight of the second.
+fn taps(from: u32, to: u32) -> Vec<(usize, usize, f32)> {
+    let last = f64::from(from.max(1) - 1);
+    let place = |i: u32| ((f64::from(i) + 0.5) * f64::from(from) / f64::from(to) - 0.5).clamp(0.0, last);
+    (0..to)
+        .map(|i| {
+            let at = place(i);
+            (at.floor() as usize, at.ceil() as usize, at.fract() as f32)
+        })
+        .collect()
 }
 
 /// PSNR reported for equal images, and the bound of every PSNR, dB: JSON has no infinity.
@@ -95,5 +133,20 @@ mod tests {
     fn rgb_leaves_alpha_out() {
         let image = Image { width: 1, height: 2, rgba: vec![1.0, 2.0, 3.0, 9.0, 4.0, 5.0, 6.0, 9.0], depth: vec![] };
         assert_eq!(image.rgb().collect::<Vec<_>>(), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+    }
+
+    #[test]
+    fn enlarging_keeps_places_and_ramps() {
+        let ramp = |n: u32| -> Vec<f32> { (0..n).flat_map(|i| [(i as f32 + 0.5) / n as f32; 4]).collect() };
+        let small = Image { width: 4, height: 1, rgba: ramp(4), depth: vec![0.5; 4] };
+        let large = small.enlarged([16, 3]);
+        assert_eq!((large.width, large.height, large.rgba.len(), large.depth.len()), (16, 3, 192, 48));
+        let truth = ramp(16);
+        for (i, value) in large.rgba.iter().enumerate() {
+            let inside = (2..14).contains(&(i / 4 % 16));
+            assert!(!inside || (value - truth[i % 64]).abs() < 1e-6, "{i}: {value}");
+        }
+        assert!(large.depth.iter().all(|d| *d == 0.5));
+        assert_eq!(small.enlarged([4, 1]), small);
     }
 }

@@ -10,15 +10,21 @@ const float MAX_ALPHA = 0.99;
 // (1 - 0.99f)^2 rounds to 9.99998e-5.
 const float MIN_TRANSMITTANCE = 9.9999e-5;
 
+// Where a pixel is done. TRANSMITTANCE_STOP, declared by the includer: bits of it, 0: 1e-4.
+float min_transmittance() {
+    uint bits = TRANSMITTANCE_STOP;
+    return bits == 0u ? MIN_TRANSMITTANCE : uintBitsToFloat(bits);
+}
+
 // Alpha of the splat at the pixel, 0 when it is not drawn there. weight = alpha * transmittance; the transmittance becomes
 // what is left of it, and negative once the pixel is closed. Selects, not branches: with several pixels per lane some lane
 // nearly always needs the exponential, and lavapipe runs both sides anyway.
 float blend_alpha(float log2_alpha, inout float transmittance, out float weight) {
-    bool live = log2_alpha >= -LOG2_255 && transmittance > 0.0;
+    bool live = log2_alpha >= -log2_cut() && transmittance > 0.0;
     float alpha = live ? min(MAX_ALPHA, exp2(log2_alpha)) : 0.0;
     float full = alpha * transmittance;
     float after = transmittance - full;
-    bool stop = live && after < MIN_TRANSMITTANCE;
+    bool stop = live && after < min_transmittance();
     weight = stop ? 0.0 : full;
     transmittance = stop ? -transmittance : after;
     return stop ? 0.0 : alpha;

@@ -25,6 +25,11 @@ layout(constant_id = 4) const uint SUBTILES = 4;        // of one subgroup: 1, 2
 #include "frame.glsl"
 #include "dispatch.glsl"
 #include "limits.glsl"
+// Training always draws exactly.
+const uint ALPHA_CUT = 0u;
+const uint TILE_CULL = 0u;
+const uint TRANSMITTANCE_STOP = 0u;
+
 #include "blend.glsl"
 
 layout(std430, set = 0, binding = 1) readonly buffer RangesBlock { uint ranges[]; };

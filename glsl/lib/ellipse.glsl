@@ -1,9 +1,12 @@
-// The set of pixels that a splat reaches: u^2 + v^2 <= log2_opacity + log2(255), i.e. alpha >= 1/255, with
+// The set of pixels that a splat reaches: u^2 + v^2 <= log2_opacity + log2(1/cut), i.e. alpha >= cut (1/255), with
 // u = l11 dx + l12 dy, v = l22 dy. `deform_project` counts tiles, `emit_tiles` enumerates them and `blend` tests subtiles
 // with these same functions; the Rust twin is engine/src/render/ellipse.rs, line by line.
 //
 // Everything is slightly conservative (the threshold grows by 1e-4 relative + 1e-4 absolute, intervals by 1e-3 px + a
-// few ulps), so that rounding never loses a pixel whose alpha reaches 1/255. Tests are phrased so that NaN gives "empty".
+// few ulps), so that rounding never loses a pixel whose alpha reaches the cut. Tests are phrased so that NaN gives "empty".
+//
+// Declare before including: ALPHA_CUT (bits of log2(1/cut); 0: 1/255) and TILE_CULL (0: the tiles that the ellipse touches;
+// 1: those that its bounding box touches).
 #ifndef SPGS_ELLIPSE
 #define SPGS_ELLIPSE
 
@@ -14,6 +17,12 @@ const float ELLIPSE_SLACK = 1e-4;           // enlarges the threshold
 const float INTERVAL_SLACK_PX = 1e-3;       // enlarges an interval
 const float INTERVAL_SLACK = 1e-6;          // the same, relative to the lengths that enter it
 const float ELLIPSE_FAR_PX = 1e30;          // coefficients and centres past this are refused: products could overflow
+
+// log2(1/cut).
+float log2_cut() {
+    uint bits = ALPHA_CUT;
+    return bits == 0u ? LOG2_255 : uintBitsToFloat(bits);
+}
 
 struct Ellipse {
     vec2 mean;           // px
@@ -26,9 +35,9 @@ Ellipse ellipse_of_splat(vec4 first, vec4 second) {
     return Ellipse(first.xy, first.z, first.w, second.x, second.y);
 }
 
-// Enlarged threshold of u^2 + v^2; not positive when the splat is too faint to reach 1/255 anywhere.
+// Enlarged threshold of u^2 + v^2; not positive when the splat is too faint to reach the cut anywhere.
 float ellipse_threshold(Ellipse e) {
-    precise float t = e.log2_opacity + LOG2_255;
+    precise float t = e.log2_opacity + log2_cut();
     precise float enlarged = t + ELLIPSE_SLACK * (abs(t) + 1.0);
     return enlarged;
 }
@@ -87,6 +96,11 @@ uvec2 tile_row_range(Ellipse e, uvec2 size) {
 uvec2 tile_columns_of_row(Ellipse e, uint tile_row, uvec2 size) {
     float y_low = float(tile_row * TILE_SIZE) + 0.5;
     float y_high = float(min(tile_row * TILE_SIZE + TILE_SIZE, size.y)) - 0.5;
+    uint cull = TILE_CULL;
+    if (cull == 1u) {
+        y_low = -ELLIPSE_FAR_PX;
+        y_high = ELLIPSE_FAR_PX;
+    }
     vec2 x = ellipse_row_interval(e, y_low, y_high);
     uvec2 columns = x.x <= x.y ? pixels_of_interval(x.x, x.y, size.x) : uvec2(0u);
     return columns.x < columns.y ? uvec2(columns.x / TILE_SIZE, (columns.y - 1u) / TILE_SIZE + 1u) : uvec2(0u);
@@ -95,6 +109,11 @@ uvec2 tile_columns_of_row(Ellipse e, uint tile_row, uvec2 size) {
 // Number of tiles the ellipse reaches: the one definition of `tile_count`.
 uint ellipse_tile_count(Ellipse e, uvec2 size) {
     uvec2 rows = tile_row_range(e, size);
+    uint cull = TILE_CULL;
+    if (cull == 1u) {
+        uvec2 columns = tile_columns_of_row(e, rows.x, size);
+        return (rows.y - rows.x) * (columns.y - columns.x);
+    }
     uint count = 0u;
     for (uint row = rows.x; row < rows.y; row++) {
         uvec2 columns = tile_columns_of_row(e, row, size);

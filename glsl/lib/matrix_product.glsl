@@ -4,7 +4,7 @@
 //   ROW_SUMS              1 when the sums of A over k are wanted as well.
 // It enables GL_KHR_shader_subgroup_{basic,shuffle} and has 256 threads per workgroup.
 //
-// STAGE 0: a tile of 16 x (4 per lane) per subgroup; each lane reads four columns of B and its share of 16 rows of A, and
+// STAGE 0: a tile of 32 x (8 per lane) per subgroup; each lane reads eight columns of B and its share of 32 rows of A, and
 // shuffles spread the latter. For devices where a load costs the same whether or not neighbours read the same word.
 // STAGE 1: a tile of 32 x 32 per workgroup, in shared memory 64 k at a time; four groups of 64 threads, each with 4 x 4
 // sums, take 16 of these k each, so that small matrices still fill a GPU.
@@ -20,8 +20,9 @@ void store_row_sum(uint a, float value);
 #endif
 
 const uint PRODUCT_THREADS = 256u;
-const uint SHUFFLE_ROWS = 16u;
-const uint SHUFFLE_TILES = 16u; // per workgroup, if it has as many subgroups
+const uint SHUFFLE_ROWS = 32u;
+const uint SHUFFLE_COLUMNS = 8u; // per lane
+const uint SHUFFLE_TILES = 4u;   // per workgroup, if it has as many subgroups
 const uint SHARED_TILE = 32u;
 const uint SHARED_GROUPS = 4u; // of 64 threads
 const uint SHARED_DEPTH = 16u; // k per group and round
@@ -35,7 +36,7 @@ uvec2 product_tiles(uint rows, uint columns) {
     uint size = SUBGROUP_SIZE;
     uint stage = STAGE;
     uint high = stage == 0u ? SHUFFLE_ROWS : SHARED_TILE;
-    uint wide = stage == 0u ? 4u * size : SHARED_TILE;
+    uint wide = stage == 0u ? SHUFFLE_COLUMNS * size : SHARED_TILE;
     uint along_b = (columns + wide - 1u) / wide;
     return uvec2(along_b, along_b * ((rows + high - 1u) / high));
 }
@@ -49,47 +50,59 @@ uint product_tile() {
     return stage == 0u ? workgroup_index() * per_group + gl_SubgroupID + unused : workgroup_index();
 }
 
+// Written out, because compilers leave a loop this long as it is and then keep the sums in memory.
+#define FOUR_ROWS(row, r) row((r)) row((r) + 1u) row((r) + 2u) row((r) + 3u)
+#define SIXTEEN_ROWS(row, r) FOUR_ROWS(row, r) FOUR_ROWS(row, r + 4u) FOUR_ROWS(row, r + 8u) FOUR_ROWS(row, r + 12u)
+#define EACH_ROW(row) SIXTEEN_ROWS(row, 0u) SIXTEEN_ROWS(row, 16u)
+#define CLEAR_ROW(r) sum[2u * (r)] = vec4(0.0); sum[2u * (r) + 1u] = vec4(0.0);
+#define ADD_ROW(r) \
+    sum[2u * (r)] += subgroupShuffle(own[(r) / size], (r) % size) * b_0; \
+    sum[2u * (r) + 1u] += subgroupShuffle(own[(r) / size], (r) % size) * b_1;
+#define STORE_ROW(r) \
+    store_elements(used && a_first + (r) < rows, a_first + (r), b_first, columns, sum[2u * (r)]); \
+    store_elements(used && a_first + (r) < rows, a_first + (r), b_first + 4u, columns, sum[2u * (r) + 1u]);
+
+void store_elements(bool used, uint a, uint b, uint columns, vec4 values) {
+    for (uint c = 0u; c < 4u; c++) {
+        if (used && b + c < columns) {
+            store_element(a, b + c, values[c]);
+        }
+    }
+}
+
 void product_by_shuffle(uint tile, uint tiles_b, uint rows, uint columns, uint k_first, uint k_end) {
     uint size = SUBGROUP_SIZE;
     uint lane = gl_SubgroupInvocationID;
     uint a_first = tile / tiles_b * SHUFFLE_ROWS;
-    uint b_first = tile % tiles_b * 4u * size + 4u * lane;
-    uint a_own[4];
-    for (uint i = 0u; i < 4u; i++) {
-        a_own[i] = min(a_first + (i * size + lane) % SHUFFLE_ROWS, rows - 1u);
+    uint b_first = (tile % tiles_b * size + lane) * SHUFFLE_COLUMNS;
+    vec4 sum[SHUFFLE_ROWS * 2u];
+    EACH_ROW(CLEAR_ROW)
+    // Rows i·size + lane of A; subgroups of 32 and more need one, of 4 all eight.
+    float own[8];
+    float row_sum[8];
+    for (uint i = 0u; i < 8u; i++) {
+        row_sum[i] = 0.0;
     }
-    uvec4 b_own = min(uvec4(b_first, b_first + 1u, b_first + 2u, b_first + 3u), uvec4(columns - 1u));
-    vec4 sum[16];
-    for (uint r = 0u; r < SHUFFLE_ROWS; r++) {
-        sum[r] = vec4(0.0);
-    }
-    vec4 row_sum = vec4(0.0);
     for (uint k = k_first; k < k_end; k++) {
-        vec4 own = vec4(0.0);
-        own.x = operand_a(a_own[0], k);
-        if (size < 16u) {
-            own.y = operand_a(a_own[1], k);
-        }
-        if (size < 8u) {
-            own.z = operand_a(a_own[2], k);
-            own.w = operand_a(a_own[3], k);
-        }
-        row_sum += own;
-        vec4 b = vec4(operand_b(k, b_own.x), operand_b(k, b_own.y), operand_b(k, b_own.z), operand_b(k, b_own.w));
-        for (uint r = 0u; r < SHUFFLE_ROWS; r++) {
-            sum[r] += subgroupShuffle(own[r / size], r % size) * b;
-        }
-    }
-    bool used = k_first < k_end;
-    for (uint r = 0u; r < SHUFFLE_ROWS; r++) {
-        for (uint c = 0u; c < 4u; c++) {
-            if (used && a_first + r < rows && b_first + c < columns) {
-                store_element(a_first + r, b_first + c, sum[r][c]);
+        for (uint i = 0u; i < 8u; i++) {
+            own[i] = 0.0;
+            if (i * size < SHUFFLE_ROWS) {
+                own[i] = operand_a(min(a_first + i * size + lane % SHUFFLE_ROWS, rows - 1u), k);
+                row_sum[i] += own[i];
             }
         }
+        vec4 b_0 = vec4(0.0);
+        vec4 b_1 = vec4(0.0);
+        for (uint c = 0u; c < 4u; c++) {
+            b_0[c] = operand_b(k, min(b_first + c, columns - 1u));
+            b_1[c] = operand_b(k, min(b_first + 4u + c, columns - 1u));
+        }
+        EACH_ROW(ADD_ROW)
     }
+    bool used = k_first < k_end;
+    EACH_ROW(STORE_ROW)
 #if ROW_SUMS
-    for (uint i = 0u; i < 4u; i++) {
+    for (uint i = 0u; i < 8u; i++) {
         uint r = i * size + lane;
         if (used && r < SHUFFLE_ROWS && tile % tiles_b == 0u && a_first + r < rows) {
             store_row_sum(a_first + r, row_sum[i]);

@@ -4,13 +4,25 @@
 #ifndef SPGS_NETWORK_UPDATE
 #define SPGS_NETWORK_UPDATE
 
-// at: of the weight in the three buffers; index: its number in the network, for reports.
-void update_weight(uint at, uint index, float gradient) {
+// Learning rate, bias corrections and Adam's constants of this network, loaded once per thread.
+struct NetworkAdam {
+    float rate;
+    vec2 bias;
+    vec4 adam;
+};
+
+NetworkAdam network_adam() {
     uint network = NETWORK;
     float rate = network == 0u ? step_data.rate_1.z : step_data.rate_2.x;
     vec2 bias = network == 0u ? step_data.bias_0.zw : step_data.bias_1.zw;
+    return NetworkAdam(rate, bias, step_data.adam);
+}
+
+// at: of the weight in the three buffers; index: its number in the network, for reports.
+void update_weight(NetworkAdam with, uint at, uint index, float gradient) {
+    uint network = NETWORK;
     vec2 moments = vec2(moment_1[at], moment_2[at]);
-    float value = adam_update(parameter[at], gradient, moments, rate, bias);
+    float value = adam_step(with.adam, parameter[at], gradient, moments, with.rate, with.bias);
     bool finite = number_is_finite(gradient) && number_is_finite(value) && number_is_finite(moments.x)
         && number_is_finite(moments.y);
     if (finite) {

@@ -151,13 +151,14 @@ fn update_and_gather_match_their_twins() {
             }
         }
     }
-    for (network, planes, columns) in [(0, 6, 8), (1, 10, 12)] {
+    for (network, planes, columns, used) in [(0, 6, 8, 8), (1, 10, 12, 10), (1, 10, 12, 7)] {
         let mut plane = floats(&mut r, planes * 100, 1.0);
         plane[30] = f32::INFINITY.to_bits();
         let case = KernelCase {
             kernel: &GATHER_GRADIENT,
             spec: vec![network],
-            push: bytemuck::bytes_of(&GatherPush { rows: 70, first_row: 20, plane_stride: 100 }).to_vec(),
+            push: bytemuck::bytes_of(&GatherPush { rows: 70, first_row: 20, plane_stride: 100, columns: used })
+                .to_vec(),
             buffers: vec![plane, vec![0; 70 * columns], status::clear().to_vec()],
             groups: (70 * columns as u32).div_ceil(256),
         };

@@ -95,7 +95,7 @@ fn blend_case(frame: &Frame, splats: &[u32], tile_count: &[u32], spec: [u32; 3],
     let pixels = frame.pixels();
     KernelCase {
         kernel: &BLEND,
-        spec: [&spec[..], &[0]].concat(),
+        spec: [&spec[..], &[0; 4]].concat(),
         push: Vec::new(),
         buffers: vec![
             bytemuck::cast_slice(&[*frame]).to_vec(),

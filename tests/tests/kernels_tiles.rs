@@ -105,7 +105,7 @@ impl Scene {
             vec![0; depth.histogram_rows() as usize * 256],
         ];
         let push = CompactPush { block_capacity, digit_bits: 8 };
-        let mut done = run(gpu, &COMPACT, &[], bytemuck::bytes_of(&push), buffers, n.div_ceil(1024) + 1);
+        let mut done = run(gpu, &COMPACT, &[0, 0], bytemuck::bytes_of(&push), buffers, n.div_ceil(1024) + 1);
         let histogram = done.pop().unwrap();
         let (values, keys) = (done.pop().unwrap(), done.pop().unwrap());
         let (indirect, counters) = (done.pop().unwrap(), done.pop().unwrap());
@@ -131,8 +131,8 @@ impl Scene {
             vec![0; capacity as usize],
             vec![0; n as usize],
         ];
-        let slots = run(gpu, &EMIT_TILES, &[1], bytemuck::bytes_of(&push), buffers.clone(), emit_groups);
-        let mut done = run(gpu, &EMIT_TILES, &[0], bytemuck::bytes_of(&push), buffers, emit_groups);
+        let slots = run(gpu, &EMIT_TILES, &[1, 0, 0, 0], bytemuck::bytes_of(&push), buffers.clone(), emit_groups);
+        let mut done = run(gpu, &EMIT_TILES, &[0; 4], bytemuck::bytes_of(&push), buffers, emit_groups);
         // Slots are another name for the same instances, and those of a Gaussian follow one another.
         assert_eq!(slots[6], done[6]);
         let instances = counters[5] as usize;

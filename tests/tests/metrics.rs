@@ -1,34 +1,297 @@
-//! Metrics against the values of independent implementations.
+//! Metrics against the values of independent implementations, and the kernels of LPIPS against twins and f64.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use engine::file::picture;
+use engine::file::{picture, tensors};
+use engine::metrics::lpips::{
+    self, ConvPush, DifferencePush, LPIPS_CONV, LPIPS_DIFFERENCE, LPIPS_POOL, Lpips, Network, PoolPush, Range,
+    STAGE_SHARED, STAGE_SHUFFLE, Weights, WeightsFile,
+};
 use engine::metrics::{self, Planes};
+use serde_json::Value;
+use tests_harness::KernelCase;
+use tests_harness::render_case::Random;
 
 fn planes(path: &Path) -> Planes {
     Planes::quantised(&picture::read(path).unwrap()).unwrap()
 }
 
+fn oracle() -> Option<(PathBuf, Value)> {
+    let folder = tests_harness::data("oracle/metrics")?;
+    let text = std::fs::read(folder.join("metrics.json")).unwrap();
+    Some((folder, serde_json::from_slice(&text).unwrap()))
+}
+
+fn pair(folder: &Path, pair: &Value) -> [Planes; 2] {
+    ["reference", "test"].map(|k| planes(&folder.join(pair[k].as_str().unwrap())))
+}
+
+fn check(pair: &Value, key: &str, ours: f64, bound: f64) {
+    let truth = pair[key].as_f64().unwrap();
+    println!("{} {key}: {ours} (theirs {truth}, {:+.1e})", pair["test"], ours - truth);
+    assert!((ours - truth).abs() <= bound, "{key}: {ours}, expected {truth}");
+}
+
 #[test]
 fn published_implementations_agree() {
-    let Some(folder) = tests_harness::data("oracle/metrics") else { return };
-    let text = std::fs::read(folder.join("metrics.json")).unwrap();
-    let oracle: serde_json::Value = serde_json::from_slice(&text).unwrap();
+    let Some((folder, oracle)) = oracle() else { return };
     let pairs = oracle["pairs"].as_array().unwrap();
     assert!(!pairs.is_empty());
-    for pair in pairs {
-        let [reference, test] = ["reference", "test"].map(|k| planes(&folder.join(pair[k].as_str().unwrap())));
+    for p in pairs {
+        let [reference, test] = pair(&folder, p);
+        let begin = std::time::Instant::now();
         let (scores, _) = metrics::score(&reference, &test, None).unwrap();
-        let check = |key: &str, ours: f64, bound: f64| {
-            let truth = pair[key].as_f64().unwrap();
-            println!("{} {key}: {ours} (theirs {truth}, {:+.1e})", pair["test"], ours - truth);
-            assert!((ours - truth).abs() <= bound, "{key}: {ours}, expected {truth}");
-        };
-        check("psnr", scores.psnr, 1e-6);
-        check("ssim_zero_padded", scores.ssim, 1e-5);
-        check("ssim_valid", scores.ssim_valid.unwrap(), 1e-5);
-        check("ms_ssim", scores.ms_ssim.unwrap(), 1e-5);
-        check("flip_ldr", scores.flip, 1e-3);
+        println!("{:?} for {} pixels", begin.elapsed(), reference.pixels());
+        check(p, "psnr", scores.psnr, 1e-6);
+        check(p, "ssim_zero_padded", scores.ssim, 1e-5);
+        check(p, "ssim_valid", scores.ssim_valid.unwrap(), 1e-5);
+        check(p, "ms_ssim", scores.ms_ssim.unwrap(), 1e-5);
+        check(p, "flip_ldr", scores.flip, 1e-3);
     }
+}
+
+/// Shapes of the convolutions, in the order of the oracle's names.
+fn shapes(network: Network) -> Vec<[usize; 4]> {
+    match network {
+        Network::Alex => {
+            vec![[64, 3, 11, 11], [192, 64, 5, 5], [384, 192, 3, 3], [256, 384, 3, 3], [256, 256, 3, 3]]
+        }
+        Network::Vgg => {
+            let widths = [3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512];
+            widths.windows(2).map(|w| [w[1], w[0], 3, 3]).collect()
+        }
+    }
+}
+
+fn head_widths(network: Network) -> [usize; 5] {
+    match network {
+        Network::Alex => [64, 192, 384, 256, 256],
+        Network::Vgg => [64, 128, 256, 512, 512],
+    }
+}
+
+/// The procedural weights that the oracle describes, by way of a file.
+fn weights(network: Network, names: &[String]) -> Weights {
+    let (shapes, heads) = (shapes(network), head_widths(network));
+    let mut all: Vec<(String, Vec<usize>, Vec<f32>)> = Vec::new();
+    let mut conv = 0;
+    for (j, name) in names.iter().enumerate() {
+        let sine = |k: usize| (0.7 * k as f64 + 1.3 * j as f64).sin();
+        let list = |n: usize, f: &dyn Fn(f64) -> f64| (0..n).map(|k| f(sine(k)) as f32).collect::<Vec<f32>>();
+        let (shape, values) = if name.starts_with("lin") {
+            let i = name.chars().find(char::is_ascii_digit).unwrap().to_digit(10).unwrap() as usize;
+            (vec![1, heads[i], 1, 1], list(heads[i], &f64::abs))
+        } else if name.ends_with("bias") {
+            conv += 1;
+            (vec![shapes[conv - 1][0]], list(shapes[conv - 1][0], &|v| 0.1 * v))
+        } else {
+            let per_output: usize = shapes[conv][1..].iter().product();
+            let scale = 1.5 / (per_output as f64).sqrt();
+            (shapes[conv].to_vec(), list(per_output * shapes[conv][0], &|v| scale * v))
+        };
+        all.push((name.clone(), shape, values));
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("weights.safetensors");
+    let tensors = all.iter().map(|(n, s, v)| tensors::floats(n.as_str(), s.clone(), v)).collect();
+    tensors::write(&path, ["test", "1"], tensors, &Default::default()).unwrap();
+    WeightsFile::read(&path).unwrap().get(network).unwrap().clone()
+}
+
+fn oracle_weights(oracle: &Value, network: Network) -> Weights {
+    let names = oracle["lpips_tensors"][network.name()].as_array().unwrap();
+    weights(network, &names.iter().map(|n| n.as_str().unwrap().to_owned()).collect::<Vec<_>>())
+}
+
+/// The package's names, when there is no oracle.
+fn own_weights(network: Network) -> Weights {
+    let layers: &[&[usize]] = match network {
+        Network::Alex => &[&[0], &[3], &[6], &[8], &[10]],
+        Network::Vgg => &[&[0, 2], &[5, 7], &[10, 12, 14], &[17, 19, 21], &[24, 26, 28]],
+    };
+    let mut names = Vec::new();
+    for (i, slice) in layers.iter().enumerate() {
+        for layer in *slice {
+            names.extend(["weight", "bias"].map(|kind| format!("net.slice{}.{layer}.{kind}", i + 1)));
+        }
+    }
+    names.extend((0..5).map(|i| format!("lin{i}.model.1.weight")));
+    weights(network, &names)
+}
+
+fn lpips_agrees(network: Network, of_pair: impl Fn(usize) -> bool) {
+    let Some((folder, oracle)) = oracle() else { return };
+    let gpu = tests_harness::gpu();
+    let lpips = Lpips::new(&gpu, &oracle_weights(&oracle, network)).unwrap();
+    let key = format!("lpips_{}", network.name());
+    for (i, p) in oracle["pairs"].as_array().unwrap().iter().enumerate().filter(|(i, _)| of_pair(*i)) {
+        let [reference, test] = pair(&folder, p);
+        let begin = std::time::Instant::now();
+        let ours = lpips.distance(&reference, &test, Range::default()).unwrap();
+        println!("pair {i}, {:?}", begin.elapsed());
+        check(p, &key, ours, 1e-3);
+    }
+}
+
+#[test]
+fn lpips_alex_agrees_with_the_package() {
+    lpips_agrees(Network::Alex, |_| true);
+}
+
+#[test]
+fn lpips_vgg_agrees_with_the_package_on_the_smallest_pair() {
+    lpips_agrees(Network::Vgg, |i| i == 2);
+}
+
+#[test]
+#[ignore = "minutes on software Vulkan: 0.2 and 0.7 Tflop"]
+fn lpips_vgg_agrees_with_the_package_on_the_large_pairs() {
+    lpips_agrees(Network::Vgg, |i| i != 2);
+}
+
+fn noise(size: [usize; 2], seed: u64) -> Planes {
+    let mut r = Random(seed);
+    let mut plane = || (0..size[0] * size[1]).map(|_| f64::from(r.range(0.0, 1.0))).collect();
+    Planes { width: size[0], height: size[1], rgb: [plane(), plane(), plane()] }
+}
+
+#[test]
+fn device_and_f64_agree_whatever_the_bands() {
+    let gpu = tests_harness::gpu();
+    for (network, size) in [(Network::Alex, [37, 33]), (Network::Vgg, [17, 21])] {
+        let weights = own_weights(network);
+        let (a, b) = (noise(size, 1), noise(size, 2));
+        for range in [Range::MinusOneToOne, Range::ZeroToOne] {
+            let truth = lpips::lpips(&weights, &a, &b, range).unwrap();
+            let mut device = Lpips::new(&gpu, &weights).unwrap();
+            // Everything at once; a few rows at a time; two rows at a time.
+            let all: Vec<f64> = [1 << 26, 64 * 4 * size[0] * 11, 1]
+                .into_iter()
+                .map(|bytes| {
+                    device.set_band_bytes(bytes);
+                    device.distance(&a, &b, range).unwrap()
+                })
+                .collect();
+            println!("{network:?} {range:?}: {truth}, {all:?}");
+            assert!(truth > 0.01 && all.iter().all(|d| (d - truth).abs() < 1e-5 * truth), "{truth}, {all:?}");
+            assert_eq!(device.distance(&a, &a, range).unwrap(), 0.0);
+        }
+    }
+    let tiny = noise([20, 20], 3);
+    let alex = Lpips::new(&gpu, &own_weights(Network::Alex)).unwrap();
+    assert!(alex.distance(&tiny, &tiny, Range::default()).is_err());
+}
+
+fn floats(r: &mut Random, count: u32, bound: f32) -> Vec<u32> {
+    (0..count).map(|_| r.range(-bound, bound).to_bits()).collect()
+}
+
+#[test]
+fn convolutions_match_their_twin() {
+    let gpu = tests_harness::gpu();
+    let mut r = Random(5);
+    // inputs, outputs, window, stride, pad, width, height, first and end row of the output
+    for [inputs, outputs, side, stride, pad, width, height, first, end] in [
+        [3_u32, 64, 11, 4, 2, 40, 35, 0, 8],
+        [4, 33, 5, 1, 2, 9, 7, 0, 7],
+        [5, 64, 3, 1, 1, 37, 20, 6, 13],
+        [2, 16, 3, 1, 1, 1, 2, 0, 2],
+    ] {
+        // The input holds just the rows that the windows reach.
+        let in_first = (first * stride).saturating_sub(pad);
+        let in_end = ((end - 1) * stride + side - pad).min(height);
+        let push = ConvPush {
+            inputs,
+            outputs,
+            in_width: width,
+            in_height: height,
+            in_first_row: in_first,
+            in_rows: in_end - in_first,
+            out_width: (width + 2 * pad - side) / stride + 1,
+            out_first_row: first,
+            out_rows: end - first,
+        };
+        let depth = inputs * side * side;
+        let pixels = push.out_width * push.out_rows;
+        for stage in [STAGE_SHUFFLE, STAGE_SHARED] {
+            let case = KernelCase {
+                kernel: &LPIPS_CONV,
+                spec: vec![stage, side, stride, pad],
+                push: bytemuck::bytes_of(&push).to_vec(),
+                buffers: vec![
+                    floats(&mut r, inputs * push.in_rows * width, 1.0),
+                    floats(&mut r, outputs * (depth + 1), 1.0 / (depth as f32).sqrt()),
+                    vec![0; (outputs * pixels) as usize],
+                ],
+                groups: lpips::conv_groups(stage, gpu.subgroup_size(), outputs, pixels) as u32,
+            };
+            case.run(&gpu).assert_equal(&LPIPS_CONV, &format!("{push:?}, window {side}, stage {stage}"));
+        }
+    }
+}
+
+#[test]
+fn pools_and_differences_match_their_twins() {
+    let gpu = tests_harness::gpu();
+    let mut r = Random(6);
+    for (kernel, width, rows) in [(2, 11, 6), (3, 11, 9)] {
+        let (out_width, out_rows) = ((width - kernel) / 2 + 1, (rows - kernel) / 2 + 1);
+        let push = PoolPush {
+            channels: 7,
+            in_width: width,
+            in_rows: rows,
+            out_width,
+            out_height: out_rows + 5,
+            out_first_row: 2,
+            out_rows,
+        };
+        let case = KernelCase {
+            kernel: &LPIPS_POOL,
+            spec: vec![kernel],
+            push: bytemuck::bytes_of(&push).to_vec(),
+            buffers: vec![
+                (0..7 * width * rows).map(|_| r.range(0.0, 2.0).to_bits()).collect(),
+                vec![0; (7 * out_width * push.out_height) as usize],
+            ],
+            groups: (7 * out_width * out_rows).div_ceil(256),
+        };
+        case.run(&gpu).assert_equal(&LPIPS_POOL, &format!("{push:?}"));
+    }
+    let push = DifferencePush { channels: 19, pixels: 300 };
+    let mut features = || -> Vec<u32> {
+        // The first pixel has no feature at all.
+        (0..19 * 300).map(|i| if i % 300 == 0 { 0 } else { r.range(0.0, 2.0).to_bits() }).collect()
+    };
+    let buffers = vec![features(), features(), floats(&mut Random(7), 19, 1.0), vec![0; 300]];
+    let case = KernelCase {
+        kernel: &LPIPS_DIFFERENCE,
+        spec: vec![],
+        push: bytemuck::bytes_of(&push).to_vec(),
+        buffers,
+        groups: 2,
+    };
+    let result = case.run(&gpu);
+    result.assert_equal(&LPIPS_DIFFERENCE, "300 pixels");
+    assert_eq!(result.gpu[3][0], 0.0_f32.to_bits());
+}
+
+#[test]
+fn bad_weights_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("w.safetensors");
+    let write = |list: Vec<(&str, Vec<usize>, Vec<f32>)>| {
+        let tensors = list.iter().map(|(n, s, v)| tensors::floats(*n, s.clone(), v)).collect();
+        tensors::write(&path, ["test", "1"], tensors, &Default::default()).unwrap();
+        WeightsFile::read(&path).unwrap_err().to_string()
+    };
+    assert!(write(vec![("x", vec![1], vec![1.0])]).contains("net.slice1.0.weight"));
+    assert!(write(vec![("net.slice1.0.weight", vec![1, 2], vec![1.0; 2])]).contains("[1, 2]"));
+    let first = ("net.slice1.0.weight", vec![64, 3, 11, 11], vec![1.0; 64 * 363]);
+    assert!(write(vec![first.clone()]).contains("net.slice1.0.bias"));
+    let bias = ("net.slice1.0.bias", vec![64], vec![f32::NAN; 64]);
+    let message = write(vec![first, bias]);
+    assert!(message.contains("net.slice1.0.bias") && message.contains("NaN"), "{message}");
+    std::fs::write(&path, b"no tensors").unwrap();
+    assert_eq!(WeightsFile::read(&path).unwrap_err().exit_code(), 3);
 }

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use engine::render::Quality;
 use engine::scene::MotionSource;
 
 use crate::paper::Benchmark;
@@ -171,9 +172,24 @@ pub struct ViewArgs {
     /// Where the motion comes from [default: the key-time table where the model has one]
     #[arg(long, value_enum)]
     pub motion: Option<MotionArg>,
+    /// What may be given up for speed: exact; high: nothing that is visible; fast: a few levels of 255 in places
+    #[arg(long, value_name = "exact|high|fast", default_value = "exact", value_parser = preset)]
+    pub quality: Quality,
+    /// Single knobs on top of --quality, knob=value,…: cull, alpha_cut, stop, depth_bits, sh_degree, sh, colour, conic,
+    /// table_step, interpolation, network, nonrigid, resolution
+    #[arg(long, value_name = "KNOB=VALUE,…", value_parser = knobs)]
+    pub set: Option<String>,
 }
 
 impl ViewArgs {
+    /// `--quality` with the knobs of `--set`.
+    pub fn quality(&self) -> Quality {
+        let mut quality = self.quality;
+        // The parser has taken the list, so nothing is left to refuse.
+        let _ = quality.set_all(self.set.as_deref().unwrap_or_default());
+        quality
+    }
+
     /// The engine's name for `--motion`.
     pub fn motion_source(&self) -> MotionSource {
         motion_source(self.motion)
@@ -216,18 +232,22 @@ pub struct BenchArgs {
     /// How the view is drawn
     #[command(flatten)]
     pub view: ViewArgs,
-    /// Measured frames, or training steps [default: 100; --train 20; --sweep 3; drift of --hard-cases 1000]
+    /// Measured frames, or training steps [default: 100; --sweep 60 on a GPU, 9 on a CPU; --train 20; --train --sweep 3;
+    /// drift of --hard-cases 1000]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub frames: Option<u32>,
-    /// Frames or steps before the measurement [default: 10; --train 3; --sweep 1]
+    /// Frames or steps before the measurement [default: 10; --sweep 3; --train 3; --train --sweep 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
     pub warmup: Option<u32>,
     /// Measure training steps instead of frames: on the photos of --cameras, from a disturbed copy of MODEL that stands
     /// still; or on photos made of the synthetic scene, with its superpoints, network F and association
-    #[arg(long, conflicts_with_all = ["paper_protocol", "check", "time", "frame", "split"])]
+    #[arg(long, conflicts_with_all = ["paper_protocol", "check", "time", "frame", "split", "quality", "set"])]
     pub train: bool,
-    /// Training steps of synthetic scenes of 10k, 100k and 300k Gaussians at 200x200, 400x400 and 800x800 pixels
-    #[arg(long, requires = "train", conflicts_with_all = ["model", "cameras", "synthetic", "width", "height"])]
+    /// Speed against error of every knob of --set alone, of the presets of --quality, and of combinations: three views of
+    /// --cameras (or an orbit), errors against the f64 reference and, where there are photos, against them. It says what it
+    /// reduced. With --train: training steps of synthetic scenes of 10k, 100k and 300k Gaussians at 200x200, 400x400 and
+    /// 800x800 pixels
+    #[arg(long, conflicts_with_all = ["paper_protocol", "check", "frame", "quality", "set"])]
     pub sweep: bool,
     /// Train on --cameras DATA until held-out views reach X dB; iterations per second, time to it, the curve
     #[arg(long, value_name = "X", group = "trains", requires_all = ["train", "cameras"], conflicts_with_all = ["model", "synthetic", "superpoints", "sweep"], value_parser = finite)]
@@ -267,7 +287,7 @@ pub struct BenchArgs {
     /// Write everything as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// Write a page with a bar chart of the kernels
+    /// Write a self-contained page: a bar chart of the kernels; with --sweep the charts, tables and pictures
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
 }
@@ -419,6 +439,17 @@ fn color(text: &str) -> Result<[f32; 3], String> {
 fn seconds(text: &str) -> Result<f64, String> {
     let fits = |v: &f64| (0.0..=1.0e6).contains(v);
     text.parse().ok().filter(fits).ok_or_else(|| "expected seconds, 0 to 1000000".into())
+}
+
+/// Parses the name of a preset.
+fn preset(text: &str) -> Result<Quality, String> {
+    Quality::named(text).map_err(|e| e.to_string())
+}
+
+/// Checks a list of knobs.
+fn knobs(text: &str) -> Result<String, String> {
+    let mut quality = Quality::EXACT;
+    quality.set_all(text).map(|()| text.to_owned()).map_err(|e| e.to_string())
 }
 
 /// Parses a number that is neither NaN nor infinite.

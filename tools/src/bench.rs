@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use crate::args::{BenchArgs, Global};
 use crate::measure::{self, Measurement, PAPER_FRAMES, Plan, commit};
-use crate::{bench_ablation, bench_paper, bench_train, gpu_session, model, output, progress, report, view};
+use crate::{bench_ablation, bench_paper, bench_train, gpu_session, model, output, progress, report, sweep, view};
 
 /// Image size where neither arguments nor cameras say one: that of the paper's synthetic scenes.
 pub(crate) const DEFAULT_SIZE: u32 = 800;
@@ -39,6 +39,9 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     if args.paper {
         return bench_paper::run(args, global);
     }
+    if args.sweep {
+        return sweep::run(args, global);
+    }
     let (scene, name) = load_scene(args)?;
     let camera = choose_camera(args, &scene)?;
     let gpu = gpu_session::open_to_measure(global)?;
@@ -46,6 +49,7 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     let options = RenderOptions {
         background: args.view.background,
         motion: args.view.motion_source(),
+        quality: args.view.quality(),
         ..RenderOptions::default()
     };
     let (frames, warmup) = (args.frames.unwrap_or(FRAMES), args.warmup.unwrap_or(WARMUP));
@@ -56,7 +60,8 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     bar.finish_and_clear();
     let error = if args.check { Some(check(&gpu, &scene, &options, &plan)?) } else { None };
     gpu_session::report_validation(&gpu);
-    let record = record(&gpu, &scene, &name, &plan, &measured, error);
+    let mut record = record(&gpu, &scene, &name, &plan, &measured, error);
+    record["quality"] = json!(options.quality);
     if let Some(path) = &args.json {
         write_text(path, &(output::to_json(&record)? + "\n"))?;
     }
@@ -68,6 +73,7 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
         output::line(&format!("scene   {name}: {}", model::describe(&scene)));
         let size = format!("{}x{} pixels", plan.camera.width, plan.camera.height);
         output::line(&format!("view    {size}, t from {} to {}", times[0], times[1]));
+        output::line(&format!("quality {}", options.quality.describe()));
         output::line(report::text(&measured).trim_end());
         if let Some(e) = error {
             output::line(&format!(

@@ -12,7 +12,7 @@ use engine::gpu::Gpu;
 use engine::scene::Gaussians;
 use engine::scene::synthetic::{moving_scene, random_scene};
 use engine::train::config::Config;
-use engine::train::trainer::TrainingData;
+use engine::train::trainer::{Trainer, TrainingData};
 use serde_json::{Value, json};
 
 use self::measure::{Plan, TrainMeasurement};
@@ -40,6 +40,15 @@ pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     if let Some(wanted) = args.until_psnr {
         return until::run(args, global, wanted);
     }
+    let fixed =
+        args.model.is_some() || args.cameras.is_some() || args.view.width.is_some() || args.view.height.is_some();
+    if args.sweep && fixed {
+        return Err(Error::usage(
+            "bench --train --sweep",
+            "a model, cameras or a size",
+            "none: the scenes are synthetic",
+        ));
+    }
     let gpu = gpu_session::open_to_measure(global)?;
     let [steps, warmup] = STEPS[usize::from(args.sweep)];
     let plan = Plan { steps: args.frames.unwrap_or(steps), warmup: args.warmup.unwrap_or(warmup) };
@@ -55,7 +64,11 @@ pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     let bar = progress::bar(2 * u64::from(plan.steps + plan.warmup) * scenes.len() as u64, global.quiet);
     let mut cases = Vec::new();
     for (n, size) in scenes {
-        let case = if args.model.is_some() { posed(args)? } else { synthetic(&gpu, args, n, size)? };
+        let case = if args.model.is_some() {
+            posed(args)?
+        } else {
+            synthetic(&gpu, args.superpoints, args.view.background, n, size)?
+        };
         let measured = measure::measure(&gpu, &case.config, &case.data, &case.first, plan, copy, &|| bar.inc(1))?;
         cases.push((case_record(&case, &measured), measured));
     }
@@ -109,17 +122,26 @@ fn posed(args: &BenchArgs) -> Result<Case> {
 }
 
 /// A synthetic scene, disturbed, and photos of it.
-fn synthetic(gpu: &Gpu, args: &BenchArgs, n: u32, size: [u32; 2]) -> Result<Case> {
-    let (count, superpoints) = (n as usize, args.superpoints.min(n));
+fn synthetic(gpu: &Gpu, superpoints: u32, background: [f32; 3], n: u32, size: [u32; 2]) -> Result<Case> {
+    let (count, superpoints) = (n as usize, superpoints.min(n));
     let scene = match superpoints {
         0 => random_scene(count, SYNTHETIC_SEED, SYNTHETIC_SH_DEGREE),
         m => moving_scene(count, m as usize, SYNTHETIC_KEYS, SYNTHETIC_SEED, false),
     };
-    let (folder, data) = start::photos(gpu, &scene, size, args.view.background)?;
+    let (folder, data) = start::photos(gpu, &scene, size, background)?;
     let first = start::disturbed(&scene.gaussians, SYNTHETIC_SEED);
-    let config = config(&first, args.view.background, superpoints);
+    let config = config(&first, background, superpoints);
     let name = format!("synthetic, seed {SYNTHETIC_SEED}");
     Ok(Case { name, data, first, config, _folder: Some(folder) })
+}
+
+/// Two training steps of a synthetic scene: a trainer whose commands are those of every further step.
+pub(crate) fn stepped(gpu: &Gpu, gaussians: u32, superpoints: u32, size: [u32; 2]) -> Result<Trainer> {
+    let case = synthetic(gpu, superpoints, [0.0; 3], gaussians, size)?;
+    let mut trainer = Trainer::new(gpu, &case.config, &case.data, &case.first)?;
+    trainer.step()?;
+    trainer.step()?;
+    Ok(trainer)
 }
 
 fn case_record(case: &Case, measured: &TrainMeasurement) -> Value {

@@ -138,7 +138,7 @@ fn paper_record(setting: &Setting) -> Result<Value> {
         "scene": scene,
         "rows": scene.map(|s| tables.scene(protocol.benchmark, s)),
         "training": scene.and_then(|s| tables.training(protocol.benchmark, s)),
-        "means": tables.averages(protocol.benchmark),
+        "means": tables.means(protocol.benchmark),
         "contradictions": tables.contradictions(protocol.benchmark),
     }))
 }
@@ -152,11 +152,21 @@ fn our_row(setting: &Setting, e: &Evaluation) -> [Option<f64>; 3] {
     [Some(e.mean.pixel.psnr), similarity, e.mean_lpips_paper]
 }
 
-/// The paper's rows of the scene.
-fn paper_rows(setting: &Setting) -> Result<Vec<&'static SceneRow>> {
-    match (&setting.protocol, &setting.scene) {
-        (Some(protocol), Some(scene)) => Ok(paper::tables()?.scene(protocol.benchmark, scene)),
-        _ => Ok(Vec::new()),
+/// The paper's rows of the scene, or of the means where it has no such scene.
+fn paper_rows(setting: &Setting) -> Result<Vec<SceneRow>> {
+    let Some(protocol) = &setting.protocol else { return Ok(Vec::new()) };
+    let tables = paper::tables()?;
+    Ok(match &setting.scene {
+        Some(scene) => tables.scene(protocol.benchmark, scene).into_iter().cloned().collect(),
+        None => tables.means(protocol.benchmark),
+    })
+}
+
+/// What [`paper_rows`] are of.
+fn paper_title(setting: &Setting) -> String {
+    match &setting.scene {
+        Some(scene) => format!("scene {scene}"),
+        None => "means of its scenes, none of which has this folder's name (--scene)".into(),
     }
 }
 
@@ -176,19 +186,15 @@ fn print(setting: &Setting, e: &Evaluation) -> Result<()> {
     }
     e.notes.iter().for_each(|n| output::line(n));
     let Some(protocol) = &setting.protocol else { return Ok(()) };
-    let rows = paper_rows(setting)?;
-    let scene = setting.scene.as_deref().unwrap_or("no scene of the paper by this name; see --scene");
-    output::line(&format!("\nthe paper on {}, {scene}:", protocol.benchmark.name()));
+    output::line(&format!("\nthe paper on {}, {}:", protocol.benchmark.name(), paper_title(setting)));
     setting.deviations.iter().for_each(|d| output::line(&format!("not as there: {d}")));
-    if !rows.is_empty() {
-        output::line(&format!("{:16} {:>8} {:>8} {:>8}", "", "PSNR", protocol.similarity, "LPIPS"));
-        let line = |name: &str, [psnr, similarity, lpips]: [Option<f64>; 3]| {
-            let (p, s, l) = (cell(psnr, 2), cell(similarity, 4), cell(lpips, 4));
-            output::line(&format!("{name:16} {p:>8} {s:>8} {l:>8}"));
-        };
-        rows.iter().for_each(|r| line(&r.method, [r.psnr, r.similarity, r.lpips]));
-        line("this model", our_row(setting, e));
-    }
+    output::line(&format!("{:16} {:>8} {:>8} {:>8}", "", "PSNR", protocol.similarity, "LPIPS"));
+    let line = |name: &str, [psnr, similarity, lpips]: [Option<f64>; 3]| {
+        let (p, s, l) = (cell(psnr, 2), cell(similarity, 4), cell(lpips, 4));
+        output::line(&format!("{name:16} {p:>8} {s:>8} {l:>8}"));
+    };
+    paper_rows(setting)?.iter().for_each(|r| line(&r.method, [r.psnr, r.similarity, r.lpips]));
+    line("this model", our_row(setting, e));
     protocol.remarks.iter().for_each(|r| output::line(r));
     Ok(())
 }

@@ -31,5 +31,6 @@ pub mod render;
 pub mod report;
 pub mod scores;
 pub mod spirv_task;
+pub mod sweep;
 pub mod train;
 pub mod view;

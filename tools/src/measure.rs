@@ -284,7 +284,7 @@ pub(crate) fn rate_row(
 }
 
 /// A sort's amount of work depends on what it sorts: the visible Gaussians by depth, or the instances by tile.
-fn with_keys(workload: &Workload, label: &str) -> Workload {
+pub(crate) fn with_keys(workload: &Workload, label: &str) -> Workload {
     let mut workload = workload.clone();
     let keys = if label.contains("tile") { "instances" } else { "visible" };
     let count = workload.get(keys);

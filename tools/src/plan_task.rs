@@ -1,25 +1,31 @@
-//! `spgs-dev plan`: the barrier plan of every kind of frame, as the recorder derived it. Golden files keep them from
+//! `spgs-dev plan`: the barrier plan of every kind of frame and training step, as the recorder derived it. Golden files keep them from
 //! changing unnoticed.
 
 use std::path::{Path, PathBuf};
 
 use engine::error::{Error, Result};
 use engine::file::durable::write_atomic;
-use engine::gpu::Gpu;
+use engine::gpu::{Commands, Gpu};
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::{demo_camera, demo_scene, moving_scene, random_scene};
 use engine::scene::{MotionSource, Scene};
 
-use crate::view;
+use crate::{bench_train, view};
 
 /// Where the golden files are, relative to the folder of the workspace.
 pub const GOLDEN: &str = "tests/golden";
 
-/// The plan of one kind of frame.
+/// Most dispatches of a frame and of a training step.
+const FRAME_BUDGET: usize = 18;
+const STEP_BUDGET: usize = 60;
+
+/// The plan of one kind of frame or training step.
 #[derive(Debug, Clone)]
 pub struct NamedPlan {
     /// Stem of its golden file `NAME.plan.txt`.
     pub name: &'static str,
+    /// Most dispatches that it may have.
+    pub budget: usize,
     /// Dispatches of the frame.
     pub dispatches: usize,
     /// Barriers of the frame.
@@ -29,7 +35,7 @@ pub struct NamedPlan {
 }
 
 /// Plans of the demo's frame (motion by the key-time table), of a static scene, of motion by network F, and of a scene so
-/// large that its sorts need a spine.
+/// large that its sorts need a spine; of training steps.
 pub fn plans(gpu: &Gpu) -> Result<Vec<NamedPlan>> {
     let demo = (demo_scene(), demo_camera(0.0, 640, 480));
     let small = |scene: Scene| {
@@ -47,13 +53,26 @@ pub fn plans(gpu: &Gpu) -> Result<Vec<NamedPlan>> {
         .map(|(name, (scene, camera), motion)| {
             let mut renderer = Renderer::new(gpu, &scene, &RenderOptions { motion, ..RenderOptions::default() })?;
             renderer.draw(&camera, 0.0)?;
-            let Some(commands) = renderer.commands() else {
-                return Err(Error::usage("spgs-dev plan", "no recorded frame", "one after the first draw"));
-            };
-            let (dispatches, barriers) = (commands.dispatches(), commands.barriers());
-            Ok(NamedPlan { name, dispatches, barriers, text: commands.plan().to_owned() })
+            named(name, FRAME_BUDGET, renderer.commands())
         })
+        .chain(training_plans(gpu))
         .collect()
+}
+
+/// Plans of a training step: of a static scene and of a moving one.
+fn training_plans(gpu: &Gpu) -> impl Iterator<Item = Result<NamedPlan>> {
+    [("train_static", 0), ("train_rigid", 8)].into_iter().map(|(name, superpoints)| {
+        let trainer = bench_train::stepped(gpu, 500, superpoints, [64, 48])?;
+        named(name, STEP_BUDGET, trainer.commands())
+    })
+}
+
+fn named(name: &'static str, budget: usize, commands: Option<&Commands>) -> Result<NamedPlan> {
+    let Some(commands) = commands else {
+        return Err(Error::usage("spgs-dev plan", "no recorded commands", "some after the first run"));
+    };
+    let (dispatches, barriers) = (commands.dispatches(), commands.barriers());
+    Ok(NamedPlan { name, budget, dispatches, barriers, text: commands.plan().to_owned() })
 }
 
 /// The first line in which the plan differs from its golden file, if any.

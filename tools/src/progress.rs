@@ -16,6 +16,18 @@ pub fn bar(total: u64, quiet: bool) -> ProgressBar {
     bar
 }
 
+/// A bar over the settings of a sweep, with the one that is measured.
+pub fn sweep(total: u64, quiet: bool) -> ProgressBar {
+    if quiet || !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::with_draw_target(Some(total), ProgressDrawTarget::stderr());
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len}, {eta} left; {msg}") {
+        bar.set_style(style);
+    }
+    bar
+}
+
 /// A bar over the iterations of a training run, `done` of them already behind.
 pub fn training(total: u64, done: u64, quiet: bool) -> ProgressBar {
     if quiet || !std::io::stderr().is_terminal() {

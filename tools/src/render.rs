@@ -40,6 +40,7 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
         background: args.view.background,
         depth: args.format == Format::Exr,
         motion: args.view.motion_source(),
+        quality: args.view.quality(),
         ..RenderOptions::default()
     };
     let mut renderer = Renderer::new(&gpu, &loaded.scene, &options)?;

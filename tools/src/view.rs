@@ -1,7 +1,7 @@
 //! A camera for a model that comes without one, and the times that a model covers.
 
 use engine::scene::{Camera, Scene};
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 /// Horizontal field of view of the default camera, radians.
 const FOV_X: f64 = 0.8;
@@ -12,6 +12,21 @@ pub fn default_camera(scene: &Scene, size: [u32; 2]) -> Camera {
     let distance = radius / (0.5 * FOV_X).sin();
     let eye = center + distance * DVec3::new(0.25, -0.25, -1.0).normalize();
     Camera::look_at(eye, center, DVec3::NEG_Y, FOV_X, size)
+}
+
+/// `count` views like [`default_camera`] around the vertical axis through the scene's centre, at times evenly spread over the
+/// motion.
+pub fn orbit(scene: &Scene, size: [u32; 2], count: usize) -> Vec<Camera> {
+    let first = default_camera(scene, size);
+    let (center, _) = extent(scene);
+    let [start, end] = time_range(scene);
+    let view = |i: usize| {
+        let turn = DMat3::from_axis_angle(DVec3::Y, std::f64::consts::TAU * i as f64 / count as f64);
+        let eye = center + turn * (first.position - center);
+        let time = start + (end - start) * (i as f64 + 0.5) / count as f64;
+        Camera { name: format!("orbit {i}"), time, ..Camera::look_at(eye, center, DVec3::NEG_Y, FOV_X, size) }
+    };
+    (0..count).map(view).collect()
 }
 
 /// Median centre, and the radius within which 90 % of the Gaussians lie. Values that are not finite do not count.
@@ -68,6 +83,18 @@ mod tests {
         let p = camera.rotation * (DVec3::new(1.0, 2.0, 3.0) - camera.position);
         assert!(p.z > 0.5 && p.x.abs() < 1e-9 && p.y.abs() < 1e-9, "{p}");
         assert_eq!((camera.width, camera.height), (200, 100));
+    }
+
+    #[test]
+    fn an_orbit_looks_at_the_scene_from_all_sides() {
+        let scene = engine::scene::synthetic::moving_scene(50, 3, 5, 1, false);
+        let cameras = orbit(&scene, [64, 48], 3);
+        let (center, _) = extent(&scene);
+        for camera in &cameras {
+            let p = camera.rotation * (center - camera.position);
+            assert!(p.z > 0.5 && p.x.abs() < 1e-9 && p.y.abs() < 1e-9, "{p}");
+        }
+        assert!(cameras[0].position.distance(cameras[1].position) > 1.0 && cameras[0].time < cameras[2].time);
     }
 
     #[test]

@@ -16,34 +16,52 @@ pub(super) trait Real:
 impl Real for f32 {}
 impl Real for f64 {}
 
+/// Values of a row that are summed side by side: their sums stay in registers while the taps pass.
+const LANES: usize = 16;
+
 /// `out[x] = Σ_k taps[k]·padded[x + k]`.
 pub(super) fn horizontal<T: Real>(padded: &[T], taps: &[T], out: &mut [T]) {
-    out.fill(T::default());
     let width = out.len();
-    for (k, &tap) in taps.iter().enumerate() {
-        add_scaled(out, &padded[k..k + width], tap);
+    for first in (0..width).step_by(LANES) {
+        let lanes = LANES.min(width - first);
+        let terms = taps.iter().enumerate().map(|(k, &tap)| (tap, &padded[first + k..first + k + lanes]));
+        sum_terms(terms, &mut out[first..first + lanes]);
     }
 }
 
-/// `sum += scale·row`.
-pub(super) fn add_scaled<T: Real>(sum: &mut [T], row: &[T], scale: T) {
-    for (s, &v) in sum.iter_mut().zip(row) {
-        *s += scale * v;
+/// `out = Σ_k taps[k]·row(y + k − radius)` of a plane, edges repeated.
+pub(super) fn vertical<T: Real>(plane: &[T], width: usize, y: usize, taps: &[T], out: &mut [T]) {
+    for first in (0..width).step_by(LANES) {
+        let lanes = LANES.min(width - first);
+        let terms = replicated_rows(plane.len() / width, y, taps.len()).zip(taps).map(|(row, &tap)| {
+            let at = row * width + first;
+            (tap, &plane[at..at + lanes])
+        });
+        sum_terms(terms, &mut out[first..first + lanes]);
     }
 }
 
-/// Rows `y − radius ..= y + radius` of a plane with the tap of each; rows outside repeat the edge.
-fn replicated_rows<'a, T>(
-    plane: &'a [T],
-    width: usize,
-    y: usize,
-    taps: usize,
-) -> impl Iterator<Item = (usize, &'a [T])> {
-    let (height, radius) = (plane.len() / width.max(1), taps / 2);
-    (0..taps).map(move |k| {
-        let row = (y + k).saturating_sub(radius).min(height.saturating_sub(1));
-        (k, &plane[row * width..(row + 1) * width])
-    })
+/// `out = Σ tap·values` over the terms, whose values are as many as `out` has, at most [`LANES`].
+fn sum_terms<'a, T: Real + 'a>(terms: impl Iterator<Item = (T, &'a [T])>, out: &mut [T]) {
+    let mut sum = [T::default(); LANES];
+    for (tap, values) in terms {
+        // A known length makes vector code; the last values of a row go the slow way.
+        if let Some(values) = values.first_chunk::<LANES>() {
+            for (s, &v) in sum.iter_mut().zip(values) {
+                *s += tap * v;
+            }
+        } else {
+            for (s, &v) in sum.iter_mut().zip(values) {
+                *s += tap * v;
+            }
+        }
+    }
+    out.copy_from_slice(&sum[..out.len()]);
+}
+
+/// Rows `y − radius ..= y + radius`; those outside are the edge again.
+pub(super) fn replicated_rows(height: usize, y: usize, taps: usize) -> impl Iterator<Item = usize> {
+    (0..taps).map(move |k| (y + k).saturating_sub(taps / 2).min(height - 1))
 }
 
 /// Fills the padding of a row: `radius` values left and right of its middle repeat its ends.
@@ -52,14 +70,6 @@ pub(super) fn replicate_ends<T: Copy>(padded: &mut [T], radius: usize) {
     let (first, last) = (padded[radius], padded[end - 1]);
     padded[..radius].fill(first);
     padded[end..].fill(last);
-}
-
-/// `out = Σ_k taps[k]·row(y + k − radius)`, edges repeated.
-pub(super) fn vertical<T: Real>(plane: &[T], width: usize, y: usize, taps: &[T], out: &mut [T]) {
-    out.fill(T::default());
-    for (k, row) in replicated_rows(plane, width, y, taps.len()) {
-        add_scaled(out, row, taps[k]);
-    }
 }
 
 /// Row `y` of a plane under the product of two filters of equal length, edges repeated.
@@ -85,14 +95,31 @@ mod tests {
 
     #[test]
     fn edges_repeat() {
-        let plane = [1.0, 2.0, 3.0, 4.0];
-        let rows: Vec<f64> = replicated_rows(&plane, 2, 0, 5).map(|(_, r)| r[0]).collect();
-        assert_eq!(rows, [1.0, 1.0, 1.0, 3.0, 3.0]);
+        assert_eq!(replicated_rows(2, 0, 5).collect::<Vec<_>>(), [0, 0, 0, 1, 1]);
+        assert_eq!(replicated_rows(9, 8, 3).collect::<Vec<_>>(), [7, 8, 8]);
         let mut padded = [0.0, 0.0, 7.0, 8.0, 0.0, 0.0];
         replicate_ends(&mut padded, 2);
         assert_eq!(padded, [7.0, 7.0, 7.0, 8.0, 8.0, 8.0]);
         let mut out = [0.0; 2];
         horizontal(&padded, &[1.0, 0.0, 10.0, 0.0, 0.0], &mut out);
         assert_eq!(out, [77.0, 87.0]);
+    }
+
+    #[test]
+    fn filters_are_their_definition_at_any_width() {
+        let (height, taps) = (7, [0.5, -1.0, 2.0, 0.25, 3.0]);
+        for width in [1, 15, 16, 17, 40] {
+            let plane: Vec<f64> = (0..width * height).map(|i| f64::from(i as u32 * 37 % 101)).collect();
+            for y in 0..height {
+                let row = filtered_row(&plane, width, y, &taps, &taps);
+                for (x, value) in row.iter().enumerate() {
+                    let at = |i: usize, k: usize, side: usize| (i + k).saturating_sub(2).min(side - 1);
+                    let term =
+                        |k: usize, l: usize| taps[k] * taps[l] * plane[at(y, k, height) * width + at(x, l, width)];
+                    let truth: f64 = (0..5).flat_map(|k| (0..5).map(move |l| term(k, l))).sum();
+                    assert!((value - truth).abs() < 1e-9, "{width} ({x}, {y})");
+                }
+            }
+        }
     }
 }

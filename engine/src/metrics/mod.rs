@@ -26,4 +26,4 @@ pub use flip::{FlipMap, PIXELS_PER_DEGREE, flip};
 pub use planes::{Planes, Weights};
 pub use psnr::{psnr, psnr_8bit};
 pub use scores::{Scores, mean_of, score};
-pub use ssim::{SsimScores, ms_ssim, ssim};
+pub use ssim::{SsimScores, ms_ssim, ssim, ssim_and_ms_ssim};

@@ -1,6 +1,7 @@
 //! Pictures as metrics read them: one plane per channel, values in [0, 1].
 
 use crate::error::{Error, Result};
+use crate::file::picture::to_u8;
 use crate::image::Image;
 
 /// R, G, B planes of a picture, each `[height, width]`, values in [0, 1].
@@ -23,7 +24,7 @@ impl Planes {
     pub fn clamped(image: &Image) -> Result<Self> {
         // An f32 that is the nearest to k / 255 came from an 8-bit picture: it is taken as k / 255 itself.
         let exact = |v: f32| {
-            let k = (v * 255.0).round();
+            let k = f32::from((v * 255.0 + 0.5) as u8);
             if k / 255.0 == v { f64::from(k) / 255.0 } else { f64::from(v) }
         };
         Self::convert(image, |v| exact(v.clamp(0.0, 1.0)))
@@ -34,7 +35,7 @@ impl Planes {
     /// # Errors
     /// As [`Planes::clamped`].
     pub fn quantised(image: &Image) -> Result<Self> {
-        Self::convert(image, |v| f64::from((v.clamp(0.0, 1.0) * 255.0).round()) / 255.0)
+        Self::convert(image, |v| f64::from(to_u8(v)) / 255.0)
     }
 
     fn convert(image: &Image, value: impl Fn(f32) -> f64) -> Result<Self> {

@@ -2,7 +2,7 @@
 
 use super::flip::{FlipMap, PIXELS_PER_DEGREE, flip};
 use super::planes::{Planes, Weights};
-use super::{ms_ssim, psnr, ssim};
+use super::{psnr, ssim, ssim_and_ms_ssim};
 use crate::error::Result;
 
 /// The metrics of a pair of pictures that need no weights. `None` (JSON `null`) where a metric is not defined: see
@@ -26,13 +26,16 @@ pub struct Scores {
 /// # Errors
 /// [`crate::Error::Usage`] for pictures of different sizes or weights of another size.
 pub fn score(reference: &Planes, test: &Planes, weights: Option<&Weights>) -> Result<(Scores, FlipMap)> {
-    let similarity = ssim(reference, test, weights)?;
+    let (similarity, ms_ssim) = match weights {
+        None => ssim_and_ms_ssim(reference, test)?,
+        Some(_) => (ssim(reference, test, weights)?, None),
+    };
     let map = flip(reference, test, PIXELS_PER_DEGREE)?;
     let scores = Scores {
         psnr: psnr(reference, test, weights)?,
         ssim: similarity.zero_padded,
         ssim_valid: similarity.valid,
-        ms_ssim: if weights.is_some() { None } else { ms_ssim(reference, test)? },
+        ms_ssim,
         flip: map.mean(weights),
     };
     Ok((scores, map))

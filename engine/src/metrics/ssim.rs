@@ -6,7 +6,7 @@
 
 use rayon::prelude::*;
 
-use super::filter::{add_scaled, gaussian, horizontal};
+use super::filter::{gaussian, horizontal};
 use super::planes::{Planes, Weights, same_size, weights_fit};
 use crate::error::Result;
 
@@ -38,15 +38,7 @@ pub struct SsimScores {
 pub fn ssim(reference: &Planes, test: &Planes, weights: Option<&Weights>) -> Result<SsimScores> {
     same_size(reference, test)?;
     weights_fit(reference, weights)?;
-    let size = [reference.width, reference.height];
-    let mut sums = Sums::default();
-    for (x, y) in reference.rgb.iter().zip(&test.rgb) {
-        sums.add(&channel_sums(x, y, size, weights.map(Weights::values)));
-    }
-    Ok(SsimScores {
-        zero_padded: sums.all / sums.all_weight,
-        valid: (sums.valid_weight > 0.0).then(|| sums.valid / sums.valid_weight),
-    })
+    Ok(Sums::total(&channels(reference, test, weights)).scores())
 }
 
 /// MS-SSIM: Π over the scales of mean(cs)^w, the coarsest by mean(SSIM)^w, windows inside the picture, negative means
@@ -60,29 +52,40 @@ pub fn ssim(reference: &Planes, test: &Planes, weights: Option<&Weights>) -> Res
 /// # Errors
 /// [`crate::Error::Usage`] for pictures of different sizes.
 pub fn ms_ssim(reference: &Planes, test: &Planes) -> Result<Option<f64>> {
-    same_size(reference, test)?;
-    if reference.width.min(reference.height) < MS_SSIM_MIN_SIDE {
-        return Ok(None);
-    }
-    let channels = reference.rgb.iter().zip(&test.rgb);
-    let of = |(x, y): (&Vec<f64>, &Vec<f64>)| channel_ms_ssim(x, y, [reference.width, reference.height]);
-    Ok(Some(channels.map(of).sum::<f64>() / 3.0))
+    Ok(ssim_and_ms_ssim(reference, test)?.1)
 }
 
-fn channel_ms_ssim(x: &[f64], y: &[f64], size: [usize; 2]) -> f64 {
-    let (mut x, mut y, mut size) = (x.to_vec(), y.to_vec(), size);
-    let mut product = 1.0;
-    for (scale, weight) in SCALE_WEIGHTS.iter().enumerate() {
-        let sums = channel_sums(&x, &y, size, None);
-        let coarsest = scale + 1 == SCALE_WEIGHTS.len();
-        let mean = if coarsest { sums.valid } else { sums.valid_cs } / sums.valid_weight;
-        product *= mean.max(0.0).powf(*weight);
-        if !coarsest {
-            (x, y) = (halved(&x, size), halved(&y, size));
-            size = size.map(|side| side.div_ceil(2));
-        }
+/// [`ssim()`] and [`ms_ssim()`] of whole pictures, which share their finest scale.
+///
+/// # Errors
+/// [`crate::Error::Usage`] for pictures of different sizes.
+pub fn ssim_and_ms_ssim(reference: &Planes, test: &Planes) -> Result<(SsimScores, Option<f64>)> {
+    same_size(reference, test)?;
+    let finest = channels(reference, test, None);
+    let scores = Sums::total(&finest).scores();
+    if reference.width.min(reference.height) < MS_SSIM_MIN_SIDE {
+        return Ok((scores, None));
     }
-    product
+    let size = [reference.width, reference.height];
+    let of = |c: usize| channel_ms_ssim(&reference.rgb[c], &test.rgb[c], size, finest[c]);
+    Ok((scores, Some((0..3).map(of).sum::<f64>() / 3.0)))
+}
+
+fn channels(reference: &Planes, test: &Planes, weights: Option<&Weights>) -> [Sums; 3] {
+    let size = [reference.width, reference.height];
+    [0, 1, 2].map(|c: usize| channel_sums(&reference.rgb[c], &test.rgb[c], size, weights.map(Weights::values)))
+}
+
+fn channel_ms_ssim(x: &[f64], y: &[f64], size: [usize; 2], finest: Sums) -> f64 {
+    let (mut x, mut y, mut size) = (halved(x, size), halved(y, size), size.map(|side| side.div_ceil(2)));
+    let [first, middle @ .., last] = &SCALE_WEIGHTS;
+    let mut product = finest.mean_cs().powf(*first);
+    for weight in middle {
+        product *= channel_sums(&x, &y, size, None).mean_cs().powf(*weight);
+        (x, y) = (halved(&x, size), halved(&y, size));
+        size = size.map(|side| side.div_ceil(2));
+    }
+    product * channel_sums(&x, &y, size, None).mean_valid().powf(*last)
 }
 
 /// 2×2 averages; a side of odd length has a zero before its first and after its last value.
@@ -116,6 +119,27 @@ struct Sums {
 }
 
 impl Sums {
+    fn total(list: &[Self]) -> Self {
+        let mut total = Self::default();
+        list.iter().for_each(|s| total.add(s));
+        total
+    }
+
+    fn scores(&self) -> SsimScores {
+        let valid = (self.valid_weight > 0.0).then(|| self.valid / self.valid_weight);
+        SsimScores { zero_padded: self.all / self.all_weight, valid }
+    }
+
+    /// Mean contrast and structure of the windows inside, not below 0.
+    fn mean_cs(&self) -> f64 {
+        (self.valid_cs / self.valid_weight).max(0.0)
+    }
+
+    /// Mean SSIM of the windows inside, not below 0.
+    fn mean_valid(&self) -> f64 {
+        (self.valid / self.valid_weight).max(0.0)
+    }
+
     fn add(&mut self, other: &Self) {
         self.all += other.all;
         self.all_weight += other.all_weight;
@@ -139,9 +163,31 @@ fn channel_sums(x: &[f64], y: &[f64], [width, height]: [usize; 2], weights: Opti
             },
         )
         .collect();
-    let mut total = Sums::default();
-    rows.iter().for_each(|r| total.add(r));
-    total
+    Sums::total(&rows)
+}
+
+/// Columns that are summed side by side: their sums stay in registers while the rows pass.
+const LANES: usize = 4;
+
+/// Adds tap·(x, y, x² + y², xy) of [`LANES`] columns.
+#[inline(always)]
+fn add_products(sums: &mut [[f64; LANES]; 4], x: &[f64; LANES], y: &[f64; LANES], tap: f64) {
+    for i in 0..LANES {
+        sums[0][i] += tap * x[i];
+        sums[1][i] += tap * y[i];
+        sums[2][i] += tap * (x[i] * x[i] + y[i] * y[i]);
+        sums[3][i] += tap * (x[i] * y[i]);
+    }
+}
+
+/// The values of a row from `first` on; zeros past its end.
+#[inline(always)]
+fn lanes(row: &[f64], first: usize) -> [f64; LANES] {
+    row[first..].first_chunk().copied().unwrap_or_else(|| {
+        let mut padded = [0.0; LANES];
+        padded[..row.len() - first].copy_from_slice(&row[first..]);
+        padded
+    })
 }
 
 /// μ_x, μ_y, E[x² + y²] and E\[xy\] of one row of windows.
@@ -157,17 +203,18 @@ impl RowMoments {
     }
 
     fn fill(&mut self, x: &[f64], y: &[f64], [width, height]: [usize; 2], row: usize, taps: &[f64]) {
-        let middle = RADIUS..RADIUS + width;
-        let [mx, my, xx, xy] = self.padded.each_mut().map(|p| &mut p[middle.clone()]);
-        [&mut *mx, &mut *my, &mut *xx, &mut *xy].into_iter().for_each(|p| p.fill(0.0));
-        for (k, &tap) in taps.iter().enumerate() {
-            let Some(source) = (row + k).checked_sub(RADIUS).filter(|r| *r < height) else { continue };
-            let (x, y) = (&x[source * width..(source + 1) * width], &y[source * width..(source + 1) * width]);
-            add_scaled(mx, x, tap);
-            add_scaled(my, y, tap);
-            for (((squares, product), &x), &y) in xx.iter_mut().zip(xy.iter_mut()).zip(x).zip(y) {
-                *squares += tap * (x * x + y * y);
-                *product += tap * (x * y);
+        let first_tap = RADIUS.saturating_sub(row);
+        let last_row = (row + RADIUS).min(height - 1);
+        let rows = row.saturating_sub(RADIUS)..=last_row;
+        for first in (0..width).step_by(LANES) {
+            let mut sums = [[0.0; LANES]; 4];
+            for (source, &tap) in rows.clone().zip(&taps[first_tap..]) {
+                let line = source * width..(source + 1) * width;
+                add_products(&mut sums, &lanes(&x[line.clone()], first), &lanes(&y[line], first), tap);
+            }
+            let count = LANES.min(width - first);
+            for (padded, sums) in self.padded.iter_mut().zip(&sums) {
+                padded[RADIUS + first..RADIUS + first + count].copy_from_slice(&sums[..count]);
             }
         }
         for (padded, row) in self.padded.iter().zip(&mut self.row) {
@@ -176,16 +223,17 @@ impl RowMoments {
     }
 
     fn sums(&self, inside: bool, weights: Option<&[f64]>) -> Sums {
-        let width = self.row[0].len();
+        let [mx, my, squares, product] = &self.row;
+        let width = mx.len();
+        let valid = if inside { RADIUS..width.saturating_sub(RADIUS).max(RADIUS) } else { 0..0 };
         let mut sums = Sums::default();
-        for i in 0..width {
-            let [mx, my, squares, product] = [0, 1, 2, 3].map(|m: usize| self.row[m][i]);
+        for (i, (((&mx, &my), &squares), &product)) in mx.iter().zip(my).zip(squares).zip(product).enumerate() {
             let cs = (2.0 * (product - mx * my) + C2) / (squares - mx * mx - my * my + C2);
             let ssim = cs * (2.0 * mx * my + C1) / (mx * mx + my * my + C1);
             let weight = weights.map_or(1.0, |w| w[i]);
             sums.all += weight * ssim;
             sums.all_weight += weight;
-            if inside && i >= RADIUS && i + RADIUS < width {
+            if valid.contains(&i) {
                 sums.valid += weight * ssim;
                 sums.valid_cs += weight * cs;
                 sums.valid_weight += weight;

@@ -1,17 +1,18 @@
 //! Kernel `blend`: front-to-back blending of each tile's splats into the image.
 //!
 //! Reads `ranges uint[2·tiles]` (first and last + 1 instance of a tile), `values uint[instances]` (the Gaussian of each
-//! instance, in depth order within a tile) and `splats`. Writes every pixel of `color vec4[H·W]` (Σ c α T + T·background,
+//! instance, in depth order within a tile) and `splats` (stored as [`super::splat`] says). Writes every pixel of `color vec4[H·W]` (Σ c α T + T·background,
 //! 1 − T) and, when `WITH_DEPTH` is 1, `depth float[H·W]` (Σ z α T; else a dummy of any size). When `WITH_SLOTS` is 1,
 //! `values` are slots and `gaussian_of_slot` leads to the Gaussians (see [`SlotBuffers`](super::tiles::SlotBuffers)).
 //!
 //! One subgroup blends one subtile ([`subtile`]); the formulas are those of 3D Gaussian splatting's forward pass with the
 //! threshold α ≥ 1/255 tested before exp2, in the log2 domain.
 
-use super::ellipse::{Ellipse, LOG2_255};
+use super::ellipse::{Ellipse, log2_cut};
 use super::frame::Frame;
 use super::limits::TILE_SIZE;
-use super::twin::{set_f32, set_vec4, spec, struct_at, vec4_at};
+use super::splat::{Splat, unpack_splat};
+use super::twin::{set_f32, set_vec4, spec, struct_at};
 use crate::gpu::Gpu;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
 
@@ -47,7 +48,16 @@ pub static BLEND: Kernel = Kernel {
     name: "blend",
     doc: "front-to-back blending, one subgroup per subtile of pixels",
     local_size: BLEND_THREADS,
-    spec: &["SUBGROUP_SIZE", "WITH_DEPTH", "STAGE", "PIXELS_PER_LANE", "WITH_SLOTS"],
+    spec: &[
+        "SUBGROUP_SIZE",
+        "WITH_DEPTH",
+        "STAGE",
+        "PIXELS_PER_LANE",
+        "WITH_SLOTS",
+        "ALPHA_CUT",
+        "TRANSMITTANCE_STOP",
+        "PACKING",
+    ],
     push: &[],
     bindings: &[
         Binding::of_struct("frame", Access::Read, Frame::FIELDS),
@@ -68,7 +78,7 @@ pub static BLEND: Kernel = Kernel {
 
 /// Each instance's index and splat once, each pixel's colour (and depth) once, each tile's range once.
 fn blend_bytes(work: &Workload) -> u64 {
-    work.get("instances") * (4 + 48)
+    work.get("instances") * (4 + work.get("splat_bytes"))
         + work.get("pixels") * (16 + if work.get("depth") > 0 { 4 } else { 0 })
         + work.get("tiles") * 8
 }
@@ -96,6 +106,12 @@ pub fn groups(tiles: u32, subgroup_size: u32, pixels_per_lane: u32) -> u64 {
     subtiles.div_ceil(u64::from(BLEND_THREADS / subgroup_size))
 }
 
+/// What ends a splat and a pixel.
+struct Limits {
+    log2_cut: f32,
+    min_transmittance: f32,
+}
+
 /// A pixel's state.
 #[derive(Clone, Copy)]
 struct Pixel {
@@ -104,16 +120,16 @@ struct Pixel {
     depth: f32,
 }
 
-fn blend_splat(pixel: &mut Pixel, [first, second, third]: [[f32; 4]; 3], x: f32, y: f32) {
+fn blend_splat(pixel: &mut Pixel, [first, second, third]: Splat, limits: &Limits, x: f32, y: f32) {
     let (dx, dy) = (x - first[0], y - first[1]);
     let u = first[2] * dx + first[3] * dy;
     let v = second[0] * dy;
     let log2_alpha = second[1] - u * u - v * v;
-    let live = log2_alpha >= -LOG2_255 && pixel.transmittance > 0.0;
+    let live = log2_alpha >= -limits.log2_cut && pixel.transmittance > 0.0;
     let alpha = if live { log2_alpha.exp2().min(MAX_ALPHA) } else { 0.0 };
     let weight = alpha * pixel.transmittance;
     let after = pixel.transmittance - weight;
-    let stop = live && after < MIN_TRANSMITTANCE;
+    let stop = live && after < limits.min_transmittance;
     let weight = if stop { 0.0 } else { weight };
     pixel.transmittance = if stop { -pixel.transmittance } else { after };
     (0..3).for_each(|c| pixel.colour[c] += weight * third[c]);
@@ -124,6 +140,9 @@ fn blend_twin(call: &mut TwinCall<'_>) {
     let frame: Frame = struct_at(&call.buffers[0], 0);
     let with_depth = spec(call, 1) == 1;
     let with_slots = spec(call, 4) == 1;
+    let (alpha_cut, stop, packing) = (spec(call, 5), spec(call, 6), spec(call, 7));
+    let min_transmittance = if stop == 0 { MIN_TRANSMITTANCE } else { f32::from_bits(stop) };
+    let limits = Limits { log2_cut: log2_cut(alpha_cut), min_transmittance };
     let [columns, _, rows] = subtile(spec(call, 0), spec(call, 3));
     let [width, height, tiles_x, _] = frame.size;
     for tile in 0..frame.limits[1] {
@@ -139,11 +158,12 @@ fn blend_twin(call: &mut TwinCall<'_>) {
             for at in range.clone() {
                 let value = call.buffers[2][at];
                 let index = if with_slots { call.buffers[6][value as usize] } else { value } as usize;
-                let splat: [[f32; 4]; 3] = std::array::from_fn(|j| vec4_at(&call.buffers[3], 3 * index + j));
-                let x = Ellipse::of_splat(splat[0], splat[1]).row_interval(y_low, y_high);
+                let splat = unpack_splat(packing, &call.buffers[3], index);
+                let e = Ellipse::of_splat(splat[0], splat[1]).with_constants(alpha_cut, 0);
+                let x = e.row_interval(y_low, y_high);
                 if x[0] <= x_high && x[1] >= x_low && x[0] <= x[1] {
                     for (i, pixel) in (0..).zip(&mut pixels) {
-                        blend_splat(pixel, splat, x_low + (i % columns) as f32, y_low + (i / columns) as f32);
+                        blend_splat(pixel, splat, &limits, x_low + (i % columns) as f32, y_low + (i / columns) as f32);
                     }
                 }
             }

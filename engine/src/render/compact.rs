@@ -3,6 +3,7 @@
 
 use super::frame::Frame;
 use super::limits::*;
+use super::splat::splat_words;
 use super::twin;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
 
@@ -36,7 +37,7 @@ pub static COMPACT: Kernel = Kernel {
     doc: "packs the visible Gaussians into (depth key, index) pairs in index order, counts the first depth digit, \
           writes indirect arguments and the capacity failure",
     local_size: 256,
-    spec: &["SUBGROUP_SIZE"],
+    spec: &["SUBGROUP_SIZE", "DEPTH_BITS", "PACKING"],
     push: CompactPush::FIELDS,
     bindings: &[
         Binding::of_struct("frame", Access::Read, Frame::FIELDS),
@@ -58,6 +59,7 @@ pub static COMPACT: Kernel = Kernel {
 fn compact_twin(call: &mut TwinCall<'_>) {
     let push: CompactPush = twin::push(call);
     let groups = twin::group_count(call);
+    let (depth_bits, words) = (twin::spec(call, 1), splat_words(twin::spec(call, 2)));
     let [frame, tile_count, splats, visible_block, counters, indirect, keys, values, histogram] = call.buffers else {
         return;
     };
@@ -69,7 +71,7 @@ fn compact_twin(call: &mut TwinCall<'_>) {
         let first = group * COMPACT_GAUSSIANS;
         for i in first..gaussians.min(first + COMPACT_GAUSSIANS) {
             if tile_count[i as usize] != 0 {
-                let key = splats[4 * (3 * i as usize + 1) + 2];
+                let key = depth_key(splats[words * i as usize + 6], depth_bits, &frame);
                 keys[to as usize] = key;
                 values[to as usize] = i;
                 histogram[(to / SORT_PARTITION * SORT_DIGITS + (key & mask)) as usize] += 1;
@@ -80,6 +82,15 @@ fn compact_twin(call: &mut TwinCall<'_>) {
             write_arguments(frame.limits[0], counters, indirect);
         }
     }
+}
+
+/// Key of the depth with bits `z`, as the shader makes it; `depth_bits` 0 stands for 32.
+fn depth_key(z: u32, depth_bits: u32, frame: &Frame) -> u32 {
+    if depth_bits == 0 {
+        return z;
+    }
+    let low = frame.world_to_camera_0[3].to_bits();
+    (z - z.min(low) >> frame.world_to_camera_1[3] as u32).min((1 << depth_bits) - 1)
 }
 
 /// Sum of the block sums before `block`, from super sums and the blocks of the same super block.

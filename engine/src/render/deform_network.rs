@@ -6,6 +6,7 @@
 
 use super::angle::sin_cos;
 use super::frame::Frame;
+use super::half;
 use super::twin::{f32_at, group_count, set_vec4, spec, struct_at};
 use crate::error::{Error, Result};
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
@@ -76,7 +77,7 @@ pub fn pack_weights(network: &DeformNetwork, fp16: bool) -> Result<Vec<u32>> {
             for output in 0..HIDDEN_WIDTH {
                 if fp16 {
                     for input in (first..first + 8).step_by(2) {
-                        let (a, b) = (half(at(input, output), i)?, half(at(input + 1, output), i)?);
+                        let (a, b) = (weight_half(at(input, output), i)?, weight_half(at(input + 1, output), i)?);
                         words.push(u32::from(a) | u32::from(b) << 16);
                     }
                 } else {
@@ -145,31 +146,13 @@ fn check_shapes(network: &DeformNetwork) -> Result<()> {
 }
 
 /// Bits of the IEEE half nearest to `x`, ties to even.
-fn half(x: f32, layer: usize) -> Result<u16> {
+fn weight_half(x: f32, layer: usize) -> Result<u16> {
     let magnitude = x.abs();
     if magnitude >= 65_520.0 {
         let what = format!("deform.linear.{layer}.weight in half precision");
         return Err(Error::usage(what, x.to_string(), "a magnitude below 65520"));
     }
-    let bits = if magnitude < 6.103_515_6e-5 {
-        // Subnormal: a multiple of 2^-24.
-        (magnitude * 16_777_216.0).round_ties_even() as u32
-    } else {
-        let b = magnitude.to_bits();
-        ((b + 0xFFF + (b >> 13 & 1)) >> 13) - (112 << 10)
-    };
-    Ok(bits as u16 | if x.is_sign_negative() { 0x8000 } else { 0 })
-}
-
-/// Value of the half with these bits (`unpackHalf2x16`).
-fn unpack_half(bits: u32) -> f32 {
-    let (exponent, mantissa) = (bits >> 10 & 31, bits & 0x3FF);
-    let magnitude = match exponent {
-        0 => mantissa as f32 / 16_777_216.0,
-        31 => f32::from_bits(0x7F80_0000 | mantissa << 13),
-        _ => f32::from_bits((exponent + 112) << 23 | mantissa << 13),
-    };
-    if bits & 0x8000 == 0 { magnitude } else { -magnitude }
+    Ok(half::from_f32(x) as u16)
 }
 
 /// Element `e` of the encoded input.
@@ -187,7 +170,7 @@ fn encoded_input(position: [f32; 3], time: f32, e: usize) -> f32 {
 fn packed_weight(words: &[u32], at: usize, fp16: bool, offset: usize, o: usize) -> f32 {
     if fp16 {
         let word = words[at + 4 * (offset / 8 * HIDDEN_WIDTH + o) + offset % 8 / 2];
-        unpack_half(word >> (16 * (offset % 2)) & 0xFFFF)
+        half::to_f32(word >> (16 * (offset % 2)) & 0xFFFF)
     } else {
         f32_at(words, at + 4 * (offset / 4 * HIDDEN_WIDTH + o) + offset % 4)
     }

@@ -1,7 +1,8 @@
 //! Kernel `deform_project`: moves, projects, culls and shades each Gaussian and counts the tiles it reaches.
 //!
 //! One Gaussian per thread, 256 per workgroup. For each Gaussian of `mean [3][N]` it writes `tile_count[N]` (0 = culled)
-//! and, for the visible ones only, `splats vec4[3N]`: (mean px, l11, l12), (l22, log2 opacity, z, 0), (r, g, b, 0).
+//! and, for the visible ones only, `splats`, as `vec4[3N]`: (mean px, l11, l12), (l22, log2 opacity, z, 0), (r, g, b, 0),
+//! or packed ([`super::splat`]).
 //! Sums: `visible_block[b]` per workgroup and `[block_capacity + b / 256]` above it; `counters` 0 visible, 1–2 instances
 //! (64 bits), 4 rejected. `visible_block` and `counters` must be zeroed before.
 //!
@@ -15,7 +16,9 @@ use super::ellipse::Ellipse;
 use super::frame::Frame;
 use super::limits::{COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE, SCAN_SUPER};
 use super::quaternion::{self, dot};
-use super::twin::{f32_at, group_count, push, set_vec4, spec, struct_at, vec4_at};
+use super::sh_storage;
+use super::splat::{pack_splat, round_conic, splat_words};
+use super::twin::{f32_at, group_count, push, spec, struct_at, vec4_at};
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
 
 crate::gpu_struct! {
@@ -38,7 +41,7 @@ pub static DEFORM_PROJECT: Kernel = Kernel {
     name: "deform_project",
     doc: "motion, projection, culling, SH colour and exact tile count of each Gaussian",
     local_size: DEFORM_PROJECT_THREADS,
-    spec: &["SUBGROUP_SIZE", "SH_DEGREE", "MOTION", "NONRIGID"],
+    spec: &["SUBGROUP_SIZE", "SH_DEGREE", "MOTION", "NONRIGID", "ALPHA_CUT", "TILE_CULL", "PACKING", "SH_STORAGE"],
     push: DeformProjectPush::FIELDS,
     bindings: &[
         Binding::of_struct("frame", Access::Read, Frame::FIELDS),
@@ -48,10 +51,10 @@ pub static DEFORM_PROJECT: Kernel = Kernel {
         Binding::new("opacity_logit", Access::Read, Element::F32),
         Binding::new("superpoint_of_gaussian", Access::Read, Element::U32),
         Binding::new("pose", Access::Read, Element::F32),
-        Binding::new("sh_0", Access::Read, Element::F32),
-        Binding::new("sh_1", Access::Read, Element::F32),
-        Binding::new("sh_2", Access::Read, Element::F32),
-        Binding::new("sh_3", Access::Read, Element::F32),
+        Binding::new("sh_0", Access::Read, Element::U32),
+        Binding::new("sh_1", Access::Read, Element::U32),
+        Binding::new("sh_2", Access::Read, Element::U32),
+        Binding::new("sh_3", Access::Read, Element::U32),
         Binding::new("splats", Access::Write, Element::F32),
         Binding::new("tile_count", Access::Write, Element::U32),
         Binding::new("visible_block", Access::Atomic, Element::U32),
@@ -71,7 +74,7 @@ fn deform_project_bytes(work: &Workload) -> u64 {
     let moving = if work.get("superpoints") > 0 { 4 } else { 0 };
     let keys = work.get("superpoints") * 64;
     work.get("gaussians") * (12 + 4 + 4 + moving)
-        + work.get("visible") * (12 + 16 + 12 * work.get("sh_coefficients").max(1) + 48)
+        + work.get("visible") * (12 + 16 + work.get("sh_bytes") + work.get("splat_bytes"))
         + keys
 }
 
@@ -120,6 +123,17 @@ pub fn sh_basis(d: [f32; 3]) -> [f32; 16] {
     ]
 }
 
+/// Specialisation constants.
+struct Constants {
+    degree: u32,
+    motion: u32,
+    nonrigid: bool,
+    alpha_cut: u32,
+    tile_cull: u32,
+    packing: u32,
+    sh_storage: u32,
+}
+
 /// What became of a Gaussian.
 enum Outcome {
     Culled,
@@ -145,12 +159,17 @@ fn xyz(v: [f32; 4]) -> [f32; 3] {
 }
 
 /// Σ of the SH bands up to `degree`.
-fn sh_sum(buffers: &[Vec<u32>], degree: u32, n: usize, g: usize, d: [f32; 3]) -> [f32; 3] {
+fn sh_sum(buffers: &[Vec<u32>], constants: &Constants, n: usize, g: usize, d: [f32; 3]) -> [f32; 3] {
     let basis = sh_basis(d);
-    let mut sum = planes(&buffers[7], 0, n, g).map(|c| SH_0 * c);
-    for band in 1..=degree as usize {
+    let coefficients = |band: usize, k: usize| -> [f32; 3] {
+        std::array::from_fn(|i| {
+            sh_storage::coefficient(&buffers[7 + band], constants.sh_storage, band, 3 * k + i, n, g)
+        })
+    };
+    let mut sum = coefficients(0, 0).map(|c| SH_0 * c);
+    for band in 1..=constants.degree as usize {
         for k in 0..2 * band + 1 {
-            let c = planes(&buffers[7 + band], 3 * k, n, g);
+            let c = coefficients(band, k);
             sum = add(sum, c.map(|c| basis[band * band + k] * c));
         }
     }
@@ -238,7 +257,8 @@ fn dot4(a: [f32; 4], b: [f32; 4]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 }
 
-fn project(buffers: &[Vec<u32>], frame: &Frame, degree: u32, motion: u32, nonrigid: bool, g: usize) -> Outcome {
+fn project(buffers: &[Vec<u32>], frame: &Frame, constants: &Constants, g: usize) -> Outcome {
+    let Constants { motion, nonrigid, packing, .. } = *constants;
     let n = frame.counts[0] as usize;
     let canonical = planes(&buffers[1], 0, n, g);
     let logit = f32_at(&buffers[4], g);
@@ -267,7 +287,7 @@ fn project(buffers: &[Vec<u32>], frame: &Frame, degree: u32, motion: u32, nonrig
     }
     let in_front = p[2] > high[3];
     let log2_opacity = -(1.0 + (-logit).exp()).log2();
-    let mut e = Ellipse { mean: [0.0; 2], l11: 0.0, l12: 0.0, l22: 0.0, log2_opacity };
+    let mut e = Ellipse { log2_opacity, ..Ellipse::NONE }.with_constants(constants.alpha_cut, constants.tile_cull);
     let bright = e.threshold() > 0.0;
     if !in_front || !bright {
         return Outcome::Culled;
@@ -285,6 +305,8 @@ fn project(buffers: &[Vec<u32>], frame: &Frame, degree: u32, motion: u32, nonrig
     if !e.mean.iter().chain(&root[..3]).all(|v| v.is_finite()) || !positive {
         return Outcome::Rejected;
     }
+    let (conic, log2_opacity) = round_conic(packing, [e.l11, e.l12, e.l22], log2_opacity);
+    e = Ellipse { l11: conic[0], l12: conic[1], l22: conic[2], log2_opacity, ..e };
     let size = [frame.size[0], frame.size[1]];
     let tiles = if reaches_image(&e, root[3], size[0]) { e.tile_count(size) } else { 0 };
     if tiles == 0 {
@@ -292,7 +314,7 @@ fn project(buffers: &[Vec<u32>], frame: &Frame, degree: u32, motion: u32, nonrig
     }
 
     let length = dot(d, d).sqrt();
-    let colour = sh_sum(buffers, degree, n, g, d.map(|v| v / length)).map(|s| 0.5 + s);
+    let colour = sh_sum(buffers, constants, n, g, d.map(|v| v / length)).map(|s| 0.5 + s);
     if !within(colour, MAX_ABS_COLOUR) {
         return Outcome::Rejected;
     }
@@ -304,7 +326,16 @@ fn project(buffers: &[Vec<u32>], frame: &Frame, degree: u32, motion: u32, nonrig
 fn deform_project_twin(call: &mut TwinCall<'_>) {
     let DeformProjectPush { block_capacity } = push(call);
     let frame: Frame = struct_at(&call.buffers[0], 0);
-    let (degree, motion, nonrigid) = (spec(call, 1), spec(call, 2), spec(call, 3) == 1);
+    let constants = Constants {
+        degree: spec(call, 1),
+        motion: spec(call, 2),
+        nonrigid: spec(call, 3) == 1,
+        alpha_cut: spec(call, 4),
+        tile_cull: spec(call, 5),
+        packing: spec(call, 6),
+        sh_storage: spec(call, 7),
+    };
+    let words = splat_words(constants.packing);
     for group in 0..group_count(call) as usize {
         let first = group * DEFORM_PROJECT_THREADS as usize;
         let last = (first + DEFORM_PROJECT_THREADS as usize).min(frame.counts[0] as usize);
@@ -313,13 +344,14 @@ fn deform_project_twin(call: &mut TwinCall<'_>) {
         }
         let (mut visible, mut rejected, mut total) = (0, 0, 0_u32);
         for g in first..last {
-            let outcome = project(call.buffers, &frame, degree, motion, nonrigid, g);
+            let outcome = project(call.buffers, &frame, &constants, g);
             call.buffers[12][g] = 0;
             match outcome {
                 Outcome::Culled => {}
                 Outcome::Rejected => rejected += 1,
                 Outcome::Visible { splat, tiles } => {
-                    (0..3).for_each(|j| set_vec4(&mut call.buffers[11], 3 * g + j, splat[j]));
+                    let packed = pack_splat(constants.packing, splat);
+                    call.buffers[11][words * g..words * (g + 1)].copy_from_slice(&packed[..words]);
                     call.buffers[12][g] = tiles;
                     visible += 1;
                     total += tiles;

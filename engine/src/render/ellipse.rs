@@ -1,5 +1,5 @@
 //! Twin of `glsl/lib/ellipse.glsl`, line by line, in f32: the set of pixels that a splat reaches, u² + v² ≤
-//! log2_opacity + log2(255) with u = l11·dx + l12·dy, v = l22·dy. Slightly conservative; NaN gives "empty".
+//! log2_opacity + log2(1/cut) with u = l11·dx + l12·dy, v = l22·dy. Slightly conservative; NaN gives "empty".
 
 use super::limits::TILE_SIZE;
 
@@ -27,17 +27,38 @@ pub struct Ellipse {
     pub l22: f32,
     /// log2 of the opacity.
     pub log2_opacity: f32,
+    /// log2(1/cut): the smallest α that counts, 1/255 by definition.
+    pub log2_cut: f32,
+    /// The tiles of the bounding box, not of the ellipse.
+    pub boxed: bool,
 }
 
 impl Ellipse {
+    /// Nothing, as the definition counts tiles.
+    pub const NONE: Self =
+        Self { mean: [0.0; 2], l11: 0.0, l12: 0.0, l22: 0.0, log2_opacity: 0.0, log2_cut: LOG2_255, boxed: false };
+
     /// From the first two `vec4` of a splat.
     pub fn of_splat(first: [f32; 4], second: [f32; 4]) -> Self {
-        Self { mean: [first[0], first[1]], l11: first[2], l12: first[3], l22: second[0], log2_opacity: second[1] }
+        Self {
+            mean: [first[0], first[1]],
+            l11: first[2],
+            l12: first[3],
+            l22: second[0],
+            log2_opacity: second[1],
+            ..Self::NONE
+        }
     }
 
-    /// Enlarged threshold of u² + v²; not positive when the splat is too faint to reach 1/255 anywhere.
+    /// With specialisation constants `ALPHA_CUT` and `TILE_CULL`.
+    #[must_use]
+    pub fn with_constants(self, alpha_cut: u32, tile_cull: u32) -> Self {
+        Self { log2_cut: log2_cut(alpha_cut), boxed: tile_cull == 1, ..self }
+    }
+
+    /// Enlarged threshold of u² + v²; not positive when the splat is too faint to reach the cut anywhere.
     pub fn threshold(&self) -> f32 {
-        let t = self.log2_opacity + LOG2_255;
+        let t = self.log2_opacity + self.log2_cut;
         t + ELLIPSE_SLACK * (t.abs() + 1.0)
     }
 
@@ -91,6 +112,7 @@ impl Ellipse {
     pub fn tile_columns_of_row(&self, tile_row: u32, size: [u32; 2]) -> [u32; 2] {
         let y_low = (tile_row * TILE_SIZE) as f32 + 0.5;
         let y_high = (tile_row * TILE_SIZE + TILE_SIZE).min(size[1]) as f32 - 0.5;
+        let (y_low, y_high) = if self.boxed { (-ELLIPSE_FAR_PX, ELLIPSE_FAR_PX) } else { (y_low, y_high) };
         let x = self.row_interval(y_low, y_high);
         let columns = if x[0] <= x[1] { pixels_of_interval(x[0], x[1], size[0]) } else { [0, 0] };
         if columns[0] < columns[1] { [columns[0] / TILE_SIZE, (columns[1] - 1) / TILE_SIZE + 1] } else { [0, 0] }
@@ -106,6 +128,11 @@ impl Ellipse {
             })
             .sum()
     }
+}
+
+/// log2(1/cut) of specialisation constant `ALPHA_CUT`.
+pub fn log2_cut(alpha_cut: u32) -> f32 {
+    if alpha_cut == 0 { LOG2_255 } else { f32::from_bits(alpha_cut) }
 }
 
 /// First and last + 1 pixel whose centre (i + 0.5) lies in \[low, high\], within 0..count; \[0, 0\] when there is none.

@@ -11,21 +11,27 @@
 
 pub mod angle;
 pub mod blend;
+pub(crate) mod bounds;
 pub mod compact;
 pub mod deform_network;
 pub mod deform_project;
 pub mod ellipse;
 pub mod frame;
+pub mod half;
 pub mod limits;
 pub mod nonrigid_network;
 pub(crate) mod pipeline;
+pub(crate) mod pose_table;
+pub mod quality;
 pub mod quaternion;
 pub mod radix_sort;
 pub mod rate;
 mod renderer;
 pub(crate) mod scene_buffers;
+pub mod sh_storage;
 #[cfg(test)]
 mod sort_tests;
+pub mod splat;
 #[cfg(test)]
 mod tile_tests;
 pub mod tiles;
@@ -33,4 +39,5 @@ pub mod twin;
 pub(crate) mod work_buffers;
 
 pub use pipeline::KERNELS;
+pub use quality::Quality;
 pub use renderer::{FrameId, FrameStatistics, MemoryUse, RenderOptions, Renderer};

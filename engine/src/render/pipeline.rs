@@ -12,10 +12,11 @@ use super::deform_network::{DEFORM_NETWORK, DEFORM_NETWORK_SUPERPOINTS};
 use super::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectPush, MOTION_STATIC, MOTION_TABLE};
 use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
 use super::nonrigid_network;
+use super::quality::Quality;
 use super::radix_sort::{SORT_SCATTER, SORT_SPINE, SPINE_GROUPS, rank_by_ballot};
 use super::scene_buffers::{Poses, SceneBuffers};
 use super::tiles::{EMIT_TILES, EmitTilesPush, SUM_TILE_COUNTS, SlotBuffers, SumTileCountsPush, TILE_RANGES};
-use super::work_buffers::{SortBuffers, WorkBuffers};
+use super::work_buffers::{DEPTH_KEY_BITS, SortBuffers, WorkBuffers};
 
 /// Buffers of one frame in flight.
 #[derive(Debug)]
@@ -43,6 +44,8 @@ pub(crate) struct Shape {
     pub(crate) slots: Option<SlotBuffers>,
     /// `[10][N]` non-rigid offsets that are added after the rigid motion.
     pub(crate) nonrigid_offset: Option<Slice>,
+    /// What may be given up; exact unless said.
+    pub(crate) quality: Quality,
 }
 
 /// Records a frame that the host looks at.
@@ -78,8 +81,8 @@ pub(crate) fn record_forward(
         r.dispatch(&DEFORM_NETWORK, &[u32::from(scene.fp16_weights)], &[], &buffers, Groups::Direct(groups))?;
     }
     let offset = nonrigid_network(gpu, r, scene, frame, shape)?;
-    deform_project(r, scene, work, frame, offset)?;
-    compact(r, scene, work, frame)?;
+    deform_project(r, scene, work, frame, offset, &shape.quality)?;
+    compact(r, scene, work, frame, &shape.quality)?;
     sort(r, "depth", &work.depth, work, COUNT_VISIBLE, INDIRECT_DEPTH_SORT)?;
     emit(r, work, frame, shape)?;
     sort(r, "tile", &work.tile, work, COUNT_INSTANCES, INDIRECT_TILE_SORT)?;
@@ -118,6 +121,7 @@ fn deform_project(
     work: &WorkBuffers,
     frame: &FrameBuffers,
     nonrigid_offset: Option<Slice>,
+    quality: &Quality,
 ) -> Result<()> {
     let pose = frame.host_pose.as_ref().unwrap_or(&scene.pose);
     let [sh_0, sh_1, sh_2, sh_3] = &scene.sh;
@@ -143,11 +147,25 @@ fn deform_project(
     let motion = if scene.moves() { MOTION_TABLE } else { MOTION_STATIC };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
     let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS));
-    let spec = [scene.sh_degree, motion, nonrigid];
+    let spec = [
+        scene.sh_degree,
+        motion,
+        nonrigid,
+        quality.alpha_cut_constant(),
+        quality.cull_constant(),
+        quality.packing_constant(),
+        scene.sh_storage.constant(),
+    ];
     r.dispatch(&DEFORM_PROJECT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
 }
 
-fn compact(r: &mut Recorder, scene: &SceneBuffers, work: &WorkBuffers, frame: &FrameBuffers) -> Result<()> {
+fn compact(
+    r: &mut Recorder,
+    scene: &SceneBuffers,
+    work: &WorkBuffers,
+    frame: &FrameBuffers,
+    quality: &Quality,
+) -> Result<()> {
     let first = &work.depth.plan.digits[0];
     let push = CompactPush { block_capacity: work.block_capacity, digit_bits: first.bits };
     let buffers = [
@@ -163,7 +181,9 @@ fn compact(r: &mut Recorder, scene: &SceneBuffers, work: &WorkBuffers, frame: &F
     ];
     // The first workgroup writes the indirect arguments, so one runs even for an empty scene.
     let groups = u64::from(scene.gaussians.div_ceil(COMPACT_GAUSSIANS).max(1));
-    r.dispatch(&COMPACT, &[], bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+    let bits = if quality.depth_bits < DEPTH_KEY_BITS { quality.depth_bits } else { 0 };
+    let spec = [bits, quality.packing_constant()];
+    r.dispatch(&COMPACT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
 }
 
 /// All passes of a sort whose first histogram the producer of the keys has counted.
@@ -237,7 +257,9 @@ fn emit(r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: &Shap
         gaussian_of_slot,
         first_slot,
     ];
-    r.dispatch(&EMIT_TILES, &[u32::from(shape.slots.is_some())], bytemuck::bytes_of(&push), &buffers, groups())
+    let q = &shape.quality;
+    let spec = [u32::from(shape.slots.is_some()), q.alpha_cut_constant(), q.cull_constant(), q.packing_constant()];
+    r.dispatch(&EMIT_TILES, &spec, bytemuck::bytes_of(&push), &buffers, groups())
 }
 
 fn ranges_and_blend(
@@ -255,7 +277,16 @@ fn ranges_and_blend(
     let size = gpu.subgroup_size();
     let pixels_per_lane = blend::pixels_per_lane(size);
     let stage = blend::Stage::of_device(gpu) as u32;
-    let spec = [u32::from(shape.with_depth), stage, pixels_per_lane, u32::from(shape.slots.is_some())];
+    let q = &shape.quality;
+    let spec = [
+        u32::from(shape.with_depth),
+        stage,
+        pixels_per_lane,
+        u32::from(shape.slots.is_some()),
+        q.alpha_cut_constant(),
+        q.stop_constant(),
+        q.packing_constant(),
+    ];
     let values = Slice::from(work.tile_values());
     let gaussian_of_slot = shape.slots.as_ref().map_or_else(|| values.clone(), |s| Slice::from(&s.gaussian_of_slot));
     let buffers = [

@@ -1,5 +1,7 @@
 //! The renderer's public face: options, frames in flight, growth, read-back.
 
+use std::borrow::Cow;
+
 use crate::error::{Error, Result};
 use crate::gpu::kernel::Workload;
 use crate::gpu::{Buffer, Commands, Gpu, Memory, Timing};
@@ -11,7 +13,9 @@ use super::limits::{
     COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE, TILE_SIZE,
 };
 use super::pipeline::{self, FrameBuffers, Shape};
+use super::quality::Quality;
 use super::scene_buffers::{Poses, SceneBuffers};
+use super::splat::splat_words;
 use super::work_buffers::{COUNTER_WORDS, WorkBuffers};
 
 /// Tile instances that the first frame has room for, per Gaussian.
@@ -32,8 +36,8 @@ pub struct RenderOptions {
     pub depth: bool,
     /// Where the poses of a moving scene come from.
     pub motion: MotionSource,
-    /// Whether network F's hidden matrices are kept in half precision: half the traffic, poses off by about 1e-3.
-    pub fp16_weights: bool,
+    /// What may be given up for speed.
+    pub quality: Quality,
     /// Largest number of tile instances; `None`: what the device's buffers can hold.
     pub max_instances: Option<u64>,
     /// Whether timestamps are taken around every operation.
@@ -47,7 +51,7 @@ impl Default for RenderOptions {
             near: 0.2,
             depth: false,
             motion: MotionSource::Auto,
-            fp16_weights: false,
+            quality: Quality::EXACT,
             max_instances: None,
             profile: false,
         }
@@ -89,6 +93,8 @@ struct Slot {
     buffers: FrameBuffers,
     commands: Commands,
     frame: u64,
+    /// Size that the caller asked for.
+    asked: [u32; 2],
 }
 
 /// Everything that depends on image size and capacity.
@@ -118,7 +124,7 @@ impl Renderer {
     /// # Errors
     /// `Usage` for an inconsistent scene or a motion source that it lacks, `Limit` and `OutOfMemory` when it does not fit.
     pub fn new(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<Self> {
-        let scene = SceneBuffers::new(gpu, scene, options.motion, options.fp16_weights)?;
+        let scene = SceneBuffers::new(gpu, scene, options.motion, &options.quality)?;
         let capacity = (u64::from(scene.gaussians) * FIRST_INSTANCES_PER_GAUSSIAN).max(4096);
         let mut renderer =
             Self { gpu: gpu.clone(), options: options.clone(), scene, targets: None, capacity, frames: 0 };
@@ -153,6 +159,8 @@ impl Renderer {
 
     /// Starts a frame without waiting for it, unless [`Renderer::frames_in_flight`] are running already.
     pub fn submit(&mut self, camera: &Camera, time: f64) -> Result<FrameId> {
+        let asked = [camera.width, camera.height];
+        let camera = &*self.drawn(camera);
         let mut frame = self.frame(camera, time)?;
         let slot = self.prepare([camera.width, camera.height])?;
         let pose = self.scene.host_poses(time);
@@ -169,6 +177,7 @@ impl Renderer {
         self.gpu.submit(&mut slot.commands)?;
         self.frames += 1;
         slot.frame = self.frames;
+        slot.asked = asked;
         Ok(FrameId(self.frames))
     }
 
@@ -188,11 +197,13 @@ impl Renderer {
         Ok(Some(FrameStatistics { visible: word(COUNT_VISIBLE), instances, rejected: word(COUNT_REJECTED) }))
     }
 
-    /// Reads the image of a finished frame.
+    /// Reads the image of a finished frame, in the size that was asked for: one that was rendered smaller (see
+    /// [`Quality::resolution`]) is enlarged bilinearly.
     pub fn read(&mut self, frame: FrameId) -> Result<Image> {
         let with_depth = self.options.depth;
         let slot = self.slot(frame)?;
-        let (color, depth) = (slot.buffers.color.clone(), slot.buffers.depth.clone());
+        let [color, depth] = [&slot.buffers.color, &slot.buffers.depth].map(Buffer::clone);
+        let asked = slot.asked;
         let Some(targets) = &mut self.targets else {
             return Err(Error::usage("renderer", "no targets", "a finished frame"));
         };
@@ -217,7 +228,7 @@ impl Renderer {
             Image { width, height, rgba: vec![0.0; pixels * 4], depth: vec![0.0; depth_bytes as usize / 4] };
         readback.read(0, bytemuck::cast_slice_mut(&mut image.rgba))?;
         readback.read(color_bytes, bytemuck::cast_slice_mut(&mut image.depth))?;
-        Ok(image)
+        Ok(if asked == [width, height] { image } else { image.enlarged(asked) })
     }
 
     /// How many frames may be in flight.
@@ -251,7 +262,9 @@ impl Renderer {
                 ("sh_coefficients", u64::from((self.scene.sh_degree + 1) * (self.scene.sh_degree + 1))),
                 ("moving", u64::from(self.scene.moves())),
                 ("depth", u64::from(self.options.depth)),
-                ("fp16_weights", u64::from(self.options.fp16_weights)),
+                ("fp16_weights", u64::from(self.scene.fp16_weights)),
+                ("splat_bytes", 4 * splat_words(self.options.quality.packing_constant()) as u64),
+                ("sh_bytes", self.scene.sh_bytes()),
             ]
             .into_iter()
             .collect(),
@@ -267,6 +280,20 @@ impl Renderer {
             used.instance_capacity = targets.capacity.into();
         }
         used
+    }
+
+    /// The camera of the image that is rendered: smaller by the resolution knob.
+    fn drawn<'a>(&self, camera: &'a Camera) -> Cow<'a, Camera> {
+        let scale = f64::from(self.options.quality.resolution);
+        if scale >= 1.0 {
+            return Cow::Borrowed(camera);
+        }
+        let side = |s: u32| ((f64::from(s) * scale).round() as u32).max(1);
+        // A senseless camera keeps its size, so that the frame says what is wrong with it.
+        if camera.width == 0 || camera.height == 0 {
+            return Cow::Borrowed(camera);
+        }
+        Cow::Owned(camera.resized(side(camera.width), side(camera.height)))
     }
 
     fn slot(&self, frame: FrameId) -> Result<&Slot> {
@@ -287,7 +314,9 @@ impl Renderer {
             sh_degree: self.scene.sh_degree,
             instance_capacity: 0,
         };
-        Frame::new(camera, self.scene.origin, &options)
+        let mut frame = Frame::new(camera, self.scene.origin, &options)?;
+        self.scene.bounds.set_depth_key(&mut frame, self.options.quality.depth_bits);
+        Ok(frame)
     }
 
     /// Makes targets of this size and capacity when there are none; returns the slot for the next frame.
@@ -304,13 +333,15 @@ impl Renderer {
 
     fn make_targets(&self, size: [u32; 2], capacity: u32) -> Result<Targets> {
         let tiles = size[0].div_ceil(TILE_SIZE) * size[1].div_ceil(TILE_SIZE);
-        let work = WorkBuffers::new(&self.gpu, self.scene.gaussians, tiles, capacity)?;
-        let shape = Shape { tiles, with_depth: self.options.depth, ..Shape::default() };
+        let quality = self.options.quality;
+        let n = self.scene.gaussians;
+        let work = WorkBuffers::with_depth_bits(&self.gpu, n, tiles, capacity, quality.depth_bits)?;
+        let shape = Shape { tiles, with_depth: self.options.depth, quality, ..Shape::default() };
         let slots = (0..FRAMES_IN_FLIGHT)
             .map(|_| {
                 let buffers = self.frame_buffers(size)?;
                 let commands = pipeline::record(&self.gpu, &self.scene, &work, &buffers, &shape, self.options.profile)?;
-                Ok(Slot { buffers, commands, frame: 0 })
+                Ok(Slot { buffers, commands, frame: 0, asked: size })
             })
             .collect::<Result<_>>()?;
         Ok(Targets { size, capacity, work, slots, readback: None })
@@ -320,7 +351,7 @@ impl Renderer {
         let pixels = u64::from(size[0]) * u64::from(size[1]);
         let depth_bytes = if self.options.depth { pixels * 4 } else { 16 };
         let pose_bytes = u64::from(self.scene.superpoints) * 32;
-        let host_pose = matches!(self.scene.poses, Poses::Host(_));
+        let host_pose = matches!(self.scene.poses, Poses::Host(..));
         Ok(FrameBuffers {
             frame: self.gpu.buffer("frame", size_of::<Frame>() as u64, Memory::Upload)?,
             host_pose: host_pose.then(|| self.gpu.buffer("pose", pose_bytes, Memory::Upload)).transpose()?,

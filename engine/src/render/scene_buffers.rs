@@ -1,13 +1,18 @@
 //! A scene on the device: the model's arrays, plane by plane, and where its motion comes from.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Memory};
 use crate::scene::{Gaussians, KeyInterval, Motion, MotionSource, NonrigidNetwork, Rejected, Scene};
 
+use super::bounds::Bounds;
 use super::deform_network::pack_weights;
 use super::nonrigid_network::{NONRIGID_PLANES, pack_parameters};
+use super::pose_table;
+use super::quality::{Interpolation, Quality, Storage};
+use super::sh_storage;
+use super::work_buffers::DEPTH_KEY_BITS;
 
 /// A scene is moved to the origin when its centre is farther away than this many times its extent: poses then keep their
 /// precision, because |Exp(r)μ + τ| no longer cancels.
@@ -20,8 +25,8 @@ pub(crate) enum Poses {
     Static,
     /// The key-time table lies on the device; two keys are interpolated in `deform_project`.
     Table(Motion),
-    /// Poses of each frame come from the host in f64 (a moving scene far from the world's origin).
-    Host(Motion),
+    /// Poses of each frame come from the host in f64 (a moving scene far from the world's origin, or geodesics).
+    Host(Motion, Interpolation),
     /// `pose` is written by somebody else before the frame (training).
     Given,
     /// Network F runs on the device each frame.
@@ -67,6 +72,10 @@ pub(crate) struct SceneBuffers {
     pub(crate) poses: Poses,
     /// Network F's hidden matrices are stored in half precision.
     pub(crate) fp16_weights: bool,
+    /// Storage of the SH bands.
+    pub(crate) sh_storage: Storage,
+    /// Box that holds every Gaussian's centre over all time, relative to the origin; for depth keys.
+    pub(crate) bounds: Bounds,
     pub(crate) rejected: Rejected,
     /// Network G: its weights, and the offsets that it writes each frame.
     pub(crate) nonrigid: Option<NonrigidBuffers>,
@@ -81,7 +90,7 @@ pub(crate) struct SceneBuffers {
 }
 
 impl SceneBuffers {
-    pub(crate) fn new(gpu: &Gpu, scene: &Scene, source: MotionSource, fp16_weights: bool) -> Result<Self> {
+    pub(crate) fn new(gpu: &Gpu, scene: &Scene, source: MotionSource, quality: &Quality) -> Result<Self> {
         let g = &scene.gaussians;
         check_lengths(g)?;
         let motion = select_motion(scene, source)?;
@@ -102,17 +111,31 @@ impl SceneBuffers {
             .collect();
         let of_gaussian = scene.superpoints.as_ref().map_or(&[][..], |s| &s.of_gaussian);
         let superpoints = motion.superpoints(scene) as u32;
-        let (pose, poses) = upload_motion(gpu, scene, motion, origin, fp16_weights)?;
-        let band = |b: u32| gpu.buffer_with(&format!("sh_{b}"), bytemuck::cast_slice(&sh_band(g, b)));
+        let (pose, poses) = upload_motion(gpu, scene, motion, origin, quality)?;
+        let sh_degree = g.sh_degree.min(quality.sh_degree);
+        let band = |b: u32| {
+            let planes = if b > sh_degree { Vec::new() } else { sh_band(g, b) };
+            let words = sh_storage::encode(quality.sh, b as usize, &planes, g.len());
+            gpu.buffer_with(&format!("sh_{b}"), bytemuck::cast_slice(&words))
+        };
+        let fp16_weights = quality.network != Storage::F32;
+        let nonrigid = scene.nonrigid.as_ref().filter(|_| quality.nonrigid);
+        let bounds = if quality.depth_bits < DEPTH_KEY_BITS {
+            Bounds::of(scene, &mean, &poses, origin)
+        } else {
+            Bounds::EVERYWHERE
+        };
         Ok(Self {
             gaussians: g.len() as u32,
             superpoints,
-            sh_degree: g.sh_degree,
+            sh_degree,
             origin,
             poses,
             fp16_weights,
+            sh_storage: quality.sh,
+            bounds,
             rejected,
-            nonrigid: scene.nonrigid.as_ref().map(|n| NonrigidBuffers::new(gpu, n, g.len())).transpose()?,
+            nonrigid: nonrigid.map(|n| NonrigidBuffers::new(gpu, n, g.len())).transpose()?,
             mean: gpu.buffer_with("mean", bytemuck::cast_slice(&planes(&mean)))?,
             log_scale: gpu.buffer_with("log_scale", bytemuck::cast_slice(&planes(&g.log_scale)))?,
             rotation: gpu.buffer_with("rotation", bytemuck::cast_slice(&g.rotation))?,
@@ -136,24 +159,14 @@ impl SceneBuffers {
     /// Poses at `time` as `[M,2]` vec4, relative to the origin: Exp(r)(μ' + o) + τ − o = Exp(r)μ' + τ'. Only for
     /// [`Poses::Host`].
     pub(crate) fn host_poses(&self, time: f64) -> Option<Vec<[f32; 4]>> {
-        let Poses::Host(motion) = &self.poses else { return None };
-        let interval = motion.interval(time);
-        let m = motion.superpoint_count();
-        let (first, second) = (interval.first as usize * m, interval.second as usize * m);
-        let lerp = |list: &[[f32; 3]], i: usize| {
-            let (a, b) = (DVec3::from(list[first + i].map(f64::from)), DVec3::from(list[second + i].map(f64::from)));
-            a + (b - a) * interval.weight
-        };
-        let mut out = Vec::with_capacity(2 * m);
-        for i in 0..m {
-            let r = lerp(&motion.rotation, i);
-            let angle = r.length();
-            let rotation = if angle > 0.0 { DMat3::from_axis_angle(r / angle, angle) } else { DMat3::IDENTITY };
-            let translation = rotation * self.origin - self.origin + lerp(&motion.translation, i);
-            out.push(r.as_vec3().extend(0.0).to_array());
-            out.push(translation.as_vec3().extend(0.0).to_array());
-        }
-        Some(out)
+        let Poses::Host(motion, interpolation) = &self.poses else { return None };
+        Some(pose_table::poses_at(motion, *interpolation, time, self.origin))
+    }
+
+    /// SH bytes that a visible Gaussian costs.
+    pub(crate) fn sh_bytes(&self) -> u64 {
+        let words = self.sh.iter().take(self.sh_degree as usize + 1).map(Buffer::bytes).sum::<u64>();
+        words / u64::from(self.gaussians.max(1))
     }
 
     /// Bytes of the model on the device.
@@ -227,20 +240,33 @@ fn select_motion(scene: &Scene, source: MotionSource) -> Result<Selected> {
     Ok(selected)
 }
 
-fn upload_motion(gpu: &Gpu, scene: &Scene, selected: Selected, origin: DVec3, fp16: bool) -> Result<(Buffer, Poses)> {
+fn upload_motion(
+    gpu: &Gpu,
+    scene: &Scene,
+    selected: Selected,
+    origin: DVec3,
+    quality: &Quality,
+) -> Result<(Buffer, Poses)> {
     let m = selected.superpoints(scene) as u64;
     match (selected, &scene.motion, &scene.deform, &scene.superpoints) {
-        (Selected::Table, Some(motion), _, _) if origin == DVec3::ZERO => {
+        (Selected::Table, Some(motion), _, _)
+            if origin == DVec3::ZERO && quality.interpolation == Interpolation::Linear =>
+        {
+            let motion = pose_table::thinned(motion, quality.table_step);
             let pairs = motion.rotation.iter().zip(&motion.translation);
             let packed: Vec<[f32; 4]> =
                 pairs.flat_map(|(r, t)| [[r[0], r[1], r[2], 0.0], [t[0], t[1], t[2], 0.0]]).collect();
-            Ok((gpu.buffer_with("pose", bytemuck::cast_slice(&packed))?, Poses::Table(motion.clone())))
+            Ok((gpu.buffer_with("pose", bytemuck::cast_slice(&packed))?, Poses::Table(motion)))
         }
         (Selected::Table, Some(motion), _, _) => {
-            Ok((gpu.buffer("pose", m * 32, Memory::Upload)?, Poses::Host(motion.clone())))
+            let motion = pose_table::thinned(motion, quality.table_step);
+            Ok((gpu.buffer("pose", m * 32, Memory::Upload)?, Poses::Host(motion, quality.interpolation)))
         }
         (Selected::Network, _, Some(network), Some(superpoints)) => {
-            let weights = gpu.buffer_with("weights", bytemuck::cast_slice(&pack_weights(network, fp16)?))?;
+            let weights = gpu.buffer_with(
+                "weights",
+                bytemuck::cast_slice(&pack_weights(network, quality.network != Storage::F32)?),
+            )?;
             let superpoint_position =
                 gpu.buffer_with("superpoint_position", bytemuck::cast_slice(&superpoints.position))?;
             Ok((gpu.buffer("pose", m * 32, Memory::Device)?, Poses::Network { weights, superpoint_position }))

@@ -24,6 +24,7 @@ fn ellipse(mean: [f64; 2], sigma: [f64; 2], angle: f64, opacity: f64) -> Ellipse
         l12: (-s * b / (c * det).sqrt()) as f32,
         l22: (s / c.sqrt()) as f32,
         log2_opacity: opacity.log2() as f32,
+        ..Ellipse::NONE
     }
 }
 
@@ -103,10 +104,10 @@ fn alpha_at_the_threshold_is_counted() {
     for ulps in -40_i32..=40 {
         let threshold = -(255_f64.log2()) as f32;
         let log2_opacity = f32::from_bits(threshold.to_bits().wrapping_add_signed(ulps));
-        let e = Ellipse { mean: [20.5, 3.5], l11: 1.0, l12: 0.3, l22: 1.1, log2_opacity };
+        let e = Ellipse { mean: [20.5, 3.5], l11: 1.0, l12: 0.3, l22: 1.1, log2_opacity, ..Ellipse::NONE };
         check_cover(&e, [64, 64]);
     }
-    let faint = Ellipse { mean: [20.5, 3.5], l11: 1.0, l12: 0.3, l22: 1.1, log2_opacity: -8.1 };
+    let faint = Ellipse { mean: [20.5, 3.5], l11: 1.0, l12: 0.3, l22: 1.1, log2_opacity: -8.1, ..Ellipse::NONE };
     assert_eq!(faint.tile_count([64, 64]), 0);
 }
 
@@ -209,7 +210,7 @@ impl Chain {
             keys,
             rows(&depth),
         ];
-        call(&COMPACT, &[], bytemuck::bytes_of(&push), n.div_ceil(1024), &mut buffers);
+        call(&COMPACT, &[0, 0], bytemuck::bytes_of(&push), n.div_ceil(1024), &mut buffers);
         let [_, _, _, _, counters, indirect, keys, values, histogram] = buffers;
         let mut lists = Lists { counters, indirect, tiles: vec![vec![]; (tiles_x * tiles_y) as usize], sentinels: 0 };
         if n == 0 || lists.counters[3] != 0 {
@@ -238,7 +239,7 @@ impl Chain {
             vec![0; 4],
         ];
         let push = EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits };
-        call(&EMIT_TILES, &[0], bytemuck::bytes_of(&push), emit_groups, &mut buffers);
+        call(&EMIT_TILES, &[0; 4], bytemuck::bytes_of(&push), emit_groups, &mut buffers);
         let [_, counters, _, _, _, _, keys, values, histogram, _, _] = buffers;
         let instances = counters[5] as usize;
         assert!(keys[instances..].iter().all(|k| *k == POISON), "written past the instances");

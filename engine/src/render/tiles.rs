@@ -4,6 +4,7 @@ use super::compact::sum_before;
 use super::ellipse::Ellipse;
 use super::frame::Frame;
 use super::limits::*;
+use super::splat::unpack_splat;
 use super::twin;
 use crate::error::Result;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
@@ -106,7 +107,7 @@ pub static EMIT_TILES: Kernel = Kernel {
     doc: "writes one (tile, Gaussian) pair for each tile a visible Gaussian reaches, in depth order, and counts the \
           first tile digit",
     local_size: 256,
-    spec: &["SUBGROUP_SIZE", "WITH_SLOTS"],
+    spec: &["SUBGROUP_SIZE", "WITH_SLOTS", "ALPHA_CUT", "TILE_CULL", "PACKING"],
     push: EmitTilesPush::FIELDS,
     bindings: &[
         Binding::of_struct("frame", Access::Read, Frame::FIELDS),
@@ -131,6 +132,7 @@ fn emit_tiles_twin(call: &mut TwinCall<'_>) {
     let push: EmitTilesPush = twin::push(call);
     let groups = twin::group_count(call);
     let with_slots = twin::spec(call, 1) == 1;
+    let [alpha_cut, tile_cull, packing] = [2, 3, 4].map(|id| twin::spec(call, id));
     let [frame, counters, tile_count, order, splats, instance_block, keys, values, histogram, of_slot, first_slot] =
         call.buffers
     else {
@@ -145,7 +147,8 @@ fn emit_tiles_twin(call: &mut TwinCall<'_>) {
         for i in group * SCAN_BLOCK..visible.min((group + 1) * SCAN_BLOCK) {
             let gaussian = order[i as usize];
             let g = gaussian as usize;
-            let e = Ellipse::of_splat(twin::vec4_at(splats, 3 * g), twin::vec4_at(splats, 3 * g + 1));
+            let [first, second, _] = unpack_splat(packing, splats, g);
+            let e = Ellipse::of_splat(first, second).with_constants(alpha_cut, tile_cull);
             if with_slots {
                 first_slot[g] = to;
             }

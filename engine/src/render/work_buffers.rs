@@ -10,8 +10,8 @@ use super::tiles::{block_words, tile_key_bits};
 
 /// Words of `counters`.
 pub(crate) const COUNTER_WORDS: u64 = 8;
-/// Bits of a depth key: the whole positive float.
-const DEPTH_KEY_BITS: u32 = 32;
+/// Bits of a depth key that is the whole positive float.
+pub(crate) const DEPTH_KEY_BITS: u32 = 32;
 
 /// Keys and values, twice, for a sort that goes back and forth.
 #[derive(Debug)]
@@ -44,7 +44,18 @@ pub(crate) struct WorkBuffers {
 impl WorkBuffers {
     /// Buffers for `gaussians`, `tiles` of the image and at most `instances` (Gaussian, tile) pairs.
     pub(crate) fn new(gpu: &Gpu, gaussians: u32, tiles: u32, instances: u32) -> Result<Self> {
-        let depth_plan = SortPlan::new(gaussians.max(1), DEPTH_KEY_BITS)?;
+        Self::with_depth_bits(gpu, gaussians, tiles, instances, DEPTH_KEY_BITS)
+    }
+
+    /// The same for depth keys of `depth_bits` bits.
+    pub(crate) fn with_depth_bits(
+        gpu: &Gpu,
+        gaussians: u32,
+        tiles: u32,
+        instances: u32,
+        depth_bits: u32,
+    ) -> Result<Self> {
+        let depth_plan = SortPlan::new(gaussians.max(1), depth_bits)?;
         let tile_plan = SortPlan::new(instances.max(1), tile_key_bits(tiles))?;
         let (words, block_capacity) = block_words(gaussians);
         let block_bytes = u64::from(words) * 4;

@@ -78,6 +78,11 @@ pub struct Schedule {
     pub scale: bool,
     /// Iterations without motion; then superpoints are initialised (paper and code: 3 k).
     pub warm_up: u64,
+    /// Photos are drawn from a window of times that opens over this many iterations; 0: from all at once (paper and code,
+    /// the default). For objects that move by more than their size between most photos.
+    pub time_window: u64,
+    /// Where that window begins, as a share of the time range.
+    pub time_window_centre: f64,
     /// The SH degree grows by one every so often (code: 1000); 0: all of it from the start.
     pub sh_degree_interval: u64,
     /// The noise on time fades to nothing over this many iterations (code: 20 k).
@@ -101,6 +106,15 @@ pub struct GaussiansConfig {
     pub initial_opacity: f32,
 }
 
+/// How network F's rotation output is understood.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RotationForm {
+    /// An so(3) vector r: μ(t) = Exp(r)μ + τ, R(t) = Exp(r)R.
+    #[default]
+    So3,
+}
+
 /// Superpoints, network F and the association.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -109,6 +123,10 @@ pub struct MotionConfig {
     pub enabled: bool,
     /// Superpoints M. Paper: not stated (ablation 50–500); code: 300, the default.
     pub superpoints: u32,
+    /// How a superpoint turns its Gaussians. Paper: a transform of the Lie algebra; code since 2025: so(3) vectors, the only
+    /// value here. The code's earlier form (`quaternion_add`: a quaternion added to each Gaussian's own, centres not turned)
+    /// is no rigid motion, so the model file's key-time table cannot hold what it learns.
+    pub rotation: RotationForm,
     /// Superpoints K that a Gaussian is associated with. Paper: not stated (ablation 1–6); code: 5, the default.
     pub neighbors: u32,
     /// Slots per Gaussian that remember association values, ≥ `neighbors`: a superpoint that leaves the neighbourhood and
@@ -131,6 +149,9 @@ pub struct MotionConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct NonrigidConfig {
+    /// Whether G changes scales too. Paper: translation and rotation only; code: scale as well, the default: it made the
+    /// published numbers. Off: the scaling head is zero and stays so.
+    pub scale: bool,
     /// Iterations of the stage (paper: 20 k).
     pub iterations: u64,
     /// Density control goes on until this iteration of the stage (code: 10 k for D-NeRF and NeRF-DS, none for HyperNeRF).
@@ -351,6 +372,7 @@ impl Config {
             ("loss.lambda_position", f64::from(self.loss.lambda_position), 0.0, 1e6),
             ("loss.lambda_rotation", f64::from(self.loss.lambda_rotation), 0.0, 1e6),
             ("loss.lambda_translation", f64::from(self.loss.lambda_translation), 0.0, 1e6),
+            ("schedule.time_window_centre", self.schedule.time_window_centre, 0.0, 1.0),
             ("near", f64::from(self.near), 0.0, 1e6),
             ("gaussians.initial_opacity", f64::from(self.gaussians.initial_opacity), 1e-6, 0.999_999),
             ("gaussians.random_extent", f64::from(self.gaussians.random_extent), 1e-6, 1e9),
@@ -396,6 +418,7 @@ impl Config {
             };
             [
                 &mut c.schedule.warm_up,
+                &mut c.schedule.time_window,
                 &mut c.schedule.sh_degree_interval,
                 &mut c.schedule.time_noise_iterations,
                 &mut c.density.from,

@@ -14,6 +14,7 @@ use crate::render::deform_project::{MOTION_STATIC, MOTION_TABLE};
 use crate::render::frame::{Frame, FrameOptions};
 use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, TILE_SIZE};
 use crate::render::pipeline::{FrameBuffers, Shape, record_forward};
+use crate::render::quality::Quality;
 use crate::render::scene_buffers::{Poses, SceneBuffers};
 use crate::render::tiles::SlotBuffers;
 use crate::render::work_buffers::{COUNTER_WORDS, WorkBuffers};
@@ -67,7 +68,7 @@ pub fn scene_gradients(
         return Err(Error::usage("gradient of the image", found, format!("{} values", 4 * pixels)));
     }
     let source = if scene.motion.is_some() { MotionSource::Table } else { MotionSource::Auto };
-    let buffers = SceneBuffers::new(gpu, scene, source, false)?;
+    let buffers = SceneBuffers::new(gpu, scene, source, &Quality::EXACT)?;
     if !matches!(buffers.poses, Poses::Static | Poses::Table(_)) {
         return Err(Error::usage("motion of the scene", "no table near the origin", "a static scene or such a table"));
     }

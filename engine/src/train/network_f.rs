@@ -145,7 +145,7 @@ impl NetworkF {
             status: from.status.clone(),
         };
         let layers: Vec<Layer> = (0..=HIDDEN_LAYERS).map(|i| self.layer(i, superpoints, None)).collect();
-        let push = GatherPush { rows: superpoints, first_row: 0, plane_stride: from.plane_stride };
+        let push = GatherPush { rows: superpoints, first_row: 0, plane_stride: from.plane_stride, columns: HEADS };
         pass.gather(r, push, from.superpoint_gradient, &self.activation_gradient(HIDDEN_LAYERS, superpoints))?;
         for pair in layers.windows(2).rev() {
             pair[1].backward_input(r, &pair[0])?;

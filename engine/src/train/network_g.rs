@@ -27,6 +27,9 @@ pub static KERNELS: &[&Kernel] = &[&ENCODE_GAUSSIANS];
 pub const CHUNK: u32 = 65_536;
 /// Sums over rows that are kept apart, about.
 const SLICES: u32 = 256;
+/// Outputs of G: translation, rotation and, unless switched off, scale.
+const WITH_SCALE: u32 = 10;
+const WITHOUT_SCALE: u32 = 7;
 /// Fewest rows of such a sum.
 const MIN_ROWS_PER_SLICE: u32 = 512;
 
@@ -67,6 +70,8 @@ pub struct NetworkG {
     rows_per_slice: u32,
     slices: u32,
     stage: Stage,
+    /// Outputs that are trained.
+    columns: u32,
     parameters: Parameters,
     /// Encoding, then the hidden layers' outputs, of a chunk.
     activation: Buffer,
@@ -106,6 +111,7 @@ impl NetworkG {
             rows_per_slice,
             slices,
             stage: Stage::of(gpu),
+            columns: WITH_SCALE,
             activation: buffer("activation", rows(NONRIGID_ENCODING + hidden))?,
             activation_gradient: buffer("activation_gradient", rows(hidden + NONRIGID_ROWS))?,
             slice_gradient: buffer("slice_gradient", u64::from(slices) * parameters.bytes() / 3)?,
@@ -125,6 +131,13 @@ impl NetworkG {
         Ok(Self { stage, chunk, rows_per_slice, slices, slice_gradient, ..made })
     }
 
+    /// Whether G also adds to scales. Without it the rows of its scaling head get no gradient and must be zero.
+    #[must_use]
+    pub fn with_scale(mut self, scale: bool) -> Self {
+        self.columns = if scale { WITH_SCALE } else { WITHOUT_SCALE };
+        self
+    }
+
     /// Gaussians that it has room for.
     pub fn capacity(&self) -> u32 {
         self.capacity
@@ -140,7 +153,7 @@ impl NetworkG {
             // Room for more, so that growth is rare.
             let grown = Self::new(&self.gpu, &self.download()?, gaussians.saturating_add(gaussians / 2))?;
             grown.upload_moments([&moments[0], &moments[1]])?;
-            *self = Self { stage: self.stage, ..grown };
+            *self = Self { stage: self.stage, columns: self.columns, ..grown };
         }
         Ok(())
     }
@@ -227,7 +240,7 @@ impl NetworkG {
         encode::record(r, inputs, EncodePush { first_row: first, rows }, &self.activation(None, rows))?;
         let layers: Vec<Layer> = (0..=NONRIGID_LAYERS).map(|i| self.layer(i, rows)).collect();
         layers[..NONRIGID_LAYERS].iter().try_for_each(|layer| layer.forward(r))?;
-        let push = GatherPush { rows, first_row: first, plane_stride: gaussians };
+        let push = GatherPush { rows, first_row: first, plane_stride: gaussians, columns: self.columns };
         pass.gather(r, push, from.nonrigid_gradient, &layers[NONRIGID_LAYERS].output_gradient)?;
         for pair in layers.windows(2).rev() {
             pair[1].backward_input(r, &pair[0])?;

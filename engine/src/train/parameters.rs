@@ -6,6 +6,8 @@ use glam::DVec3;
 use super::deform_project_backward::parameter_planes;
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Memory};
+use crate::render::bounds::Bounds;
+use crate::render::quality::Storage;
 use crate::render::scene_buffers::{Poses, SceneBuffers, planes, sh_band};
 use crate::scene::{Gaussians, Rejected};
 
@@ -94,6 +96,8 @@ impl Parameters {
             origin: DVec3::ZERO,
             poses: Poses::Static,
             fp16_weights: false,
+            sh_storage: Storage::F32,
+            bounds: Bounds::EVERYWHERE,
             rejected: Rejected::default(),
             nonrigid: None,
             mean: floats("mean", &planes(&g.mean))?,

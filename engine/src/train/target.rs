@@ -74,7 +74,7 @@ impl Target {
                 counters: gpu.buffer("counters readback", 32, Memory::Readback)?,
             },
             instance_gradient: slots.as_ref().map(|_| device("instance_gradient", row_bytes)).transpose()?,
-            shape: Shape { tiles, with_depth: false, slots, nonrigid_offset: None },
+            shape: Shape { tiles, with_depth: false, slots, ..Shape::default() },
             upload: gpu.buffer("photo upload", pixels * 4, Memory::Upload)?,
             photo: device("target", pixels * 4)?,
             image_gradient: device("image_gradient", pixels * 16)?,

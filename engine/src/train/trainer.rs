@@ -161,6 +161,10 @@ impl Trainer {
         gpu.upload(&status, bytemuck::cast_slice(&status::clear()))?;
         let parameters = Parameters::upload(gpu, state)?;
         let n = u64::from(parameters.count().max(1));
+        let times: Vec<f64> = data.views.iter().map(|v| v.time).collect();
+        let at = &config.scaled().schedule;
+        let window = if stage == Stage::Rigid { at.time_window } else { 0 };
+        let sampler = ViewSampler::new(config.seed, times.len()).with_window(&times, at.time_window_centre, window);
         let unused = |name: &str| gpu.buffer(name, 512, Memory::Device);
         Ok(Self {
             gpu: gpu.clone(),
@@ -168,7 +172,7 @@ impl Trainer {
             schedule: Schedule::new(&config.scaled(), stage, data.extent),
             views: data.views.clone(),
             loader: ImageLoader::new(data.views.clone(), config.budget.image_bytes, workers)?,
-            sampler: ViewSampler::new(config.seed, data.views.len()),
+            sampler,
             iteration,
             moving: None,
             nonrigid: None,
@@ -422,8 +426,8 @@ impl Trainer {
     /// # Errors
     /// `Vulkan` when the device cannot say.
     pub fn timings(&self) -> Result<Vec<Timing>> {
-        match self.targets.last().and_then(|t| t.commands.as_ref()) {
-            Some((_, commands)) if self.profile => commands.timings(),
+        match self.commands() {
+            Some(commands) if self.profile => commands.timings(),
             _ => Ok(Vec::new()),
         }
     }

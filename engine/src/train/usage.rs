@@ -55,6 +55,8 @@ impl Trainer {
                 ("pixels", u64::from(size[0]) * u64::from(size[1])),
                 ("sh_degree", degree),
                 ("sh_coefficients", (degree + 1) * (degree + 1)),
+                ("sh_bytes", 12 * (degree + 1) * (degree + 1)),
+                ("splat_bytes", 48),
                 ("moving", u64::from(self.moving.is_some())),
                 ("nonrigid", u64::from(self.nonrigid.is_some())),
                 ("neighbors", association.map_or(0, |a| a.neighbors.into())),

@@ -5,7 +5,7 @@ use engine::metrics::flip;
 use serde_json::Value;
 
 use super::session::{Session, ViewResult};
-use super::{Evaluation, Setting, our_row, paper_rows};
+use super::{Evaluation, Setting, our_row, paper_rows, paper_title};
 use crate::page::{Align, Axis, Chart, Page, Picture, Series, Standing, Table};
 use crate::scores::{AllScores, cell};
 use crate::{error_image, paper};
@@ -92,25 +92,13 @@ fn beside_the_paper(page: &mut Page, setting: &Setting, e: &Evaluation) -> Resul
     let Some(protocol) = &setting.protocol else { return Ok(()) };
     page.heading(&format!("Beside the paper: {}", protocol.benchmark.name()));
     setting.deviations.iter().for_each(|d| page.note(&format!("Not as in the paper: {d}.")));
-    let rows = paper_rows(setting)?;
-    if rows.is_empty() {
-        page.text("The paper has no scene by this name; the means of its main table:");
-        let columns = ["PSNR, dB", "SSIM or MS-SSIM", "LPIPS", "size", "FPS (V100)"].map(|n| (n, Align::Right));
-        let mut table = Table::new(&[&[("method", Align::Left)], &columns[..]].concat());
-        for a in paper::tables()?.averages(protocol.benchmark) {
-            let fps = a.fps.as_ref().map_or("-".into(), ToString::to_string);
-            let metrics = [cell(a.psnr, 2), cell(a.similarity, 4), cell(a.lpips, 4), a.size.clone(), fps];
-            table.row(std::iter::once(a.method.clone()).chain(metrics));
-        }
-        page.table(&table);
-    } else {
-        let columns = ["PSNR, dB", protocol.similarity, "LPIPS"].map(|n| (n, Align::Right));
-        let mut table = Table::new(&[&[("method", Align::Left)], &columns[..]].concat());
-        let row = |name: &str, v: [Option<f64>; 3]| [name.to_owned(), cell(v[0], 2), cell(v[1], 4), cell(v[2], 4)];
-        rows.iter().for_each(|r| table.row(row(&r.method, [r.psnr, r.similarity, r.lpips])));
-        table.marked(Standing::Good, row("this model", our_row(setting, e)));
-        page.table(&table);
-    }
+    page.text(&format!("The paper's figures: {}.", paper_title(setting)));
+    let columns = ["PSNR, dB", protocol.similarity, "LPIPS"].map(|n| (n, Align::Right));
+    let mut table = Table::new(&[&[("method", Align::Left)], &columns[..]].concat());
+    let row = |name: &str, v: [Option<f64>; 3]| [name.to_owned(), cell(v[0], 2), cell(v[1], 4), cell(v[2], 4)];
+    paper_rows(setting)?.iter().for_each(|r| table.row(row(&r.method, [r.psnr, r.similarity, r.lpips])));
+    table.marked(Standing::Good, row("this model", our_row(setting, e)));
+    page.table(&table);
     protocol.remarks.iter().for_each(|r| page.text(r));
     page.subheading("Where the paper contradicts itself");
     for c in paper::tables()?.contradictions(protocol.benchmark) {

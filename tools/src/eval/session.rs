@@ -30,12 +30,12 @@ pub(super) struct FloatScores {
 
 impl FloatScores {
     fn of(truth: &Planes, rendered: &Planes) -> Result<Self> {
-        let similarity = metrics::ssim(truth, rendered, None)?;
+        let (similarity, ms_ssim) = metrics::ssim_and_ms_ssim(truth, rendered)?;
         Ok(Self {
             psnr: metrics::psnr(truth, rendered, None)?,
             ssim: similarity.zero_padded,
             ssim_valid: similarity.valid,
-            ms_ssim: metrics::ms_ssim(truth, rendered)?,
+            ms_ssim,
         })
     }
 

@@ -34,8 +34,8 @@ impl Setting {
     pub(super) fn decide(args: &EvalArgs, scene: &Scene) -> Result<Self> {
         let trained = training_config(scene);
         let trained = trained.as_ref();
-        let first = DatasetOptions { downscale: args.downscale, ..trained.map(|c| c.data).unwrap_or_default() };
-        let options = DatasetOptions { downscale: args.downscale.or(trained.and_then(|c| c.data.downscale)), ..first };
+        let as_trained = trained.map(|c| c.data).unwrap_or_default();
+        let options = DatasetOptions { downscale: args.downscale.or(as_trained.downscale), ..as_trained };
         let data = dataset::load(&args.data, &options)?;
         let protocol = args.protocol.or_else(|| protocol::by_format(data.kind)).map(protocol::of);
         let background = args.background.or(trained.map(|c| c.background)).unwrap_or([0.0; 3]);

@@ -1,13 +1,13 @@
 //! Contrast-sensitivity filters: what detail an eye sees at a viewing distance, by channel.
 
 use super::color::adapted;
-use crate::metrics::filter::{add_scaled, filtered_row};
+use crate::metrics::filter::filtered_row;
 
 /// Terms `√(π/b)·a·exp(−π² r²/b)`, r in degrees, as a and b (table 1 of the paper): achromatic, red-green, and the two of
 /// blue-yellow. (The second terms of the first two channels have a = 0.)
 const TERMS: [[f64; 2]; 4] = [[1.0, 0.0047], [1.0, 0.0053], [34.1, 0.04], [13.5, 0.025]];
 /// Taps below this share of the middle one change no f32 result.
-const NEGLIGIBLE: f64 = 1.0e-10;
+const NEGLIGIBLE: f64 = 1.0e-8;
 
 /// The filters of a viewing condition.
 #[derive(Debug)]
@@ -40,10 +40,9 @@ impl Sensitivity {
         let filtered =
             |plane: usize, term: usize| filtered_row(&planes[plane], width, y, &self.taps[term], &self.taps[term]);
         let (lightness, red_green) = (filtered(0, 0), filtered(1, 1));
-        let mut blue_yellow = vec![0.0; width];
-        add_scaled(&mut blue_yellow, &filtered(2, 2), self.share[0]);
-        add_scaled(&mut blue_yellow, &filtered(2, 3), self.share[1]);
+        let blue_yellow = [filtered(2, 2), filtered(2, 3)];
+        let mixed = |x: usize| self.share[0] * blue_yellow[0][x] + self.share[1] * blue_yellow[1][x];
         out.clear();
-        out.extend((0..width).map(|x| adapted([lightness[x], red_green[x], blue_yellow[x]])));
+        out.extend((0..width).map(|x| adapted([lightness[x], red_green[x], mixed(x)])));
     }
 }

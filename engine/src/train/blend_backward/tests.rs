@@ -9,6 +9,7 @@ use crate::gpu::{Commands, GpuOptions, Memory};
 use crate::render::blend::BLEND;
 use crate::render::frame::FrameOptions;
 use crate::render::pipeline::{FrameBuffers, Shape, record_forward};
+use crate::render::quality::Quality;
 use crate::render::scene_buffers::SceneBuffers;
 use crate::render::work_buffers::{COUNTER_WORDS, WorkBuffers};
 use crate::scene::synthetic::{Random, random_scene};
@@ -30,7 +31,7 @@ struct Step {
 impl Step {
     fn new(scene: &Scene, camera: &Camera, capacity: u32) -> Self {
         let gpu = Gpu::new(&GpuOptions { pipeline_cache: false, ..GpuOptions::default() }).unwrap();
-        let scene = SceneBuffers::new(&gpu, scene, MotionSource::Auto, false).unwrap();
+        let scene = SceneBuffers::new(&gpu, scene, MotionSource::Auto, &Quality::EXACT).unwrap();
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         let options = FrameOptions {
             background: [0.2, 0.4, 0.1],
@@ -66,7 +67,7 @@ impl Step {
     /// Forward and backward; the splats' gradients and the times.
     fn run(&self, target: &BackwardTarget) -> (Vec<f32>, Commands) {
         let slots = matches!(target, BackwardTarget::Instances(..)).then(|| self.slots.clone());
-        let shape = Shape { tiles: self.tiles, with_depth: false, slots, nonrigid_offset: None };
+        let shape = Shape { tiles: self.tiles, with_depth: false, slots, ..Shape::default() };
         let mut r = self.gpu.recorder("step").with_timestamps(true);
         record_forward(&self.gpu, &mut r, &self.scene, &self.work, &self.buffers, &shape).unwrap();
         let input = BackwardInput {
@@ -216,7 +217,7 @@ fn twin_rows(frame: &Frame, splats: &[Splat], gradient: &[[f32; 4]]) -> Vec<f32>
     let call = |kernel: &Kernel, spec: &[u32], buffers: &mut [Vec<u32>]| {
         (kernel.twin)(&mut TwinCall { groups: [1, 1, 1], spec, push: &[], buffers });
     };
-    call(&BLEND, &[8, 0, 0, 8, 0], &mut forward);
+    call(&BLEND, &[8, 0, 0, 8, 0, 0, 0, 0], &mut forward);
     let [frame, ranges, values, splats, color, slots, _] = forward;
     let gradient = gradient.iter().flatten().map(|g| g.to_bits()).collect();
     let mut buffers = [frame, ranges, values, slots, splats, color, gradient, vec![0; 12 * n as usize]];

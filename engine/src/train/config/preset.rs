@@ -6,7 +6,7 @@ use crate::data::dataset::DatasetOptions;
 
 use super::{
     AdamConfig, BudgetConfig, Config, DensityConfig, ExportConfig, Form, GaussiansConfig, LearningRates, LogConfig,
-    LossConfig, MotionConfig, NonrigidConfig, Schedule,
+    LossConfig, MotionConfig, NonrigidConfig, RotationForm, Schedule,
 };
 
 /// A named set of values.
@@ -93,6 +93,8 @@ impl Default for Schedule {
             reference_iterations: 40_000,
             scale: true,
             warm_up: 3000,
+            time_window: 0,
+            time_window_centre: 0.5,
             sh_degree_interval: 1000,
             time_noise_iterations: 20_000,
         }
@@ -110,6 +112,7 @@ impl Default for MotionConfig {
         Self {
             enabled: true,
             superpoints: 300,
+            rotation: RotationForm::So3,
             neighbors: 5,
             association_slots: 8,
             association_init: Form::Code,
@@ -122,7 +125,7 @@ impl Default for MotionConfig {
 
 impl Default for NonrigidConfig {
     fn default() -> Self {
-        Self { iterations: 20_000, density_until: 10_000, rate: 8e-4, rate_final: 1.6e-6 }
+        Self { scale: true, iterations: 20_000, density_until: 10_000, rate: 8e-4, rate_final: 1.6e-6 }
     }
 }
 

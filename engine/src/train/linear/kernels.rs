@@ -81,19 +81,24 @@ crate::gpu_struct! {
         pub first_row: u32,
         /// Floats from one plane to the next.
         pub plane_stride: u32,
+        /// Columns of network G that get a gradient: 10, or 7 without scale.
+        pub columns: u32,
     }
 }
 
 /// Threads per workgroup.
 pub(super) const THREADS: u32 = 256;
-const SHUFFLE_ROWS: u32 = 16;
-const SHUFFLE_TILES: u32 = 16;
+/// Weights that a thread of `linear_update` takes, so that it loads the step's constants once for all of them.
+pub(super) const WEIGHTS_PER_THREAD: u32 = 4;
+const SHUFFLE_ROWS: u32 = 32;
+const SHUFFLE_COLUMNS: u32 = 8;
+const SHUFFLE_TILES: u32 = 4;
 const SHARED_TILE: u32 = 32;
 
 /// Workgroups for a product with `rows` × `columns` results, each of `slices` sums.
 pub fn product_groups(stage: Stage, subgroup_size: u32, rows: u32, columns: u32, slices: u32) -> u64 {
     let [high, wide, per_group] = match stage {
-        Stage::Shuffle => [SHUFFLE_ROWS, 4 * subgroup_size, SHUFFLE_TILES.min(THREADS / subgroup_size)],
+        Stage::Shuffle => [SHUFFLE_ROWS, SHUFFLE_COLUMNS * subgroup_size, SHUFFLE_TILES.min(THREADS / subgroup_size)],
         Stage::Shared => [SHARED_TILE, SHARED_TILE, 1],
     };
     let tiles = u64::from(rows.div_ceil(high)) * u64::from(columns.div_ceil(wide)) * u64::from(slices);

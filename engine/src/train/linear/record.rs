@@ -2,7 +2,7 @@
 
 use super::kernels::{
     ForwardPush, GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_FORWARD,
-    LINEAR_UPDATE, THREADS, UpdatePush, WeightPush, product_groups,
+    LINEAR_UPDATE, THREADS, UpdatePush, WEIGHTS_PER_THREAD, WeightPush, product_groups,
 };
 use super::{Network, Output, Shape, Stage};
 use crate::error::Result;
@@ -113,7 +113,7 @@ impl Pass {
         let (step, counters, status) = (self.step.clone(), self.counters.clone(), self.status.clone());
         let buffers = [step, counters, from.clone(), value, moment_1, moment_2, gradient.clone(), status];
         let spec = [self.output as u32, self.network as u32];
-        let groups = Groups::Direct(push.weights.div_ceil(THREADS).into());
+        let groups = Groups::Direct(push.weights.div_ceil(THREADS * WEIGHTS_PER_THREAD).into());
         r.dispatch(&LINEAR_UPDATE, &spec, bytemuck::bytes_of(&push), &buffers, groups)
     }
 

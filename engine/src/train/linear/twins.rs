@@ -122,7 +122,7 @@ pub(super) fn gather(call: &mut TwinCall<'_>) {
         let (row, column) = (p.first_row + item / columns, item % columns);
         let plane = match network {
             0 => (column % 4 != 3).then_some(column - column / 4),
-            _ => (column < 10).then_some(column),
+            _ => (column < p.columns).then_some(column),
         };
         let value = plane.map_or(0.0, |plane| f32_at(planes, (plane * p.plane_stride + row) as usize));
         if !value.is_finite() {

@@ -43,7 +43,11 @@ impl Trainer {
         };
         let mut trainer = Self::assemble(gpu, config, data, Stage::Nonrigid, 0, &state)?;
         trainer.restore_motion(trained)?;
-        trainer.set_nonrigid(&NonrigidNetwork::init(config.seed))?;
+        let mut network = NonrigidNetwork::init(config.seed);
+        if !config.nonrigid.scale {
+            network.scaling.weight.fill(0.0);
+        }
+        trainer.set_nonrigid(&network)?;
         Ok(trainer)
     }
 
@@ -51,7 +55,8 @@ impl Trainer {
         let n = self.parameters.count().max(1);
         let buffer = |name: &str| self.gpu.buffer(name, u64::from(n) * 40, Memory::Device);
         let (offset, gradient) = (buffer("nonrigid_offset")?, buffer("nonrigid_gradient")?);
-        self.nonrigid = Some(Nonrigid { network: NetworkG::new(&self.gpu, network, n)?, offset, gradient });
+        let network = NetworkG::new(&self.gpu, network, n)?.with_scale(self.config.nonrigid.scale);
+        self.nonrigid = Some(Nonrigid { network, offset, gradient });
         Ok(())
     }
 

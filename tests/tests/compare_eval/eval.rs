@@ -1,0 +1,117 @@
+//! A model on the data set that it was rendered from.
+
+use std::path::Path;
+
+use engine::file::picture as files;
+use engine::metrics::{self, Planes};
+use serde_json::Value;
+use tests_harness::posed::{Posed, PosedOptions};
+
+use super::common::{assert_close, bad_data, ok, spgs, text};
+
+fn setup(options: &PosedOptions) -> (Posed, tempfile::TempDir) {
+    let posed = Posed::new(&tests_harness::gpu(), options);
+    let folder = tempfile::tempdir().unwrap();
+    engine::file::save(&folder.path().join("model.safetensors"), &posed.scene).unwrap();
+    (posed, folder)
+}
+
+fn read(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+#[test]
+fn scores_are_those_of_the_pictures_it_writes() {
+    let options = PosedOptions { sizes: vec![[172, 164]], test: 3, ..PosedOptions::default() };
+    let (posed, folder) = setup(&options);
+    let at = |name: &str| folder.path().join(name);
+    let (model, json, report, out) = (at("model.safetensors"), at("e.json"), at("e.html"), at("pictures"));
+    let arguments = [
+        "eval",
+        text(&model),
+        "--data",
+        text(posed.path()),
+        "--json",
+        text(&json),
+        "--report",
+        text(&report),
+        "--out",
+        text(&out),
+        "--scene",
+        "lego",
+    ];
+    let printed = ok(&arguments);
+    let e = read(&json);
+    let images = e["images"].as_array().unwrap();
+    assert_eq!(images.len(), 3);
+    for (i, image) in images.iter().enumerate() {
+        let planes =
+            |kind: &str| Planes::quantised(&files::read(&out.join(format!("{i:05}{kind}.png"))).unwrap()).unwrap();
+        let (truth, _) = metrics::score(&planes("_truth"), &planes(""), None).unwrap();
+        assert_eq!(image["index"], i);
+        assert_close(&image["psnr"], truth.psnr);
+        assert_close(&image["ssim"], truth.ssim);
+        assert_close(&image["ms_ssim"], truth.ms_ssim.unwrap());
+        assert_close(&image["flip"], truth.flip);
+        assert!(image["lpips_vgg"].is_null());
+        // The data set is this scene, but for the rounding of straight alpha.
+        assert!(truth.psnr > 35.0 && image["float"]["psnr"].as_f64().unwrap() > 35.0, "{image}");
+        assert!(out.join(format!("{i:05}_flip.png")).exists() && out.join(format!("{i:05}_error.png")).exists());
+    }
+    let mean = images.iter().map(|i| i["psnr"].as_f64().unwrap()).sum::<f64>() / 3.0;
+    assert!((e["mean"]["psnr"].as_f64().unwrap() - mean).abs() < 1e-12);
+    let rows = e["paper"]["rows"].as_array().unwrap();
+    assert!(rows.iter().any(|r| r["method"] == "SP-GS" && r["psnr"] == 24.48), "{rows:?}");
+    assert!(e["paper"]["deviations"].to_string().contains("172x164"));
+    assert!(printed.contains("24.48") && printed.contains("this model") && printed.contains("Lego"), "{printed}");
+    let page = std::fs::read_to_string(&report).unwrap();
+    for part in ["24.48", "this model", "PSNR over time", "data:image/png;base64,", "</html>"] {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(!page.contains("src=\"http") && !page.contains("href="), "loads something");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 4, "nothing but what was asked for");
+}
+
+#[test]
+fn masks_weight_what_moves() {
+    let (posed, folder) = setup(&PosedOptions { sizes: vec![[40, 30]], ..PosedOptions::default() });
+    let (model, json) = (folder.path().join("model.safetensors"), folder.path().join("e.json"));
+    let base = ["eval", text(&model), "--data", text(posed.path()), "--json", text(&json)];
+    let line = bad_data(&[&base[..], &["--masks"]].concat());
+    assert!(line.contains("mask") && !json.exists(), "{line}");
+    let masks = posed.path().join("test/masks");
+    std::fs::create_dir(&masks).unwrap();
+    for (name, value) in [("r_000.png", 3), ("r_001.png", 0)] {
+        image::GrayImage::from_pixel(40, 30, image::Luma([value])).save(masks.join(name)).unwrap();
+    }
+    ok(&[&base[..], &["--masks"]].concat());
+    let e = read(&json);
+    let [first, second] = [&e["images"][0], &e["images"][1]];
+    assert_eq!(first["masked"]["psnr"], first["psnr"], "a mask of everything");
+    assert!(second["masked"].is_null(), "a mask of nothing");
+    assert_eq!(e["mean"]["masked"]["psnr"], first["psnr"]);
+}
+
+#[test]
+fn bad_data_leave_no_report() {
+    let (posed, folder) = setup(&PosedOptions { test: 2, ..PosedOptions::default() });
+    let at = |name: &str| folder.path().join(name);
+    let (model, json, report, out) = (at("model.safetensors"), at("e.json"), at("e.html"), at("pictures"));
+    let run = |more: &[&str]| {
+        let base = ["eval", text(&model), "--data", text(posed.path()), "--json", text(&json), "--report"];
+        let line = bad_data(&[&base[..], &[text(&report), "--out", text(&out)], more].concat());
+        let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        assert_eq!(left, ["model.safetensors"], "{line}");
+        line
+    };
+    assert!(run(&["--split", "val"]).contains("val"));
+    let picture = posed.path().join("test/r_001.png");
+    let whole = std::fs::read(&picture).unwrap();
+    // The header is whole, so that only decoding fails, after the first view was scored.
+    std::fs::write(&picture, &whole[..whole.len() / 2]).unwrap();
+    assert!(run(&[]).contains("r_001"));
+    std::fs::remove_file(&picture).unwrap();
+    assert!(run(&[]).contains("r_001"));
+    let unknown = spgs(&["eval", text(&model), "--data", text(posed.path()), "--scene", "nonsense"]);
+    assert!(unknown.code == 3 || unknown.code == 2, "{unknown:?}");
+}

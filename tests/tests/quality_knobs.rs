@@ -1,0 +1,381 @@
+//! The renderer's knobs: device against twin, error against the f64 reference, and the sweep through the program.
+
+use std::process::{Command, Stdio};
+
+use clap::Parser as _;
+use engine::gpu::Gpu;
+use engine::gpu::kernel::{Kernel, TwinCall};
+use engine::image::{Difference, Image, difference};
+use engine::reference::{self, ReferenceOptions};
+use engine::render::blend::{self, BLEND, Stage};
+use engine::render::compact::{COMPACT, CompactPush};
+use engine::render::ellipse::Ellipse;
+use engine::render::frame::Frame;
+use engine::render::quality::{KNOBS, Quality};
+use engine::render::sh_storage;
+use engine::render::splat::{splat_words, unpack_splat};
+use engine::render::tiles::{EMIT_TILES, EmitTilesPush};
+use engine::render::{RenderOptions, Renderer};
+use engine::scene::synthetic::{moving_scene, random_scene};
+use engine::scene::{Camera, Scene};
+use glam::DVec3;
+use tests_harness::KernelCase;
+use tests_harness::render_case::{RenderInput, test_camera};
+use tools::args::{Cli, Command as Subcommand};
+
+const COUNT: usize = 700;
+
+/// Settings that change a kernel's constants.
+fn settings() -> Vec<Quality> {
+    let lists = [
+        "",
+        "cull=box",
+        "alpha_cut=1/64",
+        "stop=0.01",
+        "depth_bits=12",
+        "sh=f16",
+        "sh=u8",
+        "colour=f16",
+        "colour=unorm8",
+        "conic=f16",
+        "conic=f16,colour=f16",
+        "conic=f16,colour=unorm8,cull=box,alpha_cut=1/32,stop=0.003,depth_bits=24,sh=u8",
+    ];
+    lists
+        .iter()
+        .map(|list| {
+            let mut quality = Quality::EXACT;
+            quality.set_all(list).unwrap();
+            quality
+        })
+        .collect()
+}
+
+fn run_twin(kernel: &'static Kernel, size: u32, case: &KernelCase) -> Vec<Vec<u32>> {
+    let mut buffers = case.buffers.clone();
+    let spec = [&[size][..], &case.spec].concat();
+    let call = &mut TwinCall { groups: [case.groups, 1, 1], spec: &spec, push: &case.push, buffers: &mut buffers };
+    (kernel.twin)(call);
+    buffers
+}
+
+fn project_case(input: &RenderInput, frame: &Frame, q: &Quality) -> KernelCase {
+    let mut case = input.deform_project(frame);
+    case.spec[3..].copy_from_slice(&[
+        q.alpha_cut_constant(),
+        q.cull_constant(),
+        q.packing_constant(),
+        q.sh.constant(),
+    ]);
+    for band in 0..=input.degree as usize {
+        case.buffers[7 + band] = sh_storage::encode(q.sh, band, &input.sh[band], input.count);
+    }
+    case
+}
+
+/// Tile lists as the sorts would make them, from the emitted pairs, and the whole chain of one setting on device and twin.
+fn check_kernels(gpu: &Gpu, q: &Quality) {
+    let name = q.describe();
+    let (size, packing) = (gpu.subgroup_size(), q.packing_constant());
+    let input = RenderInput::random(COUNT, 3, 5).moving(7, 11);
+    let mut frame = input.frame(&test_camera(150, 91));
+    (frame.world_to_camera_0[3], frame.world_to_camera_1[3], frame.limits[0]) = (1.5, 11.0, 40_000);
+
+    // Projection: the device's splats decode to the twin's within the packing's last place.
+    let case = project_case(&input, &frame, q);
+    let twin = run_twin(case.kernel, size, &case);
+    let device = case.run(gpu).gpu;
+    let flips = (0..COUNT).filter(|&g| device[12][g] != twin[12][g]).count();
+    assert!(flips <= 1 + COUNT / 200, "{name}: {flips} tile counts differ");
+    let visible: Vec<usize> = (0..COUNT).filter(|&g| device[12][g] > 0 && twin[12][g] > 0).collect();
+    assert!(visible.len() > COUNT / 4, "{name}: {} visible", visible.len());
+    for &g in &visible {
+        let (a, b) = (unpack_splat(packing, &device[11], g), unpack_splat(packing, &twin[11], g));
+        let coarse = if packing == 0 { 1e-3 } else { 5e-3 };
+        for (x, y) in a.iter().flatten().zip(b.iter().flatten()) {
+            assert!((x - y).abs() <= coarse * (1.0 + y.abs()), "{name}: splat {g}: {a:?} {b:?}");
+        }
+        let e = Ellipse::of_splat(a[0], a[1]).with_constants(q.alpha_cut_constant(), q.cull_constant());
+        let tiles = e.tile_count([frame.size[0], frame.size[1]]);
+        assert!(tiles.abs_diff(device[12][g]) <= 1, "{name}: {tiles} tiles of the stored splat, {} counted", device[12][g]);
+    }
+
+    // Everything after it from the twin's splats, bit for bit.
+    let (mut splats, tile_count) = (twin[11].clone(), twin[12].clone());
+    splats.iter_mut().for_each(|w| *w = if *w == tests_harness::kernel_case::POISON { 0 } else { *w });
+    let bits = if q.depth_bits < 32 { q.depth_bits } else { 0 };
+    let blocks = COUNT.div_ceil(256) as u32;
+    let case = KernelCase {
+        kernel: &COMPACT,
+        spec: vec![bits, packing],
+        push: bytemuck::bytes_of(&CompactPush { block_capacity: blocks, digit_bits: 8 }).to_vec(),
+        buffers: vec![
+            bytemuck::cast_slice(&[frame]).to_vec(),
+            tile_count.clone(),
+            splats.clone(),
+            twin[13].clone(),
+            twin[14].clone(),
+            vec![0; 16],
+            vec![0; COUNT],
+            vec![0; COUNT],
+            vec![0; 256],
+        ],
+        groups: 1,
+    };
+    let result = case.run(gpu);
+    result.assert_equal(&COMPACT, &name);
+    let count = result.twin[4][0] as usize;
+    let (keys, values) = (&result.twin[6][..count], &result.twin[7][..count]);
+    assert!(bits == 0 || keys.iter().all(|k| *k < 1 << bits), "{name}");
+    let mut order: Vec<(u32, u32)> = keys.iter().copied().zip(values.iter().copied()).collect();
+    order.sort();
+    let order: Vec<u32> = order.into_iter().map(|(_, g)| g).collect();
+
+    let mut sums = vec![0; twin[13].len()];
+    for (i, g) in order.iter().enumerate() {
+        sums[i / 256] += tile_count[*g as usize];
+    }
+    sums[blocks as usize] = sums[..blocks as usize].iter().sum();
+    let instances = result.twin[4][5] as usize;
+    let mut padded = order.clone();
+    padded.resize(COUNT, 0);
+    let case = KernelCase {
+        kernel: &EMIT_TILES,
+        spec: vec![0, q.alpha_cut_constant(), q.cull_constant(), packing],
+        push: bytemuck::bytes_of(&EmitTilesPush { block_capacity: blocks, digit_bits: 8 }).to_vec(),
+        buffers: vec![
+            bytemuck::cast_slice(&[frame]).to_vec(),
+            result.twin[4].clone(),
+            tile_count,
+            padded,
+            splats.clone(),
+            sums,
+            vec![0; instances],
+            vec![0; instances],
+            vec![0; instances.div_ceil(4096) * 256],
+            vec![0; 4],
+            vec![0; 4],
+        ],
+        groups: count.div_ceil(256) as u32,
+    };
+    let result = case.run(gpu);
+    result.assert_equal(&EMIT_TILES, &name);
+
+    let mut lists = vec![Vec::new(); frame.limits[1] as usize];
+    for (tile, g) in result.twin[6].iter().zip(&result.twin[7]) {
+        lists[*tile as usize].push(*g);
+    }
+    let (mut ranges, mut values) = (Vec::new(), Vec::new());
+    for list in lists {
+        let start = values.len() as u32;
+        values.extend(list);
+        ranges.extend([start, values.len() as u32]);
+    }
+    let pixels_per_lane = blend::pixels_per_lane(size);
+    for stage in [Stage::Shuffle, Stage::Shared, Stage::Reread] {
+        let case = KernelCase {
+            kernel: &BLEND,
+            spec: vec![1, stage as u32, pixels_per_lane, 0, q.alpha_cut_constant(), q.stop_constant(), packing],
+            push: Vec::new(),
+            buffers: vec![
+                bytemuck::cast_slice(&[frame]).to_vec(),
+                ranges.clone(),
+                values.clone(),
+                splats.clone(),
+                vec![0; 4 * frame.pixels()],
+                vec![0; frame.pixels()],
+                Vec::new(),
+            ],
+            groups: blend::groups(frame.limits[1], size, pixels_per_lane) as u32,
+        };
+        case.run(gpu).assert_equal(&BLEND, &format!("{name}, {stage:?}"));
+    }
+    assert_eq!(splats.len() % splat_words(packing), 0);
+}
+
+#[test]
+fn every_kernel_follows_the_knobs_as_its_twin_does() {
+    let gpu = tests_harness::gpu();
+    settings().iter().for_each(|q| check_kernels(&gpu, q));
+}
+
+fn camera() -> Camera {
+    Camera::look_at(DVec3::new(0.5, -0.6, -4.5), DVec3::ZERO, -DVec3::Y, 0.7, [96, 72])
+}
+
+fn image(gpu: &Gpu, scene: &Scene, list: &str, time: f64) -> Image {
+    let mut quality = Quality::EXACT;
+    quality.set_all(list).unwrap();
+    let options = RenderOptions { quality, background: [0.2, 0.3, 0.4], ..RenderOptions::default() };
+    Renderer::new(gpu, scene, &options).unwrap().render(&camera(), time).unwrap()
+}
+
+fn truth(scene: &Scene, time: f64) -> Vec<f64> {
+    let options = ReferenceOptions { background: [0.2f32, 0.3, 0.4].map(f64::from), ..ReferenceOptions::default() };
+    reference::render(scene, &camera(), time, &options).unwrap().rgb
+}
+
+fn error(truth: &[f64], image: &Image) -> Difference {
+    difference(truth.iter().copied(), image.rgb())
+}
+
+/// Bounds of PSNR (dB) and of the largest error, per knob and value, on a scene of 3,000 Gaussians of SH degree 3.
+const BOUNDS: &[(&str, f64, f64)] = &[
+    ("", 80.0, 5e-3),
+    ("cull=box", 80.0, 5e-3),
+    ("alpha_cut=1/128", 45.0, 0.05),
+    ("alpha_cut=1/64", 38.0, 0.1),
+    ("alpha_cut=1/32", 30.0, 0.2),
+    ("stop=0.001", 65.0, 3e-3),
+    ("stop=0.01", 50.0, 0.03),
+    ("depth_bits=24", 80.0, 5e-3),
+    ("depth_bits=20", 70.0, 0.02),
+    ("depth_bits=16", 45.0, 0.2),
+    ("depth_bits=12", 30.0, 0.6),
+    ("sh=f16", 70.0, 5e-3),
+    ("sh=u8", 45.0, 0.03),
+    ("colour=f16", 70.0, 5e-3),
+    ("conic=f16", 60.0, 0.02),
+    ("conic=f16,colour=f16", 60.0, 0.02),
+];
+
+#[test]
+fn each_knob_stays_within_its_bound_of_the_f64_reference() {
+    let gpu = tests_harness::gpu();
+    let scene = random_scene(3000, 4, 3);
+    let truth = truth(&scene, 0.0);
+    let mut failed = Vec::new();
+    for (list, psnr, max) in BOUNDS {
+        let e = error(&truth, &image(&gpu, &scene, list, 0.0));
+        println!("{list:24} {:6.1} dB (at least {psnr}), largest {:.1e} (at most {max:.0e})", e.psnr, e.max);
+        if e.psnr < *psnr || e.max > *max {
+            failed.push(format!("{list}: {e:?}"));
+        }
+    }
+    assert!(failed.is_empty(), "{failed:#?}");
+}
+
+#[test]
+fn knobs_that_cost_nothing_leave_every_bit() {
+    let gpu = tests_harness::gpu();
+    let scene = moving_scene(2000, 9, 6, 2, false);
+    let exact = image(&gpu, &scene, "", 0.37);
+    assert_eq!(RenderOptions::default().quality, Quality::EXACT);
+    let off: String = KNOBS.iter().map(|k| format!("{}={},", k.name, k.values[0])).collect();
+    for list in [off.as_str(), "cull=box", "depth_bits=24", "table_step=1", "nonrigid=off", "network=f16"] {
+        assert!(image(&gpu, &scene, list, 0.37) == exact, "{list} changes the image");
+    }
+    let truth = truth(&scene, 0.37);
+    for (list, psnr) in [("interpolation=geodesic", 25.0), ("table_step=2", 15.0), ("resolution=0.5", 20.0)] {
+        let changed = image(&gpu, &scene, list, 0.37);
+        let e = error(&truth, &changed);
+        println!("{list}: {:.1} dB", e.psnr);
+        assert!(changed != exact && (changed.width, changed.height) == (96, 72), "{list} changes nothing");
+        assert!(e.psnr > psnr, "{list}: {e:?}");
+    }
+    // At a key there is nothing to interpolate.
+    let key = f64::from(scene.motion.as_ref().unwrap().times[3]);
+    let (linear, geodesic) = (image(&gpu, &scene, "", key), image(&gpu, &scene, "interpolation=geodesic", key));
+    assert!(difference(linear.rgb(), geodesic.rgb()).psnr > 80.0);
+}
+
+#[test]
+fn fewer_bits_of_depth_mean_fewer_passes_and_packing_fewer_bytes() {
+    let gpu = tests_harness::gpu();
+    let scene = random_scene(500, 4, 2);
+    let of = |list: &str| {
+        let mut quality = Quality::EXACT;
+        quality.set_all(list).unwrap();
+        let options = RenderOptions { quality, ..RenderOptions::default() };
+        let mut renderer = Renderer::new(&gpu, &scene, &options).unwrap();
+        let statistics = renderer.draw(&camera(), 0.0).unwrap().1;
+        let workload = renderer.workload(&statistics);
+        (renderer.commands().unwrap().dispatches(), workload.get("splat_bytes"), workload.get("sh_bytes"))
+    };
+    let (dispatches, splat, sh) = of("");
+    assert_eq!((splat, sh), (48, 108));
+    for (bits, saved) in [(24, 1), (20, 1), (16, 2), (12, 2), (8, 3)] {
+        assert_eq!(of(&format!("depth_bits={bits}")).0, dispatches - saved, "{bits}");
+    }
+    assert_eq!(of("conic=f16,colour=unorm8").1, 32);
+    assert!((54..64).contains(&of("sh=f16").2), "{}", of("sh=f16").2);
+    assert!((28..40).contains(&of("sh=u8").2), "{}", of("sh=u8").2);
+    assert_eq!(of("sh_degree=1").2, 48);
+}
+
+const ARGUMENTS: &str = "SPGS_TEST_ARGUMENTS";
+
+/// The body of `spgs`; does nothing in an ordinary test run.
+#[test]
+fn spgs_process() {
+    let Ok(arguments) = std::env::var(ARGUMENTS) else { return };
+    let code = tools::output::run_main("spgs", move || {
+        let cli = Cli::try_parse_from(std::iter::once("spgs").chain(arguments.lines())).unwrap();
+        match &cli.command {
+            Subcommand::Bench(args) => tools::bench::run(args, &cli.global)?,
+            other => panic!("no test uses {other:?}"),
+        }
+        Ok(std::process::ExitCode::SUCCESS)
+    });
+    std::process::exit((0..=9).find(|&k| code == std::process::ExitCode::from(k)).unwrap_or(1).into());
+}
+
+fn spgs(arguments: &[&str]) -> (i32, String) {
+    let output = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "spgs_process", "--nocapture", "--test-threads=1"])
+        .env(ARGUMENTS, arguments.join("\n"))
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    let text = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(!text.contains("validation layer"), "{text}");
+    (output.status.code().unwrap_or(-1), text)
+}
+
+#[test]
+fn a_sweep_writes_every_knob_and_a_page_that_loads_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (json, html) = (folder.path().join("s.json"), folder.path().join("s.html"));
+    let [json, html] = [json.to_str().unwrap(), html.to_str().unwrap()];
+    let size = ["--synthetic", "800", "--superpoints", "5", "--width", "64", "--height", "48", "--frames", "2"];
+    let mut arguments = vec!["bench", "--sweep", "--warmup", "1", "--json", json, "--report", html];
+    arguments.extend(size);
+    let (code, text) = spgs(&arguments);
+    assert_eq!(code, 0, "{text}");
+    assert!(text.contains("depth_bits = 16") && text.contains("Pareto"), "{text}");
+    let record: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(json).unwrap()).unwrap();
+    let settings = record["settings"].as_array().unwrap();
+    for knob in KNOBS.iter().filter(|k| !["network", "nonrigid"].contains(&k.name)) {
+        for value in &knob.values[1..] {
+            let found = settings.iter().find(|s| s["knob"] == knob.name && s["value"] == *value);
+            let found = found.unwrap_or_else(|| panic!("{} = {value} is missing", knob.name));
+            assert_eq!(found["quality"][knob.name], *value);
+            assert!(found["frame_ms"]["median"].as_f64().unwrap() > 0.0 && found["error"]["psnr"].is_f64());
+        }
+    }
+    assert!(settings[0]["name"] == "exact" && settings[0]["error"]["psnr"].as_f64().unwrap() > 70.0);
+    assert!(settings.iter().any(|s| s["pareto"] == true));
+    assert!(record["notes"].as_array().unwrap().iter().any(|n| n.as_str().unwrap().contains("no photos")));
+    let page = std::fs::read_to_string(html).unwrap();
+    for outside in ["http://", "https://", "<script", "url("] {
+        assert!(!page.contains(outside), "{outside}");
+    }
+    for part in ["Pareto front", "frame time, ms", "data:image/png;base64,", "alpha_cut", "llvmpipe"] {
+        assert!(page.contains(part) || part == "llvmpipe", "{part}");
+    }
+}
+
+#[test]
+fn mistakes_are_one_line_and_leave_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("missing/s.json");
+    let (code, text) = spgs(&["bench", "--synthetic", "10", "--superpoints", "0", "--sweep", "--width", "16", "--frames",
+        "1", "--json", json.to_str().unwrap()]);
+    assert_eq!(code, 2, "{text}");
+    assert!(text.contains("a folder that does not exist"), "{text}");
+    let (code, text) = spgs(&["bench", "--train", "--sweep", "--width", "16"]);
+    assert_eq!(code, 2, "{text}");
+    for bad in [["--quality", "best"], ["--set", "depth_bits=40"], ["--set", "blur=1"]] {
+        assert!(Cli::try_parse_from(["spgs", "bench", bad[0], bad[1]]).is_err());
+    }
+}
