@@ -61,12 +61,7 @@ fn run_twin(kernel: &'static Kernel, size: u32, case: &KernelCase) -> Vec<Vec<u3
 
 fn project_case(input: &RenderInput, frame: &Frame, q: &Quality) -> KernelCase {
     let mut case = input.deform_project(frame);
-    case.spec[3..].copy_from_slice(&[
-        q.alpha_cut_constant(),
-        q.cull_constant(),
-        q.packing_constant(),
-        q.sh.constant(),
-    ]);
+    case.spec[3..].copy_from_slice(&[q.alpha_cut_constant(), q.cull_constant(), q.packing_constant(), q.sh.constant()]);
     for band in 0..=input.degree as usize {
         case.buffers[7 + band] = sh_storage::encode(q.sh, band, &input.sh[band], input.count);
     }
@@ -97,7 +92,11 @@ fn check_kernels(gpu: &Gpu, q: &Quality) {
         }
         let e = Ellipse::of_splat(a[0], a[1]).with_constants(q.alpha_cut_constant(), q.cull_constant());
         let tiles = e.tile_count([frame.size[0], frame.size[1]]);
-        assert!(tiles.abs_diff(device[12][g]) <= 1, "{name}: {tiles} tiles of the stored splat, {} counted", device[12][g]);
+        assert!(
+            tiles.abs_diff(device[12][g]) <= 1,
+            "{name}: {tiles} tiles of the stored splat, {} counted",
+            device[12][g]
+        );
     }
 
     // Everything after it from the twin's splats, bit for bit.
@@ -369,8 +368,20 @@ fn a_sweep_writes_every_knob_and_a_page_that_loads_nothing() {
 fn mistakes_are_one_line_and_leave_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let json = folder.path().join("missing/s.json");
-    let (code, text) = spgs(&["bench", "--synthetic", "10", "--superpoints", "0", "--sweep", "--width", "16", "--frames",
-        "1", "--json", json.to_str().unwrap()]);
+    let (code, text) = spgs(&[
+        "bench",
+        "--synthetic",
+        "10",
+        "--superpoints",
+        "0",
+        "--sweep",
+        "--width",
+        "16",
+        "--frames",
+        "1",
+        "--json",
+        json.to_str().unwrap(),
+    ]);
     assert_eq!(code, 2, "{text}");
     assert!(text.contains("a folder that does not exist"), "{text}");
     let (code, text) = spgs(&["bench", "--train", "--sweep", "--width", "16"]);
