@@ -17,7 +17,7 @@ fn the_readme_is_in_step() {
 #[test]
 fn every_recording_is_complete_and_was_recorded_by_the_program() {
     let recordings = measurements::recordings(root()).unwrap();
-    assert!(recordings.len() >= 5, "{}", recordings.len());
+    assert!(recordings.len() >= 3, "{}", recordings.len());
     for (file, record) in recordings {
         let text = |pointer: &str| record.pointer(pointer).and_then(|v| v.as_str()).unwrap_or_default().to_owned();
         assert!(text("/command").contains("spgs"), "{file}: {}", text("/command"));

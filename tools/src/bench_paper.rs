@@ -12,7 +12,6 @@ use engine::error::Result;
 use engine::gpu::Gpu;
 use engine::render::RenderOptions;
 use engine::scene::{Camera, Scene};
-use glam::DVec3;
 use serde_json::{Value, json};
 
 use crate::args::{BenchArgs, Global};
@@ -24,7 +23,7 @@ use crate::{gpu_session, model, output, view};
 /// Seconds for the whole measurement where the arguments do not say.
 const BUDGET_S: f64 = 180.0;
 /// Views of the path around a scene that comes without cameras.
-const ORBIT: u32 = 20;
+const ORBIT: usize = 20;
 /// Frames of the kernel profile where the arguments do not say, and frames before it.
 const PROFILE: [u32; 2] = [20, 3];
 
@@ -42,6 +41,7 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     let options = RenderOptions {
         background: args.view.background,
         motion: args.view.motion_source(),
+        quality: args.view.quality(),
         ..RenderOptions::default()
     };
     let budget = Duration::from_secs_f64(args.budget.unwrap_or(BUDGET_S));
@@ -55,7 +55,9 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
         paper_protocol: false,
     };
     let measured = measure::measure(&gpu, &scene, &options, &plan, &|| {})?;
-    let roofline = roofline::roofline(&gpu, &measured)?;
+    let last = plan.time(plan.frames.saturating_sub(1), plan.frames);
+    let pairs = roofline::pairs(&scene, &plan.camera, last, &options)?;
+    let roofline = roofline::roofline(&gpu, &measured, pairs)?;
     let curves = if args.budget == Some(0.0) {
         Vec::new()
     } else {
@@ -63,7 +65,8 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     };
     gpu_session::report_validation(&gpu);
     let found = report::Found { rates, measured, roofline, curves, benchmark: benchmark(&path[0].0) };
-    let record = record(&gpu, &scene, [&name, &path_name], &path, budget, &found);
+    let mut record = record(&gpu, &scene, [&name, &path_name], &path, budget, &found);
+    record["quality"] = json!(options.quality);
     if let Some(file) = &args.json {
         write_text(file, &(output::to_json(&record)? + "\n"))?;
     }
@@ -88,17 +91,7 @@ fn path(args: &BenchArgs, scene: &Scene) -> Result<(Vec<Stop>, String)> {
         model::camera(&set, args.frame)?;
         return Ok((set.cameras.iter().cloned().map(timed).collect(), set.source.clone()));
     }
-    let first = view::default_camera(scene, size_of(args));
-    let [begin, end] = view::time_range(scene);
-    let (target, _) = view::extent(scene);
-    let stops = (0..ORBIT).map(|i| {
-        let share = f64::from(i) / f64::from(ORBIT);
-        let turn = glam::DQuat::from_rotation_y(std::f64::consts::TAU * share);
-        let eye = target + turn * (first.position - target);
-        let fov_x = 2.0 * (0.5 * f64::from(first.width) / first.fx).atan();
-        let camera = Camera::look_at(eye, target, DVec3::NEG_Y, fov_x, [first.width, first.height]);
-        timed(Camera { time: begin + (end - begin) * share, name: format!("orbit {i}"), ..camera })
-    });
+    let stops = view::orbit(scene, size_of(args), ORBIT).into_iter().map(timed);
     Ok((stops.collect(), "around the scene, once, over its whole time".into()))
 }
 

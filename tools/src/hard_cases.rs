@@ -25,6 +25,7 @@ use engine::error::{Error, Result};
 use engine::gpu::Gpu;
 use serde::Serialize;
 
+pub(crate) use gradients::in_f64;
 pub use report::run;
 
 /// The twenty cases of the published list, and what comes beside them.

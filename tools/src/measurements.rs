@@ -13,7 +13,7 @@ const END: &str = "<!-- end of measurements -->\n";
 
 /// What is recorded: the file's name without `DEVICE_` in front and `.json` behind, and the arguments of `spgs`.
 /// `$SPGS_DATA` is the folder of real data.
-const RECORDINGS: [(&str, &str); 9] = [
+const RECORDINGS: [(&str, &str); 10] = [
     (
         "bench_s50k",
         "bench $SPGS_DATA/bench_s50k/model.ply --cameras $SPGS_DATA/bench_s50k --split train --frames 100 --check",
@@ -34,6 +34,7 @@ const RECORDINGS: [(&str, &str); 9] = [
         "ablation_robot_dance",
         "bench --ablation $SPGS_DATA/robot_dance --iterations 1000 --downscale 8 --only superpoints,neighbors,property-loss,warm-up,inference",
     ),
+    ("sweep_100k", "bench --sweep --synthetic 100000 --superpoints 300"),
     ("train_sweep", "bench --train --sweep"),
 ];
 
@@ -150,6 +151,7 @@ fn what(record: &Value) -> String {
         None if record.get("training").is_some() => {
             format!("Training step, {}, {}×{}", scene(), n("/photos/width"), n("/photos/height"))
         }
+        None if record.get("settings").is_some() => format!("Speed against error, {}", scene()),
         None => "Training steps".into(),
     }
 }
@@ -185,8 +187,20 @@ fn result(record: &Value) -> String {
         None if record.get("training").is_some() => {
             format!("{:.2} ms median, {:.2} p95", n("/training/step_ms/median"), n("/training/step_ms/p95"))
         }
+        None if record.get("settings").is_some() => presets(record),
         None => sweep(record),
     }
+}
+
+/// Time and error of each preset.
+fn presets(record: &Value) -> String {
+    let all = record.get("settings").and_then(Value::as_array).into_iter().flatten();
+    let one = |s: &Value| {
+        let name = s.get("name")?.as_str()?;
+        let (ms, psnr) = (number(s, "/frame_ms/median"), number(s, "/error/psnr"));
+        ["exact", "high", "fast"].contains(&name).then(|| format!("{name} {ms:.2} ms, {psnr:.1} dB"))
+    };
+    all.filter_map(one).collect::<Vec<_>>().join("; ")
 }
 
 fn paper(record: &Value) -> String {

@@ -12,16 +12,22 @@ use crate::bench::{DEFAULT_SIZE, SYNTHETIC_KEYS, SYNTHETIC_SEED};
 use crate::measure::Quantiles;
 use crate::view;
 
-/// Values of each curve; the others stay at [`BASE`].
+/// Values of each curve; the others stay at [`BASE`] or [`CPU_BASE`].
 const GAUSSIANS: [u32; 7] = [10_000, 30_000, 100_000, 300_000, 1_000_000, 3_000_000, 10_000_000];
 const SUPERPOINTS: [u32; 5] = [1, 10, 100, 1_000, 10_000];
 const SIDES: [u32; 6] = [100, 200, 400, 800, 1_600, 3_200];
 /// Gaussians, superpoints and image side that are not varied.
 const BASE: [u32; 3] = [100_000, 300, DEFAULT_SIZE];
+/// The same on a CPU, where a frame of the other takes half a second.
+const CPU_BASE: [u32; 3] = [30_000, 300, 400];
 /// Measured frames of a point and frames before.
 const FRAMES: [u32; 2] = [7, 2];
-/// A point may take this many times the one before it, times the ratio of the values.
+/// A point may take this many times what the one before it took, times the growth that theory allows.
 const CAUTION: f64 = 1.3;
+/// A point takes at least the square root of the ratio of the values longer: scenes are made on the host.
+const LEAST_GROWTH: f64 = 0.5;
+/// Fewer points than this say nothing of an exponent.
+const FEWEST: usize = 4;
 /// An exponent is as the theory says when it is within its range widened by this.
 const SLACK: f64 = 0.15;
 
@@ -75,15 +81,19 @@ pub(super) fn exponent(points: &[(f64, f64)]) -> Option<f64> {
 /// All curves, within about `budget`: a third for each, what one leaves over goes to the next.
 pub(super) fn curves(gpu: &Gpu, budget: Duration) -> Result<Vec<Curve>> {
     let start = Instant::now();
-    let [n, m, side] = BASE;
+    let base = if gpu.info().kind == "cpu" { CPU_BASE } else { BASE };
+    let [n, m, side] = base;
     let until = |share: f64| start + budget.mul_f64(share);
     let linear = "a fixed cost of dispatches, then linear: every kernel but the blend touches each Gaussian a fixed number of times";
     let flat = "flat: a Gaussian reads two key poses of its superpoint, however many there are";
     let pixels = "flat while Gaussians dominate, then linear in pixels: blending and what each tile lists";
+    let superpoints = SUPERPOINTS.map(|m| [n, m, side]);
+    let sides = SIDES.map(|side| [n, m, side]);
+    let gaussians = GAUSSIANS.map(|n| [n, m, side]);
     Ok(vec![
-        curve(gpu, "superpoints", &SUPERPOINTS.map(|m| [n, m, side]), (flat, [0.0, 0.0]), until(0.25))?,
-        curve(gpu, "pixels", &SIDES.map(|side| [n, m, side]), (pixels, [0.0, 1.0]), until(0.5))?,
-        curve(gpu, "Gaussians", &GAUSSIANS.map(|n| [n, m, side]), (linear, [0.0, 1.0]), until(1.0))?,
+        curve(gpu, ("superpoints", base), &superpoints, (flat, [0.0, 0.0]), until(0.25))?,
+        curve(gpu, ("pixels", base), &sides, (pixels, [0.0, 1.0]), until(0.5))?,
+        curve(gpu, ("Gaussians", base), &gaussians, (linear, [0.0, 1.0]), until(1.0))?,
     ])
 }
 
@@ -97,7 +107,7 @@ fn x_of(name: &str, [n, m, side]: [u32; 3]) -> f64 {
 
 fn curve(
     gpu: &Gpu,
-    name: &'static str,
+    (name, [n, m, side]): (&'static str, [u32; 3]),
     sizes: &[[u32; 3]],
     (theory, range): (&'static str, [f64; 2]),
     until: Instant,
@@ -107,7 +117,8 @@ fn curve(
     let mut last: Option<(f64, f64)> = None;
     for &size in sizes {
         let x = x_of(name, size);
-        let expected = last.map_or(0.0, |(before, seconds)| seconds * (x / before).max(1.0) * CAUTION);
+        let growth = |before: f64| (x / before).max(1.0).powf(range[1].max(LEAST_GROWTH));
+        let expected = last.map_or(0.0, |(before, seconds)| seconds * growth(before) * CAUTION);
         let left = until.saturating_duration_since(Instant::now()).as_secs_f64();
         if expected > left && points.len() > 1 {
             ended = format!("before {x:.0}: it would take about {expected:.0} s, {left:.0} s of the budget are left");
@@ -125,8 +136,8 @@ fn curve(
         last = Some((x, start.elapsed().as_secs_f64()));
     }
     let pairs: Vec<(f64, f64)> = points.iter().map(|p| (p.x, p.device_ms)).collect();
-    let tail = exponent(&pairs[pairs.len() / 2..]).or_else(|| exponent(&pairs));
-    let [n, m, side] = BASE;
+    // The larger half, and three points at least.
+    let tail = exponent(&pairs[(pairs.len() / 2).min(pairs.len().saturating_sub(3))..]);
     let fixed = match name {
         "superpoints" => format!("{n} Gaussians, {side}×{side} pixels"),
         "pixels" => format!("{n} Gaussians, {m} superpoints"),
@@ -139,7 +150,7 @@ fn curve(
         range,
         exponent: exponent(&pairs),
         tail_exponent: tail,
-        as_theory: tail.map(|e| (range[0] - SLACK..=range[1] + SLACK).contains(&e)),
+        as_theory: tail.filter(|_| points.len() >= FEWEST).map(|e| (range[0] - SLACK..=range[1] + SLACK).contains(&e)),
         points,
         ended,
     })

@@ -57,7 +57,7 @@ pub(super) fn cases() -> Vec<Case> {
 }
 
 /// A scene in f64: every parameter as it is stored.
-pub(super) fn in_f64(scene: &Scene) -> Gaussians64 {
+pub(crate) fn in_f64(scene: &Scene) -> Gaussians64 {
     let g = &scene.gaussians;
     Gaussians64 {
         mean: g.mean.iter().map(|v| v.map(f64::from)).collect(),
