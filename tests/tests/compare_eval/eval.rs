@@ -76,7 +76,7 @@ fn scores_are_those_of_the_pictures_it_writes() {
 
 #[test]
 fn masks_weight_what_moves_and_weights_give_lpips() {
-    let (posed, folder) = setup(&PosedOptions { sizes: vec![[40, 30]], ..PosedOptions::default() });
+    let (posed, folder) = setup(&PosedOptions { sizes: vec![[40, 32]], ..PosedOptions::default() });
     let (model, json) = (folder.path().join("model.safetensors"), folder.path().join("e.json"));
     let weights = folder.path().join("w.safetensors");
     procedural_lpips::write(&weights, Network::Alex, &procedural_lpips::names(Network::Alex));
@@ -87,7 +87,7 @@ fn masks_weight_what_moves_and_weights_give_lpips() {
     let masks = posed.path().join("test/masks");
     std::fs::create_dir(&masks).unwrap();
     for (name, value) in [("r_000.png", 3), ("r_001.png", 0)] {
-        image::GrayImage::from_pixel(40, 30, image::Luma([value])).save(masks.join(name)).unwrap();
+        image::GrayImage::from_pixel(40, 32, image::Luma([value])).save(masks.join(name)).unwrap();
     }
     ok(&[&base[..], &["--masks"]].concat());
     let e = read(&json);
