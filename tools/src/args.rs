@@ -253,7 +253,7 @@ pub struct BenchArgs {
     #[arg(long, value_name = "X", group = "trains", requires_all = ["train", "cameras"], conflicts_with_all = ["model", "synthetic", "superpoints", "sweep"], value_parser = finite)]
     pub until_psnr: Option<f64>,
     /// The paper's ablations on a data set, one training run per setting, beside the paper's rows
-    #[arg(long, value_name = "DATA", group = "trains", conflicts_with_all = ["model", "train", "cameras", "synthetic", "superpoints", "paper_protocol", "check", "time", "frames", "warmup", "width", "height"])]
+    #[arg(long, value_name = "DATA", group = "trains", conflicts_with_all = ["model", "train", "cameras", "synthetic", "superpoints", "paper_protocol", "check", "time", "frames", "warmup", "width", "height", "sweep", "quality", "set"])]
     pub ablation: Option<PathBuf>,
     /// Only these ablations, by name: superpoints, neighbors, property-loss, weight-position, … [default: all]
     #[arg(long, value_name = "NAME,…", value_delimiter = ',', requires = "ablation")]
@@ -272,14 +272,14 @@ pub struct BenchArgs {
     pub check: bool,
     /// Frame rates by the paper's protocol and over the whole path of --cameras, beside the paper's on its devices; the
     /// roofline of this device; how the cost grows with Gaussians, superpoints and pixels
-    #[arg(long, conflicts_with_all = ["train", "paper_protocol", "check", "hard_cases", "ablation"])]
+    #[arg(long, conflicts_with_all = ["train", "sweep", "paper_protocol", "check", "hard_cases", "ablation"])]
     pub paper: bool,
     /// Seconds that --paper may take, about; what it leaves out for that it says; 0: no curves [default: 180]
     #[arg(long, value_name = "S", requires = "paper", value_parser = seconds)]
     pub budget: Option<f64>,
     /// Judge numerical stability on small hard scenes against the f64 truth: a table of error, bound, pass or fail, time.
     /// Exit code 1 when a bound does not hold, 6 when a number is not finite
-    #[arg(long, conflicts_with_all = ["model", "train", "ablation", "synthetic", "superpoints", "cameras", "time", "paper_protocol", "check", "width", "height", "warmup", "motion", "background"])]
+    #[arg(long, conflicts_with_all = ["model", "train", "ablation", "synthetic", "superpoints", "cameras", "time", "paper_protocol", "check", "width", "height", "warmup", "motion", "background", "sweep", "quality", "set"])]
     pub hard_cases: bool,
     /// Runs whose bits --hard-cases compares [default: 20]
     #[arg(long, value_name = "N", requires = "hard_cases", value_parser = clap::value_parser!(u32).range(2..=100_000))]
