@@ -178,7 +178,7 @@ body { font: 15px/1.45 system-ui, sans-serif; max-width: 66rem; margin: 2rem aut
 h2 { margin-top: 2.2rem; } p { max-width: 50rem; } p.note { background: var(--note); padding: .5rem .8rem; border-radius: .3rem; }
 table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; }
 th, td { padding: .25rem .7rem; border-bottom: 1px solid var(--rule); text-align: left; vertical-align: top; } th { background: var(--soft); }
-td.n, th.n { text-align: right; } tr.good td { background: var(--good); } tr.bad td { background: var(--bad); }
+td.n, th.n { text-align: right; } td.n { white-space: nowrap; } tr.good td { background: var(--good); } tr.bad td { background: var(--bad); }
 table.facts th { white-space: nowrap; } table.facts td { overflow-wrap: anywhere; }
 svg { display: block; max-width: 100%; height: auto; margin: .5rem 0; } svg text { font-family: system-ui, sans-serif; fill: var(--ink); } svg.bars text { font-size: 13px; } svg.bars rect { fill: var(--bar); }
 svg [stroke=\"#000000\"] { stroke: var(--ink); } svg [fill=\"#FFFFFF\"] { fill: var(--paper); }

@@ -89,7 +89,7 @@ fn references(scene: &Scene, args: &BenchArgs, views: &Views, tick: &dyn Fn()) -
 
 /// Marks the settings that no other one beats in both time and error (mean square).
 fn mark_front(results: &mut [Measured]) {
-    let points: Vec<(f64, f64)> = results.iter().map(|r| (r.frame_ms.median, r.error.rmse)).collect();
+    let points: Vec<(f64, f64)> = results.iter().map(|r| (r.ms(), r.error.rmse)).collect();
     for (i, result) in results.iter_mut().enumerate() {
         let (ms, error) = points[i];
         let beats = |p: &(f64, f64)| p.0 <= ms && p.1 <= error && (p.0 < ms || p.1 < error);
@@ -138,13 +138,13 @@ fn table(results: &[Measured]) -> Table {
     }
     columns.push(("", Align::Left));
     let mut table = Table::new(&columns);
-    let exact = results.first().map_or(f64::NAN, |r| r.frame_ms.median);
+    let exact = results.first().map_or(f64::NAN, Measured::ms);
     for r in results {
         let e = &r.error;
         let mut cells = vec![
             r.setting.name.clone(),
-            format!("{:.2}", r.frame_ms.median),
-            format!("{:.2}×", exact / r.frame_ms.median),
+            format!("{:.2}", r.ms()),
+            format!("{:.2}×", exact / r.ms()),
             format!("{:.2}", r.bytes as f64 / 1e6),
             r.dispatches.to_string(),
             format!("{:.1}", e.psnr),

@@ -109,10 +109,9 @@ impl Quality {
 
     /// Errors of a few levels of 255 in places, for slow devices.
     pub const FAST: Self = Self {
-        alpha_cut: 1.0 / 96.0,
-        stop: 3e-3,
+        alpha_cut: 1.0 / 128.0,
+        stop: 1e-3,
         depth_bits: 16,
-        sh_degree: 2,
         sh: Storage::Bits8,
         colour: Storage::Bits8,
         network: Storage::F16,
@@ -241,7 +240,7 @@ mod tests {
     fn mistakes_name_the_knob_and_what_it_takes() {
         let mut q = Quality::EXACT;
         for (list, part) in [
-            ("alpha=1", "one of cull"),
+            ("alpha=1", "one of interpolation"),
             ("depth_bits=33", "8 to 32"),
             ("depth_bits=x", "8 to 32"),
             ("stop=nan", "1e-6"),

@@ -151,6 +151,22 @@ impl Chart {
         self.x.shows(p.0) && self.y.shows(p.1)
     }
 
+    /// Where the legend covers the fewest points.
+    fn emptiest_corner(&self) -> SeriesLabelPosition {
+        let (x, y) = (self.x.scale(self.shown().map(|p| p.0)), self.y.scale(self.shown().map(|p| p.1)));
+        let inside = |right: bool, top: bool| {
+            let near = |at: f64, high: bool| if high { at > 0.7 } else { at < 0.3 };
+            self.shown().filter(|p| near(x.position(p.0), right) && near(y.position(p.1), top)).count()
+        };
+        let corners = [
+            (SeriesLabelPosition::UpperRight, inside(true, true)),
+            (SeriesLabelPosition::LowerRight, inside(true, false)),
+            (SeriesLabelPosition::UpperLeft, inside(false, true)),
+            (SeriesLabelPosition::LowerLeft, inside(false, false)),
+        ];
+        corners.into_iter().min_by_key(|c| c.1).map_or(SeriesLabelPosition::UpperRight, |c| c.0)
+    }
+
     fn draw(&self, root: &DrawingArea<SVGBackend<'_>, Shift>) -> Drawn<()> {
         let mut chart = ChartBuilder::on(root)
             .caption(&self.title, ("sans-serif", 17))
@@ -202,6 +218,7 @@ impl Chart {
         if self.series.iter().filter(|s| !s.name.is_empty()).count() > 0 {
             chart
                 .configure_series_labels()
+                .position(self.emptiest_corner())
                 .background_style(WHITE.mix(0.85))
                 .border_style(BLACK.mix(0.25))
                 .label_font(("sans-serif", 13))

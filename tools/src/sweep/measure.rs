@@ -16,7 +16,7 @@ use super::settings::Setting;
 use super::views::Views;
 use super::{VISIBLE, VISIBLE_SHARE};
 use crate::args::BenchArgs;
-use crate::measure::{Quantiles, with_keys};
+use crate::measure::{Quantiles, processor_seconds, with_keys};
 
 /// Timed frames of a setting where the arguments do not say, on a GPU and on a CPU.
 const FRAMES: [u32; 2] = [60, 9];
@@ -49,6 +49,8 @@ pub(super) struct Measured {
     pub(super) setting: Setting,
     /// Host time from submission to the finished frame.
     pub(super) frame_ms: Quantiles,
+    /// Processor time of a frame, all threads, median; only for a device that is a CPU.
+    pub(super) processor_ms: Option<f64>,
     /// Median device time of each stage; empty without timestamps.
     pub(super) stage_ms: BTreeMap<&'static str, f64>,
     /// Bytes that the frame's kernels move at least.
@@ -67,6 +69,13 @@ pub(super) struct Measured {
     pub(super) pareto: bool,
 }
 
+impl Measured {
+    /// The time that settings are compared by, milliseconds: of the frame, or of the processor where it is the device.
+    pub(super) fn ms(&self) -> f64 {
+        self.processor_ms.unwrap_or(self.frame_ms.median)
+    }
+}
+
 /// What all settings have in common.
 pub(super) struct Measurer<'a> {
     gpu: &'a Gpu,
@@ -75,6 +84,7 @@ pub(super) struct Measurer<'a> {
     motion: MotionSource,
     frames: u32,
     warmup: u32,
+    is_cpu: bool,
     pub(super) views: &'a Views,
     pub(super) truth: &'a [Image],
     planes: Vec<Planes>,
@@ -95,6 +105,7 @@ impl<'a> Measurer<'a> {
             motion: args.view.motion_source(),
             frames: args.frames.unwrap_or(FRAMES[usize::from(gpu.info().is_cpu())]),
             warmup: args.warmup.unwrap_or(WARMUP),
+            is_cpu: gpu.info().is_cpu(),
             views,
             truth,
             planes: truth.iter().map(Planes::clamped).collect::<Result<_>>()?,
@@ -132,14 +143,18 @@ impl<'a> Measurer<'a> {
             let (camera, time) = self.views.timed(i);
             renderer.draw(&camera, time)?;
         }
-        let mut frame_ms = Vec::new();
+        let (mut frame_ms, mut processor_ms) = (Vec::new(), Vec::new());
         let mut stages: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
         let mut counted = Default::default();
         for i in 0..self.frames as usize {
             let (camera, time) = self.views.timed(i);
+            let before = self.is_cpu.then(processor_seconds).flatten();
             let start = Instant::now();
             let (frame, statistics) = renderer.draw(&camera, time)?;
             frame_ms.push(start.elapsed().as_secs_f64() * 1e3);
+            if let (Some(before), Some(after)) = (before, processor_seconds()) {
+                processor_ms.push((after - before) * 1e3);
+            }
             let mut of_frame: BTreeMap<&'static str, f64> = BTreeMap::new();
             for timing in renderer.timings(frame)? {
                 *of_frame.entry(stage(&timing.label)).or_default() += timing.us / 1e3;
@@ -153,6 +168,7 @@ impl<'a> Measurer<'a> {
         Ok(Measured {
             setting,
             frame_ms: Quantiles::of(frame_ms),
+            processor_ms: (!processor_ms.is_empty()).then(|| Quantiles::of(processor_ms).median),
             stage_ms: stages.into_iter().map(|(name, ms)| (name, Quantiles::of(ms).median)).collect(),
             bytes: kernels.iter().map(|(label, kernel)| bytes_of(kernel, label, &workload)).sum(),
             scene_bytes: renderer.memory().scene,
@@ -218,6 +234,7 @@ impl Measured {
         Self {
             setting: Setting { name: name.into(), kind, quality, network: false },
             frame_ms: Quantiles { median: ms, p5: ms, p95: ms },
+            processor_ms: None,
             stage_ms: BTreeMap::new(),
             bytes: 0,
             scene_bytes: 0,

@@ -44,7 +44,7 @@ pub(super) fn html(record: &Value, measurer: &Measurer<'_>, results: &[Measured]
                 camera.height
             ),
         ),
-        ("Times", format!("{w}×{h} pixels, one frame at a time, median of the host's time from submission to the end")),
+        ("Times", format!("{w}×{h} pixels, one frame at a time, median of {}", time_name(results))),
     ]);
     if !views.notes.is_empty() {
         page.note(&format!("Reduced or left out: {}.", views.notes.join("; ")));
@@ -65,12 +65,20 @@ pub(super) fn html(record: &Value, measurer: &Measurer<'_>, results: &[Measured]
     Ok(page.finish())
 }
 
+/// What the times are.
+fn time_name(results: &[Measured]) -> &'static str {
+    if results.iter().any(|r| r.processor_ms.is_some()) {
+        "the processor time of all threads, because the device is a CPU that others may use too"
+    } else {
+        "the host's time from submission to the end"
+    }
+}
+
 /// The answer in a few rows.
 fn summary(page: &mut Page, results: &[Measured]) {
     let Some(exact) = results.first() else { return };
-    let fastest = |ok: &dyn Fn(&Measured) -> bool| {
-        results.iter().filter(|r| ok(r)).min_by(|a, b| a.frame_ms.median.total_cmp(&b.frame_ms.median))
-    };
+    let fastest =
+        |ok: &dyn Fn(&Measured) -> bool| results.iter().filter(|r| ok(r)).min_by(|a, b| a.ms().total_cmp(&b.ms()));
     let mut table = Table::new(&[
         ("", Align::Left),
         ("setting", Align::Left),
@@ -87,8 +95,8 @@ fn summary(page: &mut Page, results: &[Measured]) {
                 [
                     what.to_owned(),
                     m.setting.name.clone(),
-                    format!("{:.2}", m.frame_ms.median),
-                    format!("{:.2}×", exact.frame_ms.median / m.frame_ms.median),
+                    format!("{:.2}", m.ms()),
+                    format!("{:.2}×", exact.ms() / m.ms()),
                     format!("{:.1}", m.error.psnr),
                     format!("{:.3} %", 100.0 * m.error.visible),
                 ],
@@ -127,14 +135,17 @@ fn kinds(chart: Chart, results: &[Measured], x: fn(&Measured) -> f64) -> Chart {
 
 /// Time against error with the Pareto front.
 fn scatter(results: &[Measured]) -> Chart {
-    let mut front: Vec<(f64, f64)> =
-        results.iter().filter(|r| r.pareto).map(|r| (r.frame_ms.median, error_of(r))).collect();
+    let mut front: Vec<(f64, f64)> = results.iter().filter(|r| r.pareto).map(|r| (r.ms(), error_of(r))).collect();
     front.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let x = Axis::linear("frame time, ms");
+    let x = Axis::linear(if results.iter().any(|r| r.processor_ms.is_some()) {
+        "processor time of a frame, ms"
+    } else {
+        "frame time, ms"
+    });
     let y = Axis::log("root mean square error against the f64 reference (values 0 to 1)");
     let chart = Chart::new("Every setting: time against error", x, y).height(620);
-    let chart = kinds(chart, results, |r| r.frame_ms.median);
-    chart.series(Series::new("Pareto front", Mark::Line, front)).series(visible_line(results, |r| r.frame_ms.median))
+    let chart = kinds(chart, results, |r| r.ms());
+    chart.series(Series::new("Pareto front", Mark::Line, front)).series(visible_line(results, |r| r.ms()))
 }
 
 /// The same over the bytes that are moved.
@@ -202,7 +213,7 @@ fn pictures(page: &mut Page, measurer: &Measurer<'_>, results: &[Measured]) -> R
             e.psnr,
             e.max,
             100.0 * e.visible,
-            m.frame_ms.median
+            m.ms()
         );
         let row = [
             Picture::embedded(truth, "f64 reference")?,

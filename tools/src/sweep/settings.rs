@@ -10,6 +10,9 @@ use super::measure::Measured;
 /// A knob must save this share of the exact time to be combined with others.
 const WORTH: f64 = 0.02;
 
+/// Combinations end at this mean square error: 30 dB.
+const WORST: f64 = 1e-3;
+
 /// Where a setting comes from.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase", tag = "kind")]
@@ -86,12 +89,12 @@ pub(super) fn alone(scene: &Scene) -> Vec<Setting> {
 /// time that it saves is added, again and again; a knob that is turned further keeps its later value.
 pub(super) fn combinations(measured: &[Measured]) -> Vec<Setting> {
     let Some(exact) = measured.first() else { return Vec::new() };
-    let time = exact.frame_ms.median;
+    let time = exact.ms();
     let mut steps: Vec<(f64, f64, &'static str, &str)> = measured
         .iter()
         .filter_map(|m| {
             let Kind::Knob { knob, value } = &m.setting.kind else { return None };
-            let saved = time - m.frame_ms.median;
+            let saved = time - m.ms();
             let added = (m.error.rmse.powi(2) - exact.error.rmse.powi(2)).max(0.0);
             (saved > WORTH * time && !m.setting.network).then_some((added / saved, added, *knob, value.as_str()))
         })
@@ -99,13 +102,17 @@ pub(super) fn combinations(measured: &[Measured]) -> Vec<Setting> {
     steps.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut quality = Quality::EXACT;
     let mut largest: Vec<(&str, f64)> = Vec::new();
-    let mut all = Vec::new();
+    let (mut all, mut predicted) = (Vec::new(), 0.0);
     for (_, added, knob, value) in steps {
         // A finer value of a knob that is turned further already would take a step back.
         match largest.iter_mut().find(|(name, _)| *name == knob) {
             Some((_, before)) if *before >= added => continue,
             Some((_, before)) => *before = added,
             None => largest.push((knob, added)),
+        }
+        predicted += added;
+        if predicted > WORST {
+            break;
         }
         if quality.set(knob, value).is_ok() {
             let name = quality.describe().replace("exact, ", "");

@@ -29,7 +29,8 @@ impl Scale {
         Self { low: start, high: high + margin, log }
     }
 
-    fn position(&self, value: f64) -> f64 {
+    /// Where a value lies: 0 at the low end, 1 at the high one.
+    pub(super) fn position(&self, value: f64) -> f64 {
         if self.log {
             (value.max(f64::MIN_POSITIVE) / self.low).ln() / (self.high / self.low).ln()
         } else {
