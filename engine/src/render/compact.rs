@@ -90,7 +90,7 @@ fn depth_key(z: u32, depth_bits: u32, frame: &Frame) -> u32 {
         return z;
     }
     let low = frame.world_to_camera_0[3].to_bits();
-    (z - z.min(low) >> frame.world_to_camera_1[3] as u32).min((1 << depth_bits) - 1)
+    ((z - z.min(low)) >> frame.world_to_camera_1[3] as u32).min((1 << depth_bits) - 1)
 }
 
 /// Sum of the block sums before `block`, from super sums and the blocks of the same super block.

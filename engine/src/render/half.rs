@@ -18,12 +18,12 @@ pub fn from_f32(x: f32) -> u32 {
         return (magnitude * 16_777_216.0).round_ties_even() as u32 | sign;
     }
     let b = magnitude.to_bits();
-    ((b + 0xFFF + (b >> 13 & 1)) >> 13) - (112 << 10) | sign
+    (((b + 0xFFF + ((b >> 13) & 1)) >> 13) - (112 << 10)) | sign
 }
 
 /// Value of the half in the low 16 bits.
 pub fn to_f32(bits: u32) -> f32 {
-    let (exponent, mantissa) = (bits >> 10 & 31, bits & 0x3FF);
+    let (exponent, mantissa) = ((bits >> 10) & 31, bits & 0x3FF);
     let magnitude = match exponent {
         0 => mantissa as f32 / 16_777_216.0,
         31 => f32::from_bits(0x7F80_0000 | mantissa << 13),
