@@ -4,9 +4,10 @@
 use std::path::{Path, PathBuf};
 
 use engine::file::{picture, tensors};
+use engine::gpu::product::{Stage, product_groups};
 use engine::metrics::lpips::{
-    self, ConvPush, DifferencePush, LPIPS_CONV, LPIPS_DIFFERENCE, LPIPS_POOL, Lpips, Network, PoolPush, Range,
-    STAGE_SHARED, STAGE_SHUFFLE, Weights, WeightsFile,
+    self, ConvPush, DifferencePush, LPIPS_CONV, LPIPS_DIFFERENCE, LPIPS_POOL, Lpips, Network, PoolPush, Range, Weights,
+    WeightsFile,
 };
 use engine::metrics::{self, Planes};
 use serde_json::Value;
@@ -159,19 +160,19 @@ fn convolutions_match_their_twin() {
         };
         let depth = inputs * side * side;
         let pixels = push.out_width * push.out_rows;
-        for stage in [STAGE_SHUFFLE, STAGE_SHARED] {
+        for stage in [Stage::Shuffle, Stage::Shared] {
             let case = KernelCase {
                 kernel: &LPIPS_CONV,
-                spec: vec![stage, side, stride, pad],
+                spec: vec![stage as u32, side, stride, pad],
                 push: bytemuck::bytes_of(&push).to_vec(),
                 buffers: vec![
                     floats(&mut r, inputs * push.in_rows * width, 1.0),
                     floats(&mut r, outputs * (depth + 1), 1.0 / (depth as f32).sqrt()),
                     vec![0; (outputs * pixels) as usize],
                 ],
-                groups: lpips::conv_groups(stage, gpu.subgroup_size(), push.output_count, pixels) as u32,
+                groups: product_groups(stage, gpu.subgroup_size(), push.output_count, pixels, 1) as u32,
             };
-            case.run(&gpu).assert_equal(&LPIPS_CONV, &format!("{push:?}, window {side}, stage {stage}"));
+            case.run(&gpu).assert_equal(&LPIPS_CONV, &format!("{push:?}, window {side}, {stage:?}"));
         }
     }
 }

@@ -223,8 +223,9 @@ const BOUNDS: &[(&str, f64, f64)] = &[
     ("alpha_cut=1/128", 45.0, 0.05),
     ("alpha_cut=1/64", 38.0, 0.1),
     ("alpha_cut=1/32", 30.0, 0.2),
-    ("stop=0.001", 65.0, 3e-3),
-    ("stop=0.01", 50.0, 0.03),
+    // What lies behind the stop is at most the stop times the brightest colour, here about 12.
+    ("stop=0.001", 65.0, 0.015),
+    ("stop=0.01", 48.0, 0.15),
     ("depth_bits=24", 80.0, 5e-3),
     ("depth_bits=20", 70.0, 0.02),
     ("depth_bits=16", 45.0, 0.2),
@@ -276,7 +277,7 @@ fn knobs_that_cost_nothing_leave_every_bit() {
     assert!(difference(linear.rgb(), geodesic.rgb()).psnr > 80.0);
 }
 
-/// The rule of the preset: at most 0.01 % of the values off by more than 1/255.
+/// The rule of the preset: at most 0.01 % of the values that a picture shows (0 to 1) off by more than 1/255.
 #[test]
 fn high_has_no_visible_error() {
     let gpu = tests_harness::gpu();
@@ -293,7 +294,8 @@ fn high_has_no_visible_error() {
             Renderer::new(&gpu, scene, &options).unwrap().render(camera, *time).unwrap()
         };
         let (exact, high) = (draw(Quality::EXACT), draw(Quality::HIGH));
-        let off = exact.rgb().zip(high.rgb()).filter(|(a, b)| (a - b).abs() > 1.0 / 255.0).count();
+        let shown = |v: f64| v.clamp(0.0, 1.0);
+        let off = exact.rgb().zip(high.rgb()).filter(|&(a, b)| (shown(a) - shown(b)).abs() > 1.0 / 255.0).count();
         let share = off as f64 / (3 * exact.width * exact.height) as f64;
         let e = difference(exact.rgb(), high.rgb());
         println!("{name:30} {:6.1} dB, largest {:.1e}, visible {:.4} %", e.psnr, e.max, 100.0 * share);
@@ -381,7 +383,8 @@ fn a_sweep_writes_every_knob_and_a_page_that_loads_nothing() {
     assert!(settings[0]["name"] == "exact" && settings[0]["error"]["psnr"].as_f64().unwrap() > 70.0);
     assert!(settings.iter().any(|s| s["pareto"] == true));
     assert!(record["notes"].as_array().unwrap().iter().any(|n| n.as_str().unwrap().contains("no photos")));
-    let page = std::fs::read_to_string(html).unwrap();
+    // A namespace is a name, not an address that is loaded.
+    let page = std::fs::read_to_string(html).unwrap().replace("xmlns=\"http://www.w3.org/2000/svg\"", "");
     for outside in ["http://", "https://", "<script", "url("] {
         assert!(!page.contains(outside), "{outside}");
     }

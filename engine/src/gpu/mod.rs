@@ -13,6 +13,7 @@ pub mod kernel;
 mod memory;
 pub mod mmap;
 mod pipeline;
+pub mod product;
 mod recorder;
 pub mod spirv;
 

@@ -32,10 +32,7 @@ mod twins;
 mod weights;
 
 pub use device::Lpips;
-pub use kernels::{
-    ConvPush, DifferencePush, KERNELS, LPIPS_CONV, LPIPS_DIFFERENCE, LPIPS_POOL, PoolPush, STAGE_SHARED, STAGE_SHUFFLE,
-    conv_groups,
-};
+pub use kernels::{ConvPush, DifferencePush, KERNELS, LPIPS_CONV, LPIPS_DIFFERENCE, LPIPS_POOL, PoolPush};
 pub use network::Network;
 pub use reference::lpips;
 pub use weights::{Weights, WeightsFile};

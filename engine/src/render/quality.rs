@@ -261,7 +261,7 @@ mod tests {
         let mut q = Quality::named("exact").unwrap();
         assert_eq!(q.describe(), "exact");
         q.set_all("alpha_cut = 1/64, depth_bits=16").unwrap();
-        assert_eq!(q.describe(), "exact, alpha_cut=1/64, depth_bits=16");
+        assert_eq!(q.describe(), "exact, depth_bits=16, alpha_cut=1/64");
         assert_eq!(q.alpha_cut_constant(), 6.0_f32.to_bits());
         assert_eq!(Quality::FAST.describe(), "fast");
         assert_eq!(Quality::EXACT.alpha_cut_constant() + Quality::EXACT.stop_constant(), 0);

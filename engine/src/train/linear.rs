@@ -17,10 +17,10 @@ mod parameters;
 mod record;
 mod twins;
 
-use crate::gpu::Gpu;
 use crate::gpu::kernel::Kernel;
 
-pub use kernels::{ForwardPush, product_groups};
+pub use crate::gpu::product::{Stage, product_groups};
+pub use kernels::ForwardPush;
 pub use kernels::{
     GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_FORWARD,
     LINEAR_UPDATE, UpdatePush, WeightPush,
@@ -31,22 +31,6 @@ pub(super) use record::{Layer, Pass, Split};
 /// Kernels of this module.
 pub static KERNELS: &[&Kernel] =
     &[&LINEAR_FORWARD, &LINEAR_BACKWARD_INPUT, &LINEAR_BACKWARD_WEIGHT, &LINEAR_UPDATE, &GATHER_GRADIENT];
-
-/// How the products tile their matrices (specialisation constant `STAGE`; see `glsl/lib/matrix_product.glsl`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stage {
-    /// Operands in registers, spread by subgroup shuffles: for CPU devices.
-    Shuffle = 0,
-    /// Operands in shared memory: for GPUs.
-    Shared = 1,
-}
-
-impl Stage {
-    /// The better one for this device.
-    pub fn of(gpu: &Gpu) -> Self {
-        if gpu.info().is_cpu() { Self::Shuffle } else { Self::Shared }
-    }
-}
 
 /// Whose learning rate, corrections and reports a kernel uses (specialisation constant `NETWORK`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,14 +1,12 @@
 //! LPIPS on the device: both pictures through the network, slice by slice. Where a feature map is large, its slice runs in
 //! bands of rows, each going straight into the difference and the next pool, so that no map of full size is stored there.
 
-use super::kernels::{
-    ConvPush, DifferencePush, LPIPS_CONV, LPIPS_DIFFERENCE, LPIPS_POOL, PoolPush, STAGE_SHARED, STAGE_SHUFFLE, THREADS,
-    conv_groups,
-};
+use super::kernels::{ConvPush, DifferencePush, LPIPS_CONV, LPIPS_DIFFERENCE, LPIPS_POOL, PoolPush, THREADS};
 use super::network::{Conv, Slice, pooled_side};
 use super::{Network, Range, Weights, check_size, input};
 use crate::error::Result;
 use crate::gpu::kernel::Kernel;
+use crate::gpu::product::{Stage, product_groups};
 use crate::gpu::{Buffer, Gpu, Groups, Memory, Slice as Bytes};
 use crate::metrics::planes::{Planes, same_size};
 
@@ -213,10 +211,10 @@ impl Lpips {
                 first_output: first as u32,
                 output_count: step.min(conv.outputs - first) as u32,
             };
-            let stage = if self.gpu.info().is_cpu() { STAGE_SHUFFLE } else { STAGE_SHARED };
-            let spec = [stage, conv.kernel as u32, conv.stride as u32, conv.pad as u32];
+            let stage = Stage::of(&self.gpu);
+            let spec = [stage as u32, conv.kernel as u32, conv.stride as u32, conv.pad as u32];
             let pixels = push.out_rows * push.out_width;
-            let groups = conv_groups(stage, self.gpu.subgroup_size(), push.output_count, pixels);
+            let groups = product_groups(stage, self.gpu.subgroup_size(), push.output_count, pixels, 1);
             let buffers = [(&input.buffer).into(), parameter.into(), (&output.buffer).into()];
             self.run(&LPIPS_CONV, &spec, bytemuck::bytes_of(&push), &buffers, groups)?;
         }

@@ -2,6 +2,7 @@
 
 use super::twins;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance};
+use crate::gpu::product::PRODUCT_THREADS;
 
 crate::gpu_struct! {
     /// Push constants of [`LPIPS_CONV`].
@@ -64,21 +65,8 @@ crate::gpu_struct! {
 /// Kernels of this module.
 pub static KERNELS: &[&Kernel] = &[&LPIPS_CONV, &LPIPS_POOL, &LPIPS_DIFFERENCE];
 
-/// Operands in registers, spread by subgroup shuffles: for CPU devices (`STAGE` of `glsl/lib/matrix_product.glsl`).
-pub const STAGE_SHUFFLE: u32 = 0;
-/// Operands in shared memory: for GPUs.
-pub const STAGE_SHARED: u32 = 1;
 /// Threads per workgroup.
-pub(super) const THREADS: u32 = 256;
-
-/// Workgroups of [`LPIPS_CONV`] for `outputs` written channels of `pixels`.
-pub fn conv_groups(stage: u32, subgroup_size: u32, outputs: u32, pixels: u32) -> u64 {
-    // The tiles of `product_tiles` and how many of them a workgroup takes.
-    let [high, wide, per_group] =
-        if stage == STAGE_SHUFFLE { [16, 4 * subgroup_size, 16.min(THREADS / subgroup_size)] } else { [32, 32, 1] };
-    let tiles = u64::from(outputs.div_ceil(high)) * u64::from(pixels.div_ceil(wide));
-    tiles.div_ceil(per_group.into())
-}
+pub(super) const THREADS: u32 = PRODUCT_THREADS;
 
 /// Sums of up to 4608 products of numbers around 1, fused or not, in another order than the twin's.
 const SUMS: Tolerance = Tolerance { absolute: 1e-4, relative: 2e-5, flips: 0.0 };

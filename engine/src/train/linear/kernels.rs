@@ -1,7 +1,8 @@
 //! Declarations of the kernels of dense layers.
 
-use super::{Stage, twins};
+use super::twins;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, Workload};
+use crate::gpu::product::PRODUCT_THREADS;
 use crate::train::step::Step;
 
 crate::gpu_struct! {
@@ -87,24 +88,9 @@ crate::gpu_struct! {
 }
 
 /// Threads per workgroup.
-pub(super) const THREADS: u32 = 256;
+pub(super) const THREADS: u32 = PRODUCT_THREADS;
 /// Weights that a thread of `linear_update` takes, so that it loads the step's constants once for all of them.
 pub(super) const WEIGHTS_PER_THREAD: u32 = 4;
-const SHUFFLE_ROWS: u32 = 32;
-const SHUFFLE_COLUMNS: u32 = 8;
-const SHUFFLE_TILES: u32 = 4;
-const SHARED_TILE: u32 = 32;
-
-/// Workgroups for a product with `rows` × `columns` results, each of `slices` sums.
-pub fn product_groups(stage: Stage, subgroup_size: u32, rows: u32, columns: u32, slices: u32) -> u64 {
-    let [high, wide, per_group] = match stage {
-        Stage::Shuffle => [SHUFFLE_ROWS, SHUFFLE_COLUMNS * subgroup_size, SHUFFLE_TILES.min(THREADS / subgroup_size)],
-        Stage::Shared => [SHARED_TILE, SHARED_TILE, 1],
-    };
-    let tiles = u64::from(rows.div_ceil(high)) * u64::from(columns.div_ceil(wide)) * u64::from(slices);
-    tiles.div_ceil(per_group.into())
-}
-
 /// Sums of up to 512 products of numbers around 1, fused or not, in another order than the twin's.
 const SUMS: Tolerance = Tolerance { absolute: 1e-4, relative: 2e-5, flips: 0.0 };
 

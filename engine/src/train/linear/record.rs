@@ -2,10 +2,11 @@
 
 use super::kernels::{
     ForwardPush, GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_FORWARD,
-    LINEAR_UPDATE, THREADS, UpdatePush, WEIGHTS_PER_THREAD, WeightPush, product_groups,
+    LINEAR_UPDATE, THREADS, UpdatePush, WEIGHTS_PER_THREAD, WeightPush,
 };
 use super::{Network, Output, Shape, Stage};
 use crate::error::Result;
+use crate::gpu::product::product_groups;
 use crate::gpu::{Groups, Recorder, Slice};
 
 /// What the dispatches of a backward pass share.

@@ -1,0 +1,38 @@
+//! How matrix products tile their results: the host's side of `glsl/lib/matrix_product.glsl`.
+
+use super::Gpu;
+
+/// How a product tiles its matrices (specialisation constant `STAGE`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Operands in registers, spread by subgroup shuffles: for CPU devices.
+    Shuffle = 0,
+    /// Operands in shared memory: for GPUs.
+    Shared = 1,
+}
+
+impl Stage {
+    /// The better one for this device.
+    pub fn of(gpu: &Gpu) -> Self {
+        if gpu.info().is_cpu() { Self::Shuffle } else { Self::Shared }
+    }
+}
+
+/// Threads per workgroup of every kernel that multiplies matrices.
+pub const PRODUCT_THREADS: u32 = 256;
+const SHUFFLE_ROWS: u32 = 32;
+const SHUFFLE_COLUMNS: u32 = 8;
+const SHUFFLE_TILES: u32 = 4;
+const SHARED_TILE: u32 = 32;
+
+/// Workgroups for a product with `rows` × `columns` results, each of `slices` sums.
+pub fn product_groups(stage: Stage, subgroup_size: u32, rows: u32, columns: u32, slices: u32) -> u64 {
+    let [high, wide, per_group] = match stage {
+        Stage::Shuffle => {
+            [SHUFFLE_ROWS, SHUFFLE_COLUMNS * subgroup_size, SHUFFLE_TILES.min(PRODUCT_THREADS / subgroup_size)]
+        }
+        Stage::Shared => [SHARED_TILE, SHARED_TILE, 1],
+    };
+    let tiles = u64::from(rows.div_ceil(high)) * u64::from(columns.div_ceil(wide)) * u64::from(slices);
+    tiles.div_ceil(per_group.into())
+}
