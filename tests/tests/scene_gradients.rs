@@ -3,10 +3,12 @@
 use engine::reference::gradient::image::{Gradients, image_gradients};
 use engine::reference::gradient::splats::Upstream;
 use engine::reference::{Deformation, Gaussians64, ReferenceOptions, table_poses};
+use engine::scene::synthetic::random_scene;
 use engine::scene::{Camera, Scene};
 use engine::train::gradient::{GradientOptions, SceneGradients, scene_gradients};
 use tests_harness::gradient::assert_gradients_close;
 use tests_harness::render_case::{Random, RenderInput, test_camera};
+use tools::hard_cases::poison::{POISON, camera, poison, slots};
 
 const BACKGROUND: [f32; 3] = [0.3, 0.1, 0.6];
 /// Between the keys at 0 and 1.
@@ -102,4 +104,65 @@ fn an_image_gradient_of_another_size_is_refused() {
     let options = GradientOptions { near: 0.2, background: BACKGROUND };
     let refused = scene_gradients(&gpu, &scene, &test_camera(8, 8), 0.0, &options, &[0.0; 12]);
     assert!(refused.unwrap_err().to_string().contains("256 values"));
+}
+
+/// Everything that is not finite in the gradients.
+fn not_finite(g: &SceneGradients) -> Option<&'static str> {
+    let parts: [(&str, &[f32]); 7] = [
+        ("mean", g.mean.as_flattened()),
+        ("rotation", g.rotation.as_flattened()),
+        ("log_scale", g.log_scale.as_flattened()),
+        ("opacity_logit", &g.opacity_logit),
+        ("sh", &g.sh),
+        ("mean2d", g.mean2d.as_flattened()),
+        ("pose", g.pose.as_flattened()),
+    ];
+    parts.into_iter().find(|(_, values)| values.iter().any(|v| !v.is_finite())).map(|(name, _)| name)
+}
+
+/// The gradients of the Gaussians `kept`.
+fn of(g: &SceneGradients, kept: &[usize], sh_row: usize) -> SceneGradients {
+    SceneGradients {
+        mean: kept.iter().map(|&i| g.mean[i]).collect(),
+        rotation: kept.iter().map(|&i| g.rotation[i]).collect(),
+        log_scale: kept.iter().map(|&i| g.log_scale[i]).collect(),
+        opacity_logit: kept.iter().map(|&i| g.opacity_logit[i]).collect(),
+        sh: kept.iter().flat_map(|&i| g.sh[i * sh_row..(i + 1) * sh_row].iter().copied()).collect(),
+        mean2d: kept.iter().map(|&i| g.mean2d[i]).collect(),
+        pose: Vec::new(),
+    }
+}
+
+/// A thousand scenes with unusable and extreme numbers in random parameters: no gradient is ever NaN or infinite. In every
+/// fourth all of them are NaN; the other Gaussians then get the gradients, bit for bit, that they get without the bad ones.
+#[test]
+fn a_thousand_poisoned_scenes_have_finite_gradients() {
+    let gpu = tests_harness::gpu();
+    let options = GradientOptions { near: 0.2, background: BACKGROUND };
+    let mut random = engine::scene::synthetic::Random::new(77);
+    for round in 0..1000_u64 {
+        let n = 1 + random.below(40);
+        let mut scene = random_scene(n, 5000 + round, (round % 4) as u32);
+        let camera = camera([24, 20]);
+        let gradient = random_gradient(&camera, round);
+        let only_nan = round % 4 == 0;
+        let mut kept = Vec::new();
+        for i in 0..n {
+            if random.uniform() < 0.4 {
+                let value = if only_nan { f32::NAN } else { POISON[random.below(POISON.len())] };
+                let slot = random.below(slots(&scene.gaussians));
+                poison(&mut scene.gaussians, i, slot, value);
+            } else {
+                kept.push(i);
+            }
+        }
+        let found = scene_gradients(&gpu, &scene, &camera, 0.0, &options, &gradient).unwrap();
+        assert_eq!(not_finite(&found), None, "round {round}");
+        if only_nan && !kept.is_empty() {
+            let rest = Scene { gaussians: scene.gaussians.selected(&kept), ..scene.clone() };
+            let alone = scene_gradients(&gpu, &rest, &camera, 0.0, &options, &gradient).unwrap();
+            let row = scene.gaussians.sh_coefficients() * 3;
+            assert_eq!(of(&found, &kept, row), of(&alone, &(0..kept.len()).collect::<Vec<_>>(), row), "round {round}");
+        }
+    }
 }

@@ -272,10 +272,10 @@ mod tests {
 
     #[test]
     fn the_table_replaces_what_is_between_the_markers() {
-        let root = tree(&format!("before\n{BEGIN}old\n{END}after\n"), &record());
+        let root = tree(&format!("before\n{BEGIN}stale\n{END}after\n"), &record());
         assert!(write(root.path()).unwrap() && !write(root.path()).unwrap());
         let text = std::fs::read_to_string(root.path().join("README.md")).unwrap();
-        assert!(text.starts_with("before\n") && text.ends_with("after\n") && !text.contains("old"), "{text}");
+        assert!(text.starts_with("before\n") && text.ends_with("after\n") && !text.contains("stale"), "{text}");
         assert!(
             text.contains(
                 "| Hard cases [`a.json`](tests/measurements/a.json) | 2 of 3 hold, 5 s | x/y, d | 012345678 |"

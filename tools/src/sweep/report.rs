@@ -233,7 +233,7 @@ mod tests {
     #[test]
     fn each_knob_is_shown_at_its_coarsest_and_the_worst_first() {
         let knob = |knob: &'static str, value: &str, rmse: f64| {
-            let mut m = Measured::for_tests(value, 1.0, rmse);
+            let mut m = Measured::for_tests(&format!("{knob} = {value}"), 1.0, rmse);
             m.error.max = 10.0 * rmse;
             m.setting.kind = Kind::Knob { knob, value: value.into() };
             m
@@ -246,7 +246,7 @@ mod tests {
             knob("resolution", "0.5", 1e-1),
         ];
         let names: Vec<&str> = notable(&results).into_iter().map(|m| m.setting.name.as_str()).collect();
-        assert_eq!(names, ["0.5", "1/64"]);
+        assert_eq!(names, ["resolution = 0.5", "alpha_cut = 1/64"]);
         assert!(scatter(&results).svg().unwrap().contains("resolution 0.5"));
     }
 }
