@@ -6,7 +6,7 @@ use super::network::{Conv, Slice, pooled_side};
 use super::{Network, Range, Weights, check_size, input};
 use crate::error::Result;
 use crate::gpu::kernel::Kernel;
-use crate::gpu::product::{Stage, product_groups};
+use crate::gpu::product::{self, product_groups};
 use crate::gpu::{Buffer, Gpu, Groups, Memory, Slice as Bytes};
 use crate::metrics::planes::{Planes, same_size};
 
@@ -211,7 +211,7 @@ impl Lpips {
                 first_output: first as u32,
                 output_count: step.min(conv.outputs - first) as u32,
             };
-            let stage = Stage::of(&self.gpu);
+            let stage = product::Stage::of(&self.gpu);
             let spec = [stage as u32, conv.kernel as u32, conv.stride as u32, conv.pad as u32];
             let pixels = push.out_rows * push.out_width;
             let groups = product_groups(stage, self.gpu.subgroup_size(), push.output_count, pixels, 1);
