@@ -45,7 +45,7 @@ impl AllScores {
     }
 }
 
-/// The header of [`line`].
+/// The header of [`line()`].
 pub fn header(name_width: usize) -> String {
     let names: String = AllScores::default().rows().iter().map(|(name, _, _)| format!(" {name:>10}")).collect();
     format!("{:name_width$}{names}", "")

@@ -45,7 +45,7 @@ impl Rigid {
     }
 }
 
-/// V(ω) = I + (1 − cos θ)/θ² [ω] + (θ − sin θ)/θ³ [ω]²: the translation of the screw with rotation ω and velocity v is V v.
+/// V(ω) = I + (1 − cos θ)/θ² \[ω\] + (θ − sin θ)/θ³ \[ω\]²: the translation of the screw with rotation ω and velocity v is V v.
 fn left_jacobian(axis: DVec3) -> DMat3 {
     let angle2 = axis.length_squared();
     let cross = DMat3::from_cols(

@@ -25,7 +25,7 @@ pub struct Pair {
 /// Writes the page beside the log.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Corrupt`] for a damaged log; [`Error::Usage`] when a plot cannot be drawn.
+/// `Io`; `Corrupt` for a damaged log; `Usage` when a plot cannot be drawn.
 pub fn write(folder: &Path, facts: &[(String, String)], pairs: &[Pair]) -> Result<()> {
     let lines = log::read(&folder.join("run.jsonl"))?;
     let page = page(&lines, facts, pairs)?;
