@@ -8,6 +8,10 @@ use engine::scene::MotionSource;
 
 use crate::paper::Benchmark;
 
+mod viewer;
+
+pub use viewer::ViewerArgs;
+
 /// Renders dynamic 3D Gaussian scenes on Vulkan.
 #[derive(Debug, Parser)]
 #[command(name = "spgs", version, arg_required_else_help = false)]
@@ -40,6 +44,8 @@ pub enum Command {
     Train(TrainArgs),
     /// Render a model along a camera file
     Render(RenderArgs),
+    /// Fly through a scene in a window, scrub its time, see what every millisecond goes to
+    View(ViewerArgs),
     /// Measure frame and kernel times
     Bench(BenchArgs),
     /// Compare two pictures, or the pictures of two folders: PSNR, SSIM, MS-SSIM, FLIP, LPIPS

@@ -34,3 +34,4 @@ pub mod spirv_task;
 pub mod sweep;
 pub mod train;
 pub mod view;
+pub mod viewer;

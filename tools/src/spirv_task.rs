@@ -1,4 +1,4 @@
-//! `spgs-dev spirv`: compiles `glsl/*.comp` to `spirv_cache/*.spv` with shaderc and keeps a manifest of hashes, so that
+//! `spgs-dev spirv`: compiles `glsl/*.comp` (and `painter.vert`, `painter.frag`) to `spirv_cache/*.spv` with shaderc and keeps a manifest of hashes, so that
 //! users need no shader compiler and CI can prove that what is committed is fresh.
 //!
 //! SPIR-V 1.5 for Vulkan 1.2, not optimised (drivers do that) and without debug information: the dialect that naga reads.
@@ -145,8 +145,15 @@ pub fn read_manifest(path: &Path) -> Result<Manifest> {
 }
 
 /// Name and path of every `glsl/*.comp`, sorted.
+/// Kernels by their stem, the shaders of the graphics pipeline by their whole name.
 fn sources(root: &Path) -> Result<Vec<(String, PathBuf)>> {
-    stems(&root.join("glsl"), "comp")
+    let folder = root.join("glsl");
+    let mut found = stems(&folder, "comp")?;
+    for stage in ["vert", "frag"] {
+        found.extend(stems(&folder, stage)?.into_iter().map(|(stem, path)| (format!("{stem}.{stage}"), path)));
+    }
+    found.sort();
+    Ok(found)
 }
 
 fn orphans(cache: &Path, kernels: &BTreeMap<String, Entry>) -> Result<Vec<String>> {

@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 
 /// A submission, in order; wait for it with [`Gpu::wait`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
-pub struct Submission(u64);
+pub struct Submission(pub(super) u64);
 
 /// Device time of one operation.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]

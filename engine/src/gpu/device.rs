@@ -9,7 +9,9 @@ use ash::vk;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 
 use super::capability::{Capabilities, DeviceInfo, REQUIREMENTS};
+use super::messenger::{Messages, Messenger, create_messenger};
 use super::pipeline::{PipelineCacheFile, Pipelines};
+use super::surface::{Screen, destroy_surface, present_family};
 use crate::error::{Error, Result};
 
 /// How to make a [`Gpu`]. The defaults come from the environment: `SPGS_DEVICE`, `SPGS_VALIDATION=1`,
@@ -77,8 +79,9 @@ pub(super) struct Shared {
     pub(super) sync2: Sync2,
     pub(super) device: ash::Device,
     debug: Option<Messenger>,
-    instance: ash::Instance,
-    _entry: ash::Entry,
+    pub(super) physical: vk::PhysicalDevice,
+    pub(super) instance: ash::Instance,
+    pub(super) entry: ash::Entry,
 }
 
 /// Byte accounting of all allocations of a device.
@@ -110,8 +113,20 @@ pub(super) fn vk_error(call: &'static str) -> impl Fn(vk::Result) -> Error {
 impl Gpu {
     /// Opens a device.
     pub fn new(options: &GpuOptions) -> Result<Self> {
-        let (entry, instance, debug, messages) = create_instance(options)?;
-        let result = Self::open(entry.clone(), &instance, debug.clone(), messages, options);
+        Self::new_for(options, &Screen::NONE).map(|(gpu, _)| gpu)
+    }
+
+    /// Opens a device that can present to `screen`; with it comes the surface that `screen` made.
+    pub(super) fn new_for(options: &GpuOptions, screen: &Screen<'_>) -> Result<(Self, vk::SurfaceKHR)> {
+        let (entry, instance, debug, messages) = create_instance(options, screen.extensions)?;
+        let surface = (screen.make)(&entry, &instance);
+        let result = surface.and_then(|surface| {
+            let opened = Self::open(entry.clone(), &instance, debug.clone(), messages, options, surface);
+            if opened.is_err() {
+                destroy_surface(&entry, &instance, surface);
+            }
+            Ok((opened?, surface))
+        });
         if result.is_err() {
             if let Some((loader, messenger)) = debug {
                 // SAFETY: made from this instance, not used afterwards.
@@ -129,11 +144,26 @@ impl Gpu {
         debug: Option<Messenger>,
         messages: Messages,
         options: &GpuOptions,
+        surface: vk::SurfaceKHR,
     ) -> Result<Self> {
-        let candidates = enumerate(instance)?;
+        let mut candidates = enumerate(instance)?;
+        let presents = |(physical, info): &(vk::PhysicalDevice, DeviceInfo)| {
+            surface == vk::SurfaceKHR::null() || present_family(&entry, instance, *physical, info, surface).is_some()
+        };
+        if options.device.is_none() && candidates.iter().any(presents) {
+            candidates.retain(presents);
+        }
         let index = choose(&candidates, options.device.as_deref())?;
         let (physical, info) = candidates[index].clone();
-        let (device, family) = create_device(instance, physical, &info)?;
+        let family = if surface == vk::SurfaceKHR::null() {
+            let reason = || format!("{}: {}", info.name, REQUIREMENTS[0].why);
+            info.capabilities.compute_family.ok_or_else(|| Error::NoDevice { reason: reason() })?
+        } else {
+            let reason = || format!("{} cannot show pictures in a window here", info.name);
+            present_family(&entry, instance, physical, &info, surface)
+                .ok_or_else(|| Error::NoDevice { reason: reason() })?
+        };
+        let device = create_device(instance, physical, &info, family, surface != vk::SurfaceKHR::null())?;
         // SAFETY: the queue was requested at device creation.
         let queue = unsafe { device.get_device_queue(family, 0) };
         let sync2 = if info.capabilities.api_version >= vk::API_VERSION_1_3 {
@@ -169,8 +199,9 @@ impl Gpu {
             sync2,
             device,
             debug,
+            physical,
             instance: instance.clone(),
-            _entry: entry,
+            entry,
         })))
     }
 
@@ -254,17 +285,17 @@ impl Drop for Shared {
 /// All Vulkan devices of this machine, usable or not, in the order of their index.
 pub fn devices() -> Result<Vec<DeviceInfo>> {
     let options = GpuOptions { validation: false, ..GpuOptions::default() };
-    let (_entry, instance, _, _) = create_instance(&options)?;
+    let (_entry, instance, _, _) = create_instance(&options, &[])?;
     let list = enumerate(&instance).map(|all| all.into_iter().map(|(_, info)| info).collect());
     // SAFETY: nothing made from it is left.
     unsafe { instance.destroy_instance(None) };
     list
 }
 
-type Messenger = (ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT);
-type Messages = Arc<Mutex<Vec<String>>>;
-
-fn create_instance(options: &GpuOptions) -> Result<(ash::Entry, ash::Instance, Option<Messenger>, Messages)> {
+fn create_instance(
+    options: &GpuOptions,
+    window_extensions: &[&'static CStr],
+) -> Result<(ash::Entry, ash::Instance, Option<Messenger>, Messages)> {
     // SAFETY: loading the system's Vulkan loader runs its initialisers, which are trusted.
     let entry = unsafe { ash::Entry::load() }.map_err(|e| Error::NoDevice {
         reason: format!("the Vulkan loader (libvulkan.so.1) cannot be loaded: {e}; run ci/setup"),
@@ -299,6 +330,13 @@ fn create_instance(options: &GpuOptions) -> Result<(ash::Entry, ash::Instance, O
     }
     // SAFETY: plain query.
     let available = unsafe { entry.enumerate_instance_extension_properties(None) }.map_err(no_instance)?;
+    for name in window_extensions {
+        if !available.iter().any(|e| e.extension_name_as_c_str() == Ok(name)) {
+            let reason = format!("the Vulkan loader lacks {}, which windows of this kind need", name.to_string_lossy());
+            return Err(Error::NoDevice { reason });
+        }
+        extensions.push(name.as_ptr());
+    }
     let mut flags = vk::InstanceCreateFlags::empty();
     if available.iter().any(|e| e.extension_name_as_c_str() == Ok(ash::khr::portability_enumeration::NAME)) {
         extensions.push(ash::khr::portability_enumeration::NAME.as_ptr());
@@ -326,46 +364,6 @@ fn create_instance(options: &GpuOptions) -> Result<(ash::Entry, ash::Instance, O
     let messages = Arc::new(Mutex::new(Vec::new()));
     let debug = if options.validation { Some(create_messenger(&entry, &instance, &messages)?) } else { None };
     Ok((entry, instance, debug, messages))
-}
-
-fn create_messenger(entry: &ash::Entry, instance: &ash::Instance, messages: &Messages) -> Result<Messenger> {
-    let loader = ash::ext::debug_utils::Instance::new(entry, instance);
-    let create = vk::DebugUtilsMessengerCreateInfoEXT::default()
-        .message_severity(vk::DebugUtilsMessageSeverityFlagsEXT::ERROR | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING)
-        .message_type(
-            vk::DebugUtilsMessageTypeFlagsEXT::GENERAL
-                | vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION
-                | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE,
-        )
-        .pfn_user_callback(Some(on_message))
-        .user_data(Arc::as_ptr(messages).cast_mut().cast());
-    // SAFETY: `messages` is kept by `Shared`, which destroys the messenger before it drops the list.
-    let messenger = unsafe { loader.create_debug_utils_messenger(&create, None) };
-    Ok((loader, messenger.map_err(vk_error("vkCreateDebugUtilsMessengerEXT"))?))
-}
-
-// SAFETY contract: called by the validation layer with a valid callback data pointer and our list as user data.
-unsafe extern "system" fn on_message(
-    _severity: vk::DebugUtilsMessageSeverityFlagsEXT,
-    _kind: vk::DebugUtilsMessageTypeFlagsEXT,
-    data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
-    user: *mut std::ffi::c_void,
-) -> vk::Bool32 {
-    if data.is_null() || user.is_null() {
-        return vk::FALSE;
-    }
-    // SAFETY: see the contract above; the text is a NUL-terminated string when present.
-    let (text, list) = unsafe {
-        let text = if (*data).p_message.is_null() {
-            String::new()
-        } else {
-            CStr::from_ptr((*data).p_message).to_string_lossy().into_owned()
-        };
-        (text, &*user.cast::<Mutex<Vec<String>>>())
-    };
-    log::warn!("validation: {text}");
-    lock(list).push(text);
-    vk::FALSE
 }
 
 fn enumerate(instance: &ash::Instance) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
@@ -414,11 +412,10 @@ fn create_device(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
     info: &DeviceInfo,
-) -> Result<(ash::Device, u32)> {
+    family: u32,
+    presents: bool,
+) -> Result<ash::Device> {
     let capabilities: &Capabilities = &info.capabilities;
-    let family = capabilities
-        .compute_family
-        .ok_or_else(|| Error::NoDevice { reason: format!("{}: {}", info.name, REQUIREMENTS[0].why) })?;
     let priorities = [1.0];
     let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&priorities)];
     let mut extensions: Vec<CString> = Vec::new();
@@ -432,6 +429,9 @@ fn create_device(
         enable(ash::ext::subgroup_size_control::NAME);
     }
     enable(ash::khr::portability_subset::NAME);
+    if presents {
+        enable(ash::khr::swapchain::NAME);
+    }
     if capabilities.float_atomics {
         enable(ash::ext::shader_atomic_float::NAME);
     }
@@ -453,8 +453,7 @@ fn create_device(
         create = create.push_next(&mut atomic_float);
     }
     // SAFETY: every feature and extension named was reported by the device.
-    let device = unsafe { instance.create_device(physical, &create, None) }.map_err(vk_error("vkCreateDevice"))?;
-    Ok((device, family))
+    unsafe { instance.create_device(physical, &create, None) }.map_err(vk_error("vkCreateDevice"))
 }
 
 fn cache_path(info: &DeviceInfo) -> Option<PathBuf> {

@@ -11,11 +11,21 @@ mod commands;
 mod device;
 pub mod kernel;
 mod memory;
+mod messenger;
 pub mod mmap;
+#[cfg(feature = "window")]
+pub mod painter;
 mod pipeline;
+#[cfg(feature = "window")]
+pub mod presenter;
 pub mod product;
 mod recorder;
 pub mod spirv;
+mod surface;
+#[cfg(feature = "window")]
+mod swapchain;
+#[cfg(feature = "window")]
+mod texture;
 
 pub use capability::{Capabilities, DeviceInfo};
 pub use commands::{Commands, Submission, Timing};
@@ -23,3 +33,5 @@ pub use device::{Gpu, GpuOptions, devices};
 pub use kernel::Kernel;
 pub use memory::{Buffer, Memory, Slice};
 pub use recorder::{Groups, Recorder, SLICE_ALIGNMENT};
+#[cfg(feature = "window")]
+pub use surface::{Surface, WindowHandle};

@@ -15,6 +15,7 @@ pub(crate) mod bounds;
 pub mod compact;
 pub mod deform_network;
 pub mod deform_project;
+pub mod display;
 pub mod ellipse;
 pub mod frame;
 pub mod half;
@@ -40,4 +41,4 @@ pub(crate) mod work_buffers;
 
 pub use pipeline::KERNELS;
 pub use quality::Quality;
-pub use renderer::{FrameId, FrameStatistics, MemoryUse, RenderOptions, Renderer};
+pub use renderer::{FrameId, FrameStatistics, MemoryUse, Picked, RenderOptions, Renderer};

@@ -319,5 +319,6 @@ pub static KERNELS: &[&Kernel] = &[
     &EMIT_TILES,
     &TILE_RANGES,
     &BLEND,
+    &super::display::DISPLAY,
     &super::rate::ARITHMETIC_RATE,
 ];

@@ -1,5 +1,7 @@
 //! The renderer's public face: options, frames in flight, growth, read-back.
 
+mod live;
+
 use std::borrow::Cow;
 
 use crate::error::{Error, Result};
@@ -17,6 +19,8 @@ use super::quality::Quality;
 use super::scene_buffers::{Poses, SceneBuffers};
 use super::splat::splat_words;
 use super::work_buffers::{COUNTER_WORDS, WorkBuffers};
+
+pub use live::Picked;
 
 /// Tile instances that the first frame has room for, per Gaussian.
 const FIRST_INSTANCES_PER_GAUSSIAN: u64 = 2;
@@ -116,6 +120,8 @@ pub struct Renderer {
     targets: Option<Targets>,
     capacity: u64,
     frames: u64,
+    /// Counts the targets made so far.
+    generation: u64,
 }
 
 impl Renderer {
@@ -127,7 +133,7 @@ impl Renderer {
         let scene = SceneBuffers::new(gpu, scene, options.motion, &options.quality)?;
         let capacity = (u64::from(scene.gaussians) * FIRST_INSTANCES_PER_GAUSSIAN).max(4096);
         let mut renderer =
-            Self { gpu: gpu.clone(), options: options.clone(), scene, targets: None, capacity, frames: 0 };
+            Self { gpu: gpu.clone(), options: options.clone(), scene, targets: None, capacity, frames: 0, generation: 0 };
         renderer.capacity = capacity.min(renderer.instance_limit());
         Ok(renderer)
     }
@@ -326,6 +332,7 @@ impl Renderer {
         if !fits {
             // Old buffers go before new ones come: the peak is the larger of the two, not the sum.
             self.targets = None;
+            self.generation += 1;
             self.targets = Some(self.make_targets(size, capacity)?);
         }
         Ok(self.frames as usize % FRAMES_IN_FLIGHT)

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use engine::error::Result;
 use tools::args::{Cli, Command};
-use tools::{bench, compare, demo, devices, eval, hard_cases, inspect, output, render, train};
+use tools::{bench, compare, demo, devices, eval, hard_cases, inspect, output, render, train, viewer};
 
 fn main() -> ExitCode {
     match output::parse::<Cli>("spgs") {
@@ -19,6 +19,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Demo(args) => demo::run(args, &cli.global),
         Command::Train(args) => train::run(args, &cli.global),
         Command::Render(args) => render::run(args, &cli.global),
+        Command::View(args) => viewer::run(args, &cli.global),
         Command::Bench(args) => bench::run(args, &cli.global),
         Command::Compare(args) => compare::run(args, &cli.global),
         Command::Eval(args) => eval::run(args, &cli.global),

@@ -1,0 +1,87 @@
+//! Arguments of `spgs view`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use engine::render::Quality;
+
+use super::{MotionArg, color, finite, knobs, preset};
+
+/// `spgs view`.
+#[derive(Debug, Args)]
+pub struct ViewerArgs {
+    /// Model: .safetensors or 3DGS .ply; a folder of `spgs train` is watched while it trains [default: an empty window that
+    /// takes dropped files]
+    pub model: Option<PathBuf>,
+    /// Camera file (transforms*.json), COLMAP folder or data set: camera presets, frusta, and which way is up
+    #[arg(long, value_name = "FILE|DATA")]
+    pub data: Option<PathBuf>,
+    /// Part of the data set
+    #[arg(long, value_name = "NAME", requires = "data")]
+    pub split: Option<String>,
+    /// Size of the window, pixels
+    #[arg(long, value_name = "WxH", default_value = "1280x800", value_parser = size)]
+    pub size: [u32; 2],
+    /// First time shown [default: the start of the motion]
+    #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = finite)]
+    pub time: Option<f64>,
+    /// Time stands still at first
+    #[arg(long)]
+    pub pause: bool,
+    /// Colour behind the scene
+    #[arg(long, value_name = "R,G,B", default_value = "0,0,0", allow_hyphen_values = true, value_parser = color)]
+    pub background: [f32; 3],
+    /// Where the motion comes from [default: the key-time table where the model has one]
+    #[arg(long, value_enum)]
+    pub motion: Option<MotionArg>,
+    /// What may be given up for speed: exact; high: nothing that is visible; fast: a few levels of 255 in places
+    #[arg(long, value_name = "exact|high|fast", default_value = "high", value_parser = preset)]
+    pub quality: Quality,
+    /// Single knobs on top of --quality, knob=value,… (see `spgs render --help`)
+    #[arg(long, value_name = "KNOB=VALUE,…", value_parser = knobs)]
+    pub set: Option<String>,
+    /// Folder for saved pictures and recorded camera paths
+    #[arg(long, value_name = "DIR", default_value = "out/view")]
+    pub out: PathBuf,
+    /// Draw as fast as possible instead of once per refresh of the display
+    #[arg(long)]
+    pub no_vsync: bool,
+    /// Close the window after N frames
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub frames: Option<u64>,
+    /// Print what was measured as JSON when the window closes
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl ViewerArgs {
+    /// `--quality` with the knobs of `--set`.
+    pub fn quality(&self) -> Quality {
+        let mut quality = self.quality;
+        // The parser has taken the list, so nothing is left to refuse.
+        let _ = quality.set_all(self.set.as_deref().unwrap_or_default());
+        quality
+    }
+}
+
+/// Parses `WxH`.
+fn size(text: &str) -> Result<[u32; 2], String> {
+    let parts: Vec<u32> = text.split(['x', 'X', '×']).filter_map(|p| p.trim().parse().ok()).collect();
+    match parts[..] {
+        [w, h] if (64..=16_384).contains(&w) && (64..=16_384).contains(&h) => Ok([w, h]),
+        _ => Err("expected WIDTHxHEIGHT from 64x64 to 16384x16384, for example 1280x800".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_two_numbers() {
+        assert_eq!(size("640x480"), Ok([640, 480]));
+        for bad in ["", "640", "640x", "0x480", "99999x480", "640x480x3", "axb"] {
+            assert!(size(bad).is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,241 @@
+//! Mouse, trackpad and keys. Everything comes through egui, so that the interface takes what is meant for it.
+
+use egui::{Key, Modifiers, PointerButton};
+use engine::scene::Camera;
+use glam::DVec3;
+
+use super::navigator::{Navigation, Thrust};
+use super::state::{Request, Show, State};
+
+/// One line of the list of keys.
+pub(super) struct Binding {
+    pub(super) keys: &'static str,
+    pub(super) does: &'static str,
+}
+
+const fn binding(keys: &'static str, does: &'static str) -> Binding {
+    Binding { keys, does }
+}
+
+/// The list of keys that `?` shows, in groups.
+pub(super) const BINDINGS: [(&str, &[Binding]); 4] = [
+    (
+        "Camera",
+        &[
+            binding("Left / middle drag", "orbit (fly: look around)"),
+            binding("Right drag, Shift+drag", "pan"),
+            binding("Wheel, Ctrl+drag, pinch", "zoom (fly: speed)"),
+            binding("Two fingers", "orbit; with Shift pan, with Ctrl zoom"),
+            binding("W A S D  Q E", "move; Shift: faster"),
+            binding("Tab", "orbit / fly"),
+            binding("Double click, F", "look at the point / everything"),
+            binding("Numpad 1 3 7 9", "front, right, top, opposite"),
+            binding("Page up / down", "cameras of the data set"),
+            binding("U", "another direction is up"),
+        ],
+    ),
+    (
+        "Time",
+        &[
+            binding("Space", "play / pause"),
+            binding("Left / right", "step; Shift: ten steps"),
+            binding("Home / End", "start / end"),
+            binding("[  ]", "slower / faster"),
+            binding("L", "loop, ping-pong, once"),
+        ],
+    ),
+    (
+        "Show",
+        &[
+            binding("1 2 3 4 5", "colour, depth, opacity, tiles, superpoints"),
+            binding("C  P  K", "superpoint centres, their paths, camera frusta"),
+            binding("Click, Esc", "select a Gaussian's superpoint / nothing"),
+            binding("B", "background"),
+            binding("- / +", "resolution"),
+            binding("H", "panel"),
+        ],
+    ),
+    (
+        "File",
+        &[
+            binding("F12, Ctrl+S", "save a PNG; with Shift an EXR"),
+            binding("R", "start / stop recording the camera's path"),
+            binding("Drop a file", "open it"),
+            binding("Ctrl+Q", "quit"),
+            binding("?, F1", "this list"),
+        ],
+    ),
+];
+
+/// Applies what was done to the scene's part of the window; `height` of the window in points. Returns the keys held.
+pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut State) -> Thrust {
+    let height = f64::from(response.rect.height());
+    let modifiers = ui.input(|i| i.modifiers);
+    let delta = response.drag_delta();
+    let delta = [f64::from(delta.x), f64::from(delta.y)];
+    let by = |button| response.dragged_by(button);
+    if by(PointerButton::Secondary) || (by(PointerButton::Primary) || by(PointerButton::Middle)) && modifiers.shift {
+        state.navigator.drag_pan(delta, height);
+    } else if (by(PointerButton::Primary) || by(PointerButton::Middle)) && modifiers.command {
+        state.navigator.drag_zoom(delta, height);
+    } else if by(PointerButton::Primary) || by(PointerButton::Middle) {
+        state.navigator.drag_turn(delta, height);
+    }
+    if let Some(at) = response.interact_pointer_pos() {
+        if response.double_clicked() {
+            state.requests.push(Request::Pick([at.x, at.y], true));
+        } else if response.clicked() {
+            state.requests.push(Request::Pick([at.x, at.y], false));
+        }
+    }
+    if response.hovered() {
+        scroll(ui, state, height);
+    }
+    state.interacting |= response.dragged();
+    if ui.ctx().wants_keyboard_input() { Thrust::default() } else { keys(ui.ctx(), state) }
+}
+
+fn scroll(ui: &egui::Ui, state: &mut State, height: f64) {
+    ui.input(|input| {
+        let pinch = f64::from(input.zoom_delta());
+        for event in &input.events {
+            let egui::Event::MouseWheel { unit, delta, modifiers, .. } = event else { continue };
+            let delta = [f64::from(delta.x), f64::from(delta.y)];
+            match unit {
+                egui::MouseWheelUnit::Point => state.navigator.swipe(delta, height, modifiers.shift, modifiers.command),
+                _ => state.navigator.wheel(delta[1]),
+            }
+            state.interacting = true;
+            return;
+        }
+        if pinch != 1.0 {
+            state.navigator.zoom(8.0 * pinch.ln());
+            state.interacting = true;
+        }
+    });
+}
+
+/// Keys that do one thing when they are pressed, then those that are held.
+fn keys(context: &egui::Context, state: &mut State) -> Thrust {
+    let pressed: Vec<(Key, Modifiers)> = context.input(|input| {
+        let key = |e: &egui::Event| match e {
+            egui::Event::Key { key, pressed: true, modifiers, repeat, .. } if !repeat || repeats(*key) => {
+                Some((*key, *modifiers))
+            }
+            _ => None,
+        };
+        input.events.iter().filter_map(key).collect()
+    });
+    pressed.into_iter().for_each(|(key, modifiers)| press(key, modifiers, state));
+    context.input(|input| {
+        if input.modifiers.command {
+            return Thrust::default();
+        }
+        let axis = |plus: Key, minus: Key| f64::from(input.key_down(plus)) - f64::from(input.key_down(minus));
+        let direction = DVec3::new(axis(Key::D, Key::A), axis(Key::Q, Key::E), axis(Key::W, Key::S));
+        Thrust { direction, fast: input.modifiers.shift }
+    })
+}
+
+fn repeats(key: Key) -> bool {
+    matches!(key, Key::ArrowLeft | Key::ArrowRight | Key::PageUp | Key::PageDown)
+}
+
+/// One key.
+pub(super) fn press(key: Key, modifiers: Modifiers, state: &mut State) {
+    if modifiers.command {
+        match key {
+            Key::S if modifiers.shift => state.requests.push(Request::SaveExr),
+            Key::S => state.requests.push(Request::SavePng),
+            Key::Q => state.requests.push(Request::Quit),
+            _ => {}
+        }
+        return;
+    }
+    time_key(key, modifiers, state);
+    let settings = &mut state.settings;
+    match key {
+        Key::Tab => toggle_navigation(state),
+        Key::F => frame_everything(state),
+        Key::PageUp => state.next_camera(-1),
+        Key::PageDown => state.next_camera(1),
+        Key::U => cycle_up(state),
+        Key::Num1 => settings.show = Show::Color,
+        Key::Num2 => settings.show = Show::Depth,
+        Key::Num3 => settings.show = Show::Opacity,
+        Key::Num4 => settings.show = Show::Tiles,
+        Key::Num5 => settings.show = Show::Superpoints,
+        Key::C => settings.centers = !settings.centers,
+        Key::P => settings.paths = !settings.paths,
+        Key::K => settings.frusta = !settings.frusta,
+        Key::B => state.cycle_background(),
+        Key::Minus => settings.resolution = (settings.resolution - 0.125).max(0.125),
+        Key::Plus | Key::Equals => settings.resolution = (settings.resolution + 0.125).min(1.0),
+        Key::H => settings.panel = !settings.panel,
+        Key::Questionmark | Key::F1 => settings.help = !settings.help,
+        Key::Slash if modifiers.shift => settings.help = !settings.help,
+        Key::Escape => {
+            settings.help = false;
+            state.selection = None;
+        }
+        Key::R => state.requests.push(Request::ToggleRecording),
+        Key::F12 if modifiers.shift => state.requests.push(Request::SaveExr),
+        Key::F12 => state.requests.push(Request::SavePng),
+        _ => {}
+    }
+}
+
+fn time_key(key: Key, modifiers: Modifiers, state: &mut State) {
+    let timeline = &mut state.timeline;
+    let steps = if modifiers.shift { 10.0 } else { 1.0 };
+    match key {
+        Key::Space => timeline.toggle(),
+        Key::ArrowLeft => timeline.step(-steps),
+        Key::ArrowRight => timeline.step(steps),
+        Key::Home => timeline.seek(timeline.range[0]),
+        Key::End => timeline.seek(timeline.range[1]),
+        Key::OpenBracket => timeline.faster(0.5),
+        Key::CloseBracket => timeline.faster(2.0),
+        Key::L => timeline.repeat = timeline.repeat.next(),
+        _ => {}
+    }
+}
+
+fn toggle_navigation(state: &mut State) {
+    let mode = match state.navigator.mode {
+        Navigation::Orbit => Navigation::Fly,
+        Navigation::Fly => Navigation::Orbit,
+    };
+    state.navigator.mode = mode;
+    state.say(if mode == Navigation::Fly { "fly" } else { "orbit" }, false);
+}
+
+/// The whole scene, from the direction that the camera looks in.
+pub(super) fn frame_everything(state: &mut State) {
+    let pose = state.navigator.framing(state.extent.0, state.extent.1);
+    state.navigator.glide_to(pose);
+}
+
+/// The numpad's views, as in Blender: along axes that stand upright on the world's up.
+pub(super) fn numpad(number: u32, state: &mut State) {
+    let up = state.navigator.up;
+    let upright = Camera::look_at(DVec3::ZERO, up.any_orthonormal_vector(), up, 1.0, [2, 2]).rotation.transpose();
+    let direction = match number {
+        1 => upright.z_axis,
+        3 => -upright.x_axis,
+        7 => -up,
+        9 => -state.navigator.pose.forward(),
+        _ => return,
+    };
+    let pose = state.navigator.looking(direction);
+    state.navigator.glide_to(pose);
+}
+
+fn cycle_up(state: &mut State) {
+    const UPS: [(DVec3, &str); 4] =
+        [(DVec3::NEG_Y, "−y"), (DVec3::Z, "+z"), (DVec3::Y, "+y"), (DVec3::NEG_Z, "−z")];
+    let at = UPS.iter().position(|(u, _)| *u == state.navigator.up);
+    let (up, name) = UPS[at.map_or(0, |i| (i + 1) % UPS.len())];
+    state.navigator.set_up(up);
+    state.say(format!("up is {name}"), false);
+}

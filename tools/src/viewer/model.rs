@@ -1,0 +1,224 @@
+//! The scene that is shown: its renderers, superpoints and what a click finds.
+
+use std::path::PathBuf;
+
+use engine::error::Result;
+use engine::gpu::Gpu;
+use engine::reference::motion;
+use engine::render::{Quality, RenderOptions, Renderer};
+use engine::scene::{Gaussians, MotionSource, Scene};
+use glam::DVec3;
+
+use super::state::{Selection, Settings, Show};
+use crate::view;
+
+/// Golden ratio, for hues that differ as much as they can.
+const GOLDEN: f32 = 0.618_034;
+/// SH basis of degree 0.
+const SH_0: f32 = 0.282_094_8;
+/// Points of a superpoint's path.
+const PATH_STEPS: usize = 25;
+
+/// A model on the device.
+#[derive(Debug)]
+pub(super) struct Model {
+    pub(super) path: PathBuf,
+    pub(super) scene: Scene,
+    pub(super) center: DVec3,
+    pub(super) radius: f64,
+    pub(super) time_range: [f64; 2],
+    /// Centres of the superpoints at the time of the last [`Model::pose`].
+    pub(super) centers: Vec<DVec3>,
+    posed_at: Option<f64>,
+    /// Centres of the superpoints at evenly spread times.
+    pub(super) paths: Vec<Vec<DVec3>>,
+    built: (Quality, MotionSource),
+    plain: Renderer,
+    tinted: Option<(Tint, Renderer)>,
+}
+
+/// What the colours mean when they are not the scene's own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Tint {
+    /// The superpoint.
+    Superpoints,
+    /// One superpoint in full colour, the rest faded.
+    Only(u32),
+}
+
+impl Model {
+    pub(super) fn new(gpu: &Gpu, path: PathBuf, scene: Scene, settings: &Settings) -> Result<Self> {
+        let (center, radius) = view::extent(&scene);
+        let plain = Renderer::new(gpu, &scene, &options(settings))?;
+        let mut model = Self {
+            path,
+            center,
+            radius,
+            time_range: view::time_range(&scene),
+            centers: Vec::new(),
+            posed_at: None,
+            paths: Vec::new(),
+            built: (built_quality(settings), settings.motion),
+            plain,
+            tinted: None,
+            scene,
+        };
+        model.paths = model.sample_paths(settings.motion)?;
+        Ok(model)
+    }
+
+    pub(super) fn name(&self) -> String {
+        self.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned())
+    }
+
+    pub(super) fn superpoints(&self) -> usize {
+        self.scene.superpoints.as_ref().map_or(0, |s| s.position.len())
+    }
+
+    fn sample_paths(&self, source: MotionSource) -> Result<Vec<Vec<DVec3>>> {
+        if !self.scene.is_dynamic() {
+            return Ok(Vec::new());
+        }
+        let [start, end] = self.time_range;
+        let time = |i: usize| start + (end - start) * i as f64 / (PATH_STEPS - 1) as f64;
+        (0..PATH_STEPS).map(|i| centers(&self.scene, time(i), source)).collect()
+    }
+
+    /// Moves the superpoints' centres to a time.
+    pub(super) fn pose(&mut self, time: f64, source: MotionSource) -> Result<()> {
+        if self.posed_at != Some(time) {
+            self.centers = centers(&self.scene, time, source)?;
+            self.posed_at = Some(time);
+        }
+        Ok(())
+    }
+
+    /// The renderer for what is shown; made anew when the quality is another.
+    pub(super) fn renderer(
+        &mut self,
+        gpu: &Gpu,
+        settings: &Settings,
+        selection: Option<Selection>,
+    ) -> Result<&mut Renderer> {
+        let built = (built_quality(settings), settings.motion);
+        if self.built != built {
+            self.tinted = None;
+            // The old one goes first: the peak is the larger of the two, not the sum.
+            self.plain = Renderer::new(gpu, &Scene::default(), &RenderOptions::default())?;
+            self.plain = Renderer::new(gpu, &self.scene, &options(settings))?;
+            self.built = built;
+            self.posed_at = None;
+            self.paths = self.sample_paths(settings.motion)?;
+        }
+        let tint = self.tint(settings, selection);
+        if let Some(tint) = tint
+            && self.tinted.as_ref().is_none_or(|(shown, _)| *shown != tint)
+        {
+            let colors = self.colors(tint, settings.show);
+            let renderer = match self.tinted.take() {
+                Some((_, renderer)) => renderer,
+                None => Renderer::new(gpu, &self.without_colors(), &options(settings))?,
+            };
+            renderer.set_base_colors(&colors)?;
+            self.tinted = Some((tint, renderer));
+        }
+        let renderer = match (tint, &mut self.tinted) {
+            (Some(_), Some((_, renderer))) => renderer,
+            _ => &mut self.plain,
+        };
+        renderer.set_background(settings.background);
+        renderer.set_depth(settings.show == Show::Depth);
+        renderer.set_resolution(settings.resolution);
+        Ok(renderer)
+    }
+
+    fn tint(&self, settings: &Settings, selection: Option<Selection>) -> Option<Tint> {
+        let selected = selection.and_then(|s| s.superpoint).map(Tint::Only);
+        let wanted = match settings.show {
+            Show::Superpoints => selected.or(Some(Tint::Superpoints)),
+            Show::Color => selected,
+            _ => None,
+        };
+        wanted.filter(|_| self.superpoints() > 0)
+    }
+
+    /// A colour for each Gaussian.
+    fn colors(&self, tint: Tint, show: Show) -> Vec<[f32; 3]> {
+        let none = Vec::new();
+        let groups = self.scene.superpoints.as_ref().map_or(&none, |s| &s.of_gaussian);
+        let g = &self.scene.gaussians;
+        let k3 = g.sh_coefficients() * 3;
+        let own = |i: usize| [0, 1, 2].map(|c| (0.5 + SH_0 * g.sh[i * k3 + c]).clamp(0.0, 1.0));
+        let color = |(i, group): (usize, &u32)| match tint {
+            Tint::Superpoints => superpoint_color(*group),
+            Tint::Only(selected) if selected == *group && show == Show::Superpoints => superpoint_color(*group),
+            Tint::Only(selected) if selected == *group => own(i).map(|v| (0.25 + v).min(1.0)),
+            Tint::Only(_) => {
+                let [r, g, b] = own(i);
+                [0.3 * (0.25 * r + 0.5 * g + 0.25 * b); 3]
+            }
+        };
+        groups.iter().enumerate().map(color).collect()
+    }
+
+    /// The scene with SH of degree 0, to be coloured otherwise.
+    fn without_colors(&self) -> Scene {
+        let g = &self.scene.gaussians;
+        let gaussians = Gaussians { sh_degree: 0, sh: vec![0.0; 3 * g.len()], ..g.clone() };
+        Scene { gaussians, ..self.scene.clone() }
+    }
+}
+
+/// A colour of its own for each superpoint, the same in every session.
+pub(super) fn superpoint_color(index: u32) -> [f32; 3] {
+    let hue = (index as f32 * GOLDEN).fract();
+    let value = [0.95, 0.75, 0.85][index as usize % 3];
+    let saturation = [0.75, 0.6, 0.5][index as usize / 3 % 3];
+    let channel = |shift: f32| {
+        let x = ((hue + shift).fract() * 6.0 - 3.0).abs() - 1.0;
+        value * (1.0 - saturation + saturation * x.clamp(0.0, 1.0))
+    };
+    [channel(0.0), channel(2.0 / 3.0), channel(1.0 / 3.0)]
+}
+
+fn centers(scene: &Scene, time: f64, source: MotionSource) -> Result<Vec<DVec3>> {
+    let Some(superpoints) = &scene.superpoints else { return Ok(Vec::new()) };
+    let position = superpoints.position.iter().map(|p| DVec3::from_array(p.map(f64::from)));
+    Ok(match motion::poses(scene, time, source)? {
+        Some(poses) => position.zip(poses).map(|(p, q)| motion::exp(q.rotation) * p + q.translation).collect(),
+        None => position.collect(),
+    })
+}
+
+/// What a renderer is built with; the resolution changes without.
+fn built_quality(settings: &Settings) -> Quality {
+    Quality { resolution: 1.0, ..settings.quality }
+}
+
+fn options(settings: &Settings) -> RenderOptions {
+    RenderOptions {
+        background: settings.background,
+        motion: settings.motion,
+        quality: built_quality(settings),
+        profile: true,
+        ..RenderOptions::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neighbouring_superpoints_have_distinct_colours() {
+        for i in 0..60 {
+            let a = superpoint_color(i);
+            assert!(a.iter().all(|v| (0.0..=1.0).contains(v)));
+            for j in i + 1..i + 4 {
+                let b = superpoint_color(j);
+                let distance: f32 = a.iter().zip(b).map(|(x, y)| (x - y).abs()).sum();
+                assert!(distance > 0.2, "{i} {j}: {a:?} {b:?}");
+            }
+        }
+    }
+}

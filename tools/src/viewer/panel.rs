@@ -1,0 +1,375 @@
+//! The interface: a panel of numbers and switches, the time line, the frame rate, messages, the list of keys.
+
+use egui::{Align, Align2, Color32, Context, Layout, RichText, Sense, Ui, vec2};
+use engine::render::{MemoryUse, Quality};
+
+use super::input::{self, BINDINGS};
+use super::navigator::Navigation;
+use super::state::{Request, Selection, Settings, Show, State};
+use super::statistics::{HISTORY, STAGES};
+use super::theme::{self, ACCENT, BAD, FAINT, STAGE_COLORS};
+use super::timeline::Timeline;
+
+/// Windows narrower than this start without the panel, points.
+pub(super) const PANEL_FROM: f32 = 900.0;
+
+/// What the panel tells beside the state.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Info {
+    pub(super) device: String,
+    pub(super) model: String,
+    pub(super) gaussians: usize,
+    pub(super) superpoints: usize,
+    pub(super) key_times: usize,
+    pub(super) rendered: [u32; 2],
+    pub(super) memory: MemoryUse,
+    /// Gaussians of the selected superpoint; opacity and scales of the selected Gaussian.
+    pub(super) selected: Option<(usize, f32, [f32; 3])>,
+}
+
+/// Draws everything but the scene.
+pub(super) fn draw(context: &Context, state: &mut State, info: &Info) {
+    egui::TopBottomPanel::bottom("time")
+        .frame(theme::edge())
+        .show_separator_line(false)
+        .show(context, |ui| time_bar(ui, &mut state.timeline));
+    if state.settings.panel {
+        egui::SidePanel::right("panel")
+            .frame(theme::edge())
+            .resizable(false)
+            .exact_width(252.0)
+            .show_separator_line(false)
+            .show(context, |ui| {
+                egui::ScrollArea::vertical().show(ui, |ui| side_panel(ui, state, info));
+            });
+    }
+    rate(context, state, info);
+    messages(context, state);
+    if state.settings.help {
+        help(context, &mut state.settings);
+    }
+}
+
+fn time_bar(ui: &mut Ui, time: &mut Timeline) {
+    ui.horizontal(|ui| {
+        ui.add_enabled_ui(time.moves(), |ui| {
+            let symbol = if time.playing { "⏸" } else { "▶" };
+            let button = egui::Button::new(RichText::new(symbol).size(15.0)).min_size(vec2(30.0, 24.0));
+            if ui.add(button).on_hover_text("Space").clicked() {
+                time.toggle();
+            }
+            if ui.button(time.repeat.name()).on_hover_text("at the end (L)").clicked() {
+                time.repeat = time.repeat.next();
+            }
+            let mut speed = time.speed;
+            let field = egui::DragValue::new(&mut speed).speed(0.01).range(1.0 / 64.0..=64.0).suffix("×").max_decimals(2);
+            if ui.add(field).on_hover_text("speed ([ and ])").changed() {
+                time.speed = speed;
+            }
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                ui.monospace(format!("{:8.3}", time.time));
+                ui.spacing_mut().slider_width = (ui.available_width() - 4.0).max(40.0);
+                let [start, end] = time.range;
+                let mut t = time.time;
+                let slider = egui::Slider::new(&mut t, start..=end.max(start + 1e-9)).show_value(false);
+                if ui.add(slider).changed() {
+                    time.playing = false;
+                    time.seek(t);
+                }
+            });
+        });
+    });
+}
+
+fn side_panel(ui: &mut Ui, state: &mut State, info: &Info) {
+    let name = if info.model.is_empty() { "no model" } else { &info.model };
+    ui.add(egui::Label::new(RichText::new(name).heading()).truncate());
+    let faint = |ui: &mut Ui, text: String| ui.add(egui::Label::new(RichText::new(text).small().color(FAINT)).truncate());
+    faint(ui, format!("{} Gaussians", grouped(info.gaussians as u64)));
+    if info.superpoints > 0 {
+        faint(ui, format!("{} superpoints, {} key times", grouped(info.superpoints as u64), info.key_times));
+    }
+    faint(ui, info.device.clone());
+    section(ui, "Frame", |ui| frame_section(ui, state, info));
+    section(ui, "Show", |ui| show_section(ui, state));
+    section(ui, "Quality", |ui| quality_section(ui, &mut state.settings, info));
+    section(ui, "Camera", |ui| camera_section(ui, state));
+    if let Some(selection) = state.selection {
+        section(ui, "Selection", |ui| selection_section(ui, state, &selection, info));
+    }
+    section(ui, "Save", |ui| save_section(ui, state));
+}
+
+fn section(ui: &mut Ui, title: &str, add: impl FnOnce(&mut Ui)) {
+    ui.add_space(6.0);
+    ui.separator();
+    ui.label(RichText::new(title).strong().color(ACCENT));
+    add(ui);
+}
+
+fn row(ui: &mut Ui, name: &str, value: String) {
+    ui.horizontal(|ui| {
+        ui.label(RichText::new(name).color(FAINT));
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| ui.monospace(value));
+    });
+}
+
+fn frame_section(ui: &mut Ui, state: &State, info: &Info) {
+    stage_graph(ui, state);
+    let mean = state.statistics.mean_stages();
+    for ((name, ms), color) in STAGES.iter().zip(mean).zip(STAGE_COLORS) {
+        ui.horizontal(|ui| {
+            let (square, _) = ui.allocate_exact_size(vec2(9.0, 9.0), Sense::hover());
+            ui.painter().rect_filled(square, 2.0, color);
+            ui.label(RichText::new(*name).small());
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                ui.label(RichText::new(format!("{ms:.3} ms")).small().monospace());
+            });
+        });
+    }
+    row(ui, "device time", format!("{:.3} ms", mean.iter().sum::<f32>()));
+    row(ui, "visible", grouped(state.frame.visible.into()));
+    row(ui, "tile instances", grouped(state.frame.instances));
+    let [w, h] = info.rendered;
+    row(ui, "tiles", grouped(u64::from(w.div_ceil(16)) * u64::from(h.div_ceil(16))));
+    let m = &info.memory;
+    let bytes = m.scene + m.per_gaussian + m.per_instance + m.images;
+    row(ui, "device memory", format!("{:.1} MB", bytes as f64 / 1e6));
+}
+
+/// Stage times of the latest frames, stacked.
+fn stage_graph(ui: &mut Ui, state: &State) {
+    let size = vec2(ui.available_width(), 64.0);
+    let (area, _) = ui.allocate_exact_size(size, Sense::hover());
+    let painter = ui.painter_at(area);
+    painter.rect_filled(area, 3.0, Color32::from_rgba_unmultiplied(0, 0, 0, 110));
+    let total = |times: &[f32]| times.iter().sum::<f32>();
+    let most = state.statistics.history().map(|t| total(t)).fold(0.0_f32, f32::max);
+    if most <= 0.0 {
+        return;
+    }
+    let top = nice_above(most);
+    let width = area.width() / HISTORY as f32;
+    let count = state.statistics.history().count();
+    for (i, times) in state.statistics.history().enumerate() {
+        let x = area.right() - (count - i) as f32 * width;
+        let mut y = area.bottom();
+        for (ms, color) in times.iter().zip(STAGE_COLORS) {
+            let height = ms / top * area.height();
+            let bar = egui::Rect::from_min_max(egui::pos2(x, y - height), egui::pos2(x + width, y));
+            painter.rect_filled(bar, 0.0, color);
+            y -= height;
+        }
+    }
+    let label = format!("{top} ms");
+    painter.text(area.left_top() + vec2(4.0, 2.0), Align2::LEFT_TOP, label, egui::FontId::proportional(10.0), FAINT);
+}
+
+/// 1, 2 or 5 times a power of ten, at least `x`.
+fn nice_above(x: f32) -> f32 {
+    let power = 10_f32.powf(x.log10().floor());
+    [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|v| *v >= x).unwrap_or(10.0 * power)
+}
+
+fn show_section(ui: &mut Ui, state: &mut State) {
+    let settings = &mut state.settings;
+    egui::ComboBox::from_id_salt("show").width(226.0).selected_text(settings.show.name()).show_ui(ui, |ui| {
+        for (i, show) in (1..).zip(Show::ALL) {
+            ui.selectable_value(&mut settings.show, show, format!("{}   {i}", show.name()));
+        }
+    });
+    ui.checkbox(&mut settings.centers, "superpoint centres");
+    ui.checkbox(&mut settings.paths, "superpoint paths");
+    ui.checkbox(&mut settings.frusta, format!("camera frusta ({})", state.cameras.len()));
+    ui.horizontal(|ui| {
+        ui.label(RichText::new("background").color(FAINT));
+        ui.color_edit_button_rgb(&mut settings.background);
+    });
+}
+
+fn quality_section(ui: &mut Ui, settings: &mut Settings, info: &Info) {
+    ui.horizontal(|ui| {
+        for (name, preset) in Quality::PRESETS {
+            if ui.selectable_label(settings.quality_name == name, name).clicked() {
+                settings.quality_name = name;
+                settings.quality = Quality { resolution: 1.0, ..preset };
+            }
+        }
+        ui.checkbox(&mut settings.vsync, "vsync");
+    });
+    ui.horizontal(|ui| {
+        ui.spacing_mut().slider_width = 100.0;
+        let slider = egui::Slider::new(&mut settings.resolution, 0.125..=1.0).step_by(0.125).show_value(false);
+        ui.add(slider);
+        let [w, h] = info.rendered;
+        ui.label(RichText::new(format!("{w}×{h}")).small().monospace());
+    });
+}
+
+fn camera_section(ui: &mut Ui, state: &mut State) {
+    ui.horizontal(|ui| {
+        ui.selectable_value(&mut state.navigator.mode, Navigation::Orbit, "orbit");
+        ui.selectable_value(&mut state.navigator.mode, Navigation::Fly, "fly");
+        if ui.button("everything").on_hover_text("F").clicked() {
+            input::frame_everything(state);
+        }
+    });
+    let mut fov = state.navigator.pose.fov_y.to_degrees();
+    ui.horizontal(|ui| {
+        let slider = egui::Slider::new(&mut fov, 5.0..=120.0).suffix("°").max_decimals(0);
+        if ui.add(slider).on_hover_text("vertical field of view").changed() {
+            state.navigator.pose.fov_y = fov.to_radians();
+        }
+    });
+    if state.cameras.is_empty() {
+        return;
+    }
+    ui.horizontal(|ui| {
+        if ui.button("◀").on_hover_text("Page up").clicked() {
+            state.next_camera(-1);
+        }
+        if ui.button("▶").on_hover_text("Page down").clicked() {
+            state.next_camera(1);
+        }
+        let text = match state.camera.and_then(|i| Some((i, state.cameras.get(i)?))) {
+            Some((i, camera)) => format!("{} of {}  {}", i + 1, state.cameras.len(), camera.name),
+            None => format!("{} cameras", state.cameras.len()),
+        };
+        ui.add(egui::Label::new(RichText::new(text).small()).truncate());
+    });
+}
+
+fn selection_section(ui: &mut Ui, state: &mut State, selection: &Selection, info: &Info) {
+    row(ui, "Gaussian", grouped(selection.picked.gaussian.into()));
+    if let Some(superpoint) = selection.superpoint {
+        row(ui, "superpoint", superpoint.to_string());
+    }
+    if let Some((count, opacity, scale)) = info.selected {
+        if selection.superpoint.is_some() {
+            row(ui, "its Gaussians", grouped(count as u64));
+        }
+        row(ui, "opacity", format!("{opacity:.3}"));
+        row(ui, "scale", scale.map(|s| format!("{s:.2e}")).join(" "));
+    }
+    row(ui, "depth", format!("{:.3}", selection.picked.depth));
+    row(ui, "weight in the pixel", format!("{:.3}", selection.picked.weight));
+    row(ui, "blended there", selection.picked.blended.to_string());
+    if ui.button("nothing").on_hover_text("Esc").clicked() {
+        state.selection = None;
+    }
+}
+
+fn save_section(ui: &mut Ui, state: &mut State) {
+    ui.horizontal(|ui| {
+        if ui.button("PNG").on_hover_text("F12").clicked() {
+            state.requests.push(Request::SavePng);
+        }
+        if ui.button("EXR").on_hover_text("Shift+F12").clicked() {
+            state.requests.push(Request::SaveExr);
+        }
+        let text = if state.recording.is_some() { "⏹ stop" } else { "⏺ record path" };
+        if ui.button(text).on_hover_text("R").clicked() {
+            state.requests.push(Request::ToggleRecording);
+        }
+    });
+}
+
+/// The frame rate in the corner, and what goes on.
+fn rate(context: &Context, state: &State, info: &Info) {
+    egui::Area::new("rate".into()).anchor(Align2::LEFT_TOP, [10.0, 10.0]).interactable(false).show(context, |ui| {
+        theme::floating().show(ui, |ui| {
+            ui.horizontal(|ui| {
+                let number = |v: Option<f64>| v.map_or("–".to_owned(), |v| format!("{v:.0}"));
+                ui.label(RichText::new(number(state.statistics.fps())).size(20.0).strong());
+                ui.label(RichText::new("FPS").small().color(FAINT));
+                ui.label(RichText::new(format!("1 % low {}", number(state.statistics.low_fps()))).small().color(FAINT));
+            });
+            if let Some(frames) = state.recording {
+                ui.label(RichText::new(format!("⏺ recording, {frames} frames")).color(BAD));
+            }
+            if let Some(name) = &state.loading {
+                ui.horizontal(|ui| {
+                    ui.spinner();
+                    ui.label(format!("opening {name}"));
+                });
+            } else if info.model.is_empty() {
+                ui.label("drop a model here");
+            }
+            if state.settings.show != Show::Color {
+                ui.label(RichText::new(state.settings.show.name()).small().color(ACCENT));
+            }
+        });
+    });
+}
+
+fn messages(context: &Context, state: &State) {
+    if state.messages.is_empty() {
+        return;
+    }
+    egui::Area::new("messages".into()).anchor(Align2::LEFT_BOTTOM, [10.0, -56.0]).interactable(false).show(
+        context,
+        |ui| {
+            theme::floating().show(ui, |ui| {
+                for message in &state.messages {
+                    let color = if message.is_error { BAD } else { ui.visuals().text_color() };
+                    ui.label(RichText::new(&message.text).color(color));
+                }
+            });
+        },
+    );
+}
+
+fn help(context: &Context, settings: &mut Settings) {
+    let mut open = true;
+    egui::Window::new("Keys")
+        .anchor(Align2::CENTER_CENTER, [0.0, -20.0])
+        .collapsible(false)
+        .resizable(false)
+        .open(&mut open)
+        .show(context, |ui| {
+            ui.horizontal_top(|ui| {
+                for pair in BINDINGS.chunks(2) {
+                    ui.vertical(|ui| pair.iter().for_each(|(title, bindings)| help_group(ui, title, bindings)));
+                    ui.add_space(8.0);
+                }
+            });
+        });
+    settings.help &= open;
+}
+
+fn help_group(ui: &mut Ui, title: &str, bindings: &[input::Binding]) {
+    ui.label(RichText::new(title).strong().color(ACCENT));
+    egui::Grid::new(title).num_columns(2).spacing([10.0, 2.0]).show(ui, |ui| {
+        for binding in bindings {
+            ui.label(RichText::new(binding.keys).small().strong());
+            ui.label(RichText::new(binding.does).small().color(FAINT));
+            ui.end_row();
+        }
+    });
+    ui.add_space(6.0);
+}
+
+/// `1 234 567`.
+fn grouped(n: u64) -> String {
+    let digits = n.to_string();
+    let mut out = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            out.push(' ');
+        }
+        out.push(digit);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_read_well() {
+        assert_eq!(grouped(0), "0");
+        assert_eq!(grouped(1234567), "1 234 567");
+        assert_eq!((nice_above(0.7), nice_above(12.0), nice_above(5.0)), (1.0, 20.0, 5.0));
+    }
+}

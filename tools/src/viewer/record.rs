@@ -1,0 +1,114 @@
+//! Recorded camera paths: a NeRF `transforms.json` with a time per frame, which `spgs render --cameras` reads.
+
+use std::path::{Path, PathBuf};
+
+use engine::error::{Error, Result};
+use engine::scene::Camera;
+use glam::DMat4;
+use serde_json::json;
+
+/// Seconds between two recorded frames.
+pub(super) const INTERVAL_S: f64 = 1.0 / 30.0;
+/// Longest path, frames: half an hour.
+const MAX_FRAMES: usize = 54_000;
+
+/// A path while it is recorded.
+#[derive(Debug, Default)]
+pub(super) struct Recording {
+    cameras: Vec<Camera>,
+    due: f64,
+}
+
+impl Recording {
+    /// `dt` seconds passed, at whose end the camera was this one.
+    pub(super) fn frame(&mut self, dt: f64, camera: impl Fn() -> Camera) {
+        self.due += dt;
+        while (self.due >= INTERVAL_S || self.cameras.is_empty()) && self.cameras.len() < MAX_FRAMES {
+            self.due = (self.due - INTERVAL_S).max(0.0);
+            self.cameras.push(camera());
+        }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.cameras.len()
+    }
+
+    /// Writes the path as the next free `path-N.json` of a folder.
+    pub(super) fn write(&self, folder: &Path) -> Result<PathBuf> {
+        let path = free_name(folder, "path", "json")?;
+        let text = crate::output::to_json(&self.to_json())? + "\n";
+        engine::file::durable::write(&path, text.as_bytes())?;
+        Ok(path)
+    }
+
+    fn to_json(&self) -> serde_json::Value {
+        let Some(first) = self.cameras.first() else { return json!({ "frames": [] }) };
+        let frames: Vec<_> = (0..).zip(&self.cameras).map(|(i, c)| frame(i, c)).collect();
+        json!({
+            "camera_angle_x": 2.0 * (0.5 * f64::from(first.width) / first.fx).atan(),
+            "w": first.width,
+            "h": first.height,
+            "fps": (1.0 / INTERVAL_S).round(),
+            "frames": frames,
+        })
+    }
+}
+
+/// Camera to world with OpenGL axes, row-major.
+fn frame(index: usize, camera: &Camera) -> serde_json::Value {
+    let to_world = camera.world_to_camera().inverse();
+    let opengl = DMat4::from_cols(to_world.x_axis, -to_world.y_axis, -to_world.z_axis, to_world.w_axis);
+    let rows: Vec<[f64; 4]> = (0..4).map(|r| opengl.row(r).to_array()).collect();
+    json!({
+        "file_path": format!("{index:05}"),
+        "time": camera.time,
+        "fl_x": camera.fx,
+        "fl_y": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        "w": camera.width,
+        "h": camera.height,
+        "transform_matrix": rows,
+    })
+}
+
+/// `STEM-1.EXTENSION`, or the next number that is free.
+pub(super) fn free_name(folder: &Path, stem: &str, extension: &str) -> Result<PathBuf> {
+    crate::render::create_folder(folder)?;
+    let name = |n: u32| folder.join(format!("{stem}-{n}.{extension}"));
+    (1..100_000).map(name).find(|p| !p.exists()).ok_or_else(|| {
+        Error::usage("folder for pictures", folder.display().to_string(), "fewer than 100000 files")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use glam::DVec3;
+
+    use super::*;
+
+    #[test]
+    fn a_recorded_path_is_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut recording = Recording::default();
+        let camera = |i: f64| {
+            let eye = DVec3::new(3.0 + i, -1.0, 2.0);
+            Camera { time: 0.125 * i, ..Camera::look_at(eye, DVec3::ZERO, DVec3::NEG_Y, 0.9, [320, 200]) }
+        };
+        for i in 0..5 {
+            recording.frame(0.034, || camera(f64::from(i)));
+        }
+        let path = recording.write(folder.path()).unwrap();
+        assert!(path.ends_with("path-1.json"));
+        let set = engine::data::load_cameras(&path, None, None).unwrap();
+        assert!(set.warnings.is_empty(), "{:?}", set.warnings);
+        assert_eq!(set.cameras.len(), recording.len());
+        for (back, expected) in set.cameras.iter().zip(&recording.cameras) {
+            assert_eq!((back.width, back.height, back.time), (320, 200, expected.time));
+            assert!(back.position.distance(expected.position) < 1e-6 && (back.fx - expected.fx).abs() < 1e-6);
+            let turned = (back.rotation - expected.rotation).to_cols_array();
+            assert!(turned.iter().all(|v| v.abs() < 1e-6), "{turned:?}");
+        }
+    }
+}
