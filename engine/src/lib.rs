@@ -9,6 +9,10 @@
 //!                                                 └ measured against reference::render (f64, CPU)
 //! ```
 //!
+//! A window gets its pictures without a way over the host (feature `window`, used by `spgs view`): kernel `display` makes 8-bit
+//! pixels of a frame, [`render::display::Screen`] keeps them, `gpu::presenter` copies them into the window's image and paints the
+//! interface over them.
+//!
 //! ## Modules, lowest first
 //!
 //! An import may only point downwards; a test reads the sources and enforces it.

@@ -18,11 +18,20 @@ pub fn open_to_measure(global: &Global) -> Result<Gpu> {
     open_with(global, options)
 }
 
-fn open_with(global: &Global, mut options: GpuOptions) -> Result<Gpu> {
+/// Options with the device of the command line.
+pub fn options(global: &Global) -> GpuOptions {
+    with_device(global, GpuOptions::default())
+}
+
+fn open_with(global: &Global, options: GpuOptions) -> Result<Gpu> {
+    Gpu::new(&with_device(global, options))
+}
+
+fn with_device(global: &Global, mut options: GpuOptions) -> GpuOptions {
     if global.device.is_some() {
         options.device.clone_from(&global.device);
     }
-    Gpu::new(&options)
+    options
 }
 
 /// One line that says which device and driver do the work.

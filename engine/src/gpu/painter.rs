@@ -134,7 +134,7 @@ impl Painter {
         let mut modules = [vk::ShaderModule::null(); 2];
         for (module, (_, bytes)) in modules.iter_mut().zip(SHADERS) {
             let words: Vec<u32> = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
-            // SAFETY: committed SPIR-V that naga and spirv-val accept.
+            // SAFETY: committed SPIR-V that spirv-val accepts.
             *module = unsafe {
                 device.create_shader_module(&vk::ShaderModuleCreateInfo::default().code(&words), None)
             }

@@ -12,7 +12,7 @@ use std::sync::atomic::Ordering;
 use ash::vk;
 
 use super::commands::Submission;
-use super::device::{Gpu, lock, vk_error};
+use super::device::{Gpu, vk_error};
 use super::memory::Buffer;
 use super::painter::{Kept, Mesh, Painter, TextureUpdate};
 use super::surface::Surface;
@@ -274,7 +274,7 @@ impl Gpu {
         signal: vk::Semaphore,
     ) -> Result<Submission> {
         let shared = &self.0;
-        let queue = lock(&shared.queue);
+        let queue = shared.lock_queue();
         let value = shared.submissions.load(Ordering::SeqCst) + 1;
         let (waits, stages, buffers) = ([wait], [stage], [commands]);
         let signals = [shared.timeline, signal];

@@ -2,7 +2,7 @@
 
 use ash::vk;
 
-use super::device::{lock, vk_error};
+use super::device::vk_error;
 use super::surface::Surface;
 use crate::error::{Error, Result};
 
@@ -174,7 +174,7 @@ impl Swapchain {
         let chains = [self.raw];
         let indices = [index as u32];
         let present = vk::PresentInfoKHR::default().wait_semaphores(&waits).swapchains(&chains).image_indices(&indices);
-        let queue = lock(&gpu.0.queue);
+        let queue = gpu.0.lock_queue();
         // SAFETY: the queue is locked; the semaphore is signalled by the submission before.
         match unsafe { self.loader.queue_present(*queue, &present) } {
             Ok(suboptimal) => Ok(!suboptimal),

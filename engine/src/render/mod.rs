@@ -8,15 +8,19 @@
 //! [`Renderer`] uploads a scene once, records the frame once per image size and replays it: only the [`frame::Frame`]
 //! of each view is written by the host. Nothing is read back inside a frame; the counters are looked at after it, and a
 //! frame that needed more tile instances than the buffers hold is run again with larger ones.
+//!
+//! [`View`] records the same frame into another program's command buffer and image; [`embed`] says how.
 
 pub mod angle;
 pub mod blend;
 pub(crate) mod bounds;
+mod capacity;
 pub mod compact;
 pub mod deform_network;
 pub mod deform_project;
 pub mod display;
 pub mod ellipse;
+pub mod embed;
 pub mod frame;
 pub mod half;
 pub mod limits;
@@ -39,6 +43,8 @@ pub mod tiles;
 pub mod twin;
 pub(crate) mod work_buffers;
 
+pub use blend::PixelFormat;
+pub use embed::{Finished, Loading, Recorded, SceneHandle, SceneOptions, Target, View, ViewOptions};
 pub use pipeline::KERNELS;
 pub use quality::Quality;
 pub use renderer::{FrameId, FrameStatistics, MemoryUse, Picked, RenderOptions, Renderer};

@@ -8,7 +8,7 @@ use engine::render::Quality;
 use super::{MotionArg, color, finite, knobs, preset};
 
 /// `spgs view`.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 pub struct ViewerArgs {
     /// Model: .safetensors or 3DGS .ply; a folder of `spgs train` is watched while it trains [default: an empty window that
     /// takes dropped files]
@@ -52,6 +52,9 @@ pub struct ViewerArgs {
     /// Print what was measured as JSON when the window closes
     #[arg(long)]
     pub json: bool,
+    /// Test seam: the device is reported lost at the N-th submission
+    #[arg(long, value_name = "N", hide = true)]
+    pub lose_device_at: Option<u64>,
 }
 
 impl ViewerArgs {

@@ -98,6 +98,7 @@ pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut 
 fn scroll(ui: &egui::Ui, state: &mut State, height: f64) {
     ui.input(|input| {
         let pinch = f64::from(input.zoom_delta());
+        let mut scrolled = false;
         for event in &input.events {
             let egui::Event::MouseWheel { unit, delta, modifiers, .. } = event else { continue };
             let delta = [f64::from(delta.x), f64::from(delta.y)];
@@ -105,12 +106,12 @@ fn scroll(ui: &egui::Ui, state: &mut State, height: f64) {
                 egui::MouseWheelUnit::Point => state.navigator.swipe(delta, height, modifiers.shift, modifiers.command),
                 _ => state.navigator.wheel(delta[1]),
             }
-            state.interacting = true;
-            return;
+            scrolled = true;
         }
-        if pinch != 1.0 {
+        state.interacting |= scrolled || pinch != 1.0;
+        // egui makes a pinch of the wheel with Ctrl too.
+        if pinch != 1.0 && !scrolled {
             state.navigator.zoom(8.0 * pinch.ln());
-            state.interacting = true;
         }
     });
 }
@@ -238,4 +239,130 @@ fn cycle_up(state: &mut State) {
     let (up, name) = UPS[at.map_or(0, |i| (i + 1) % UPS.len())];
     state.navigator.set_up(up);
     state.say(format!("up is {name}"), false);
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+    use clap::Parser as _;
+    use egui::{Event, MouseWheelUnit, PointerButton, Pos2, RawInput, Rect, pos2, vec2};
+
+    use super::*;
+    use crate::args::{Cli, Command};
+
+    fn state() -> State {
+        let cli = Cli::try_parse_from(["spgs", "view", "--size", "640x480"]).unwrap();
+        let Command::View(args) = &cli.command else { panic!("another command") };
+        super::super::first_state(args).unwrap()
+    }
+
+    /// One frame of an interface that is only the scene.
+    fn frame(context: &egui::Context, state: &mut State, modifiers: Modifiers, events: Vec<Event>) -> Thrust {
+        let screen_rect = Some(Rect::from_min_size(Pos2::ZERO, vec2(640.0, 480.0)));
+        let input = RawInput { screen_rect, modifiers, events, ..RawInput::default() };
+        let mut thrust = Thrust::default();
+        let _ = context.run(input, |context| {
+            egui::CentralPanel::default().frame(egui::Frame::NONE).show(context, |ui| {
+                let response = ui.interact(ui.max_rect(), ui.id().with("scene"), egui::Sense::click_and_drag());
+                thrust = scene_input(ui, &response, state);
+            });
+        });
+        thrust
+    }
+
+    fn drag(state: &mut State, button: PointerButton, modifiers: Modifiers) {
+        let context = egui::Context::default();
+        let press = |pos, pressed| Event::PointerButton { pos, button, pressed, modifiers };
+        let (from, to) = (pos2(300.0, 200.0), pos2(340.0, 215.0));
+        frame(&context, state, modifiers, vec![Event::PointerMoved(from)]);
+        frame(&context, state, modifiers, vec![press(from, true)]);
+        frame(&context, state, modifiers, vec![Event::PointerMoved(to)]);
+        frame(&context, state, modifiers, vec![press(to, false)]);
+    }
+
+    fn key(key: Key, pressed: bool) -> Event {
+        Event::Key { key, physical_key: None, pressed, repeat: false, modifiers: Modifiers::NONE }
+    }
+
+    #[test]
+    fn drags_orbit_pan_and_zoom() {
+        let before = state().navigator.pose;
+        let after = |button, modifiers| {
+            let mut state = state();
+            drag(&mut state, button, modifiers);
+            state.navigator.pose
+        };
+        for button in [PointerButton::Primary, PointerButton::Middle] {
+            let orbit = after(button, Modifiers::NONE);
+            assert!(orbit.rotation != before.rotation && orbit.target == before.target);
+            let pan = after(button, Modifiers::SHIFT);
+            assert!(pan.rotation == before.rotation && pan.target != before.target);
+            let zoom = after(button, Modifiers::COMMAND);
+            assert!(zoom.rotation == before.rotation && zoom.distance != before.distance);
+        }
+        let pan = after(PointerButton::Secondary, Modifiers::NONE);
+        assert!(pan.rotation == before.rotation && pan.target != before.target);
+    }
+
+    #[test]
+    fn a_wheel_zooms_and_two_fingers_turn() {
+        let context = egui::Context::default();
+        let wheel = |unit, modifiers| {
+            let mut state = state();
+            let over = vec![Event::PointerMoved(pos2(300.0, 200.0))];
+            frame(&context, &mut state, modifiers, over);
+            let event = Event::MouseWheel { unit, delta: vec2(3.0, 2.0), modifiers };
+            frame(&context, &mut state, modifiers, vec![event]);
+            state.navigator.pose
+        };
+        let before = state().navigator.pose;
+        assert!(wheel(MouseWheelUnit::Line, Modifiers::NONE).distance < before.distance);
+        let turned = wheel(MouseWheelUnit::Point, Modifiers::NONE);
+        assert!(turned.rotation != before.rotation && turned.distance == before.distance);
+        assert!(wheel(MouseWheelUnit::Point, Modifiers::SHIFT).target != before.target);
+        assert!(wheel(MouseWheelUnit::Point, Modifiers::COMMAND).distance < before.distance);
+    }
+
+    #[test]
+    fn keys_are_held_or_pressed_once() {
+        let (context, mut state) = (egui::Context::default(), state());
+        let none = Modifiers::NONE;
+        let thrust = frame(&context, &mut state, none, vec![key(Key::W, true), key(Key::E, true)]);
+        assert_eq!(thrust.direction, DVec3::new(0.0, -1.0, 1.0));
+        assert_eq!(frame(&context, &mut state, none, vec![]).direction, DVec3::new(0.0, -1.0, 1.0));
+        let released = vec![key(Key::W, false), key(Key::E, false)];
+        assert_eq!(frame(&context, &mut state, none, released).direction, DVec3::ZERO);
+        frame(&context, &mut state, none, vec![key(Key::Num4, true), key(Key::K, true)]);
+        assert!(state.settings.show == Show::Tiles && state.settings.frusta);
+        frame(&context, &mut state, none, vec![]);
+        assert!(state.settings.frusta, "a key is pressed once");
+    }
+
+    #[test]
+    fn every_listed_key_does_something() {
+        let all: Vec<Key> = vec![
+            Key::F, Key::PageDown, Key::U, Key::Tab, Key::Num2, Key::C, Key::P, Key::K, Key::B, Key::Minus, Key::H,
+            Key::Questionmark, Key::F1, Key::R, Key::F12, Key::OpenBracket, Key::CloseBracket, Key::L,
+        ];
+        for key in all {
+            let (before, mut after) = (state(), state());
+            press(key, Modifiers::NONE, &mut after);
+            assert_ne!(format!("{before:?}"), format!("{after:?}"), "{key:?}");
+        }
+        let mut quits = state();
+        press(Key::Q, Modifiers::COMMAND, &mut quits);
+        assert_eq!(quits.requests, [Request::Quit]);
+    }
+
+    #[test]
+    fn numpad_views_look_along_upright_axes() {
+        for number in [1, 3, 7, 9] {
+            let mut state = state();
+            numpad(number, &mut state);
+            let goal = state.navigator.goal();
+            let along = goal.forward().dot(state.navigator.up).abs();
+            assert!(if number == 7 { along > 0.999 } else { along < 0.999 });
+            assert!(goal.target.distance(state.navigator.pose.target) < 1e-9);
+        }
+    }
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use engine::error::Result;
 use engine::gpu::Gpu;
-use engine::reference::motion;
+use engine::reference;
 use engine::render::{Quality, RenderOptions, Renderer};
 use engine::scene::{Gaussians, MotionSource, Scene};
 use glam::DVec3;
@@ -35,6 +35,8 @@ pub(super) struct Model {
     built: (Quality, MotionSource),
     plain: Renderer,
     tinted: Option<(Tint, Renderer)>,
+    /// Which of the two drew last.
+    tinted_last: bool,
 }
 
 /// What the colours mean when they are not the scene's own.
@@ -61,6 +63,7 @@ impl Model {
             built: (built_quality(settings), settings.motion),
             plain,
             tinted: None,
+            tinted_last: false,
             scene,
         };
         model.paths = model.sample_paths(settings.motion)?;
@@ -122,14 +125,20 @@ impl Model {
             renderer.set_base_colors(&colors)?;
             self.tinted = Some((tint, renderer));
         }
-        let renderer = match (tint, &mut self.tinted) {
-            (Some(_), Some((_, renderer))) => renderer,
-            _ => &mut self.plain,
-        };
+        self.tinted_last = tint.is_some();
+        let renderer = self.current();
         renderer.set_background(settings.background);
         renderer.set_depth(settings.show == Show::Depth);
         renderer.set_resolution(settings.resolution);
         Ok(renderer)
+    }
+
+    /// The renderer of the latest frame.
+    pub(super) fn current(&mut self) -> &mut Renderer {
+        match &mut self.tinted {
+            Some((_, renderer)) if self.tinted_last => renderer,
+            _ => &mut self.plain,
+        }
     }
 
     fn tint(&self, settings: &Settings, selection: Option<Selection>) -> Option<Tint> {
@@ -184,8 +193,8 @@ pub(super) fn superpoint_color(index: u32) -> [f32; 3] {
 fn centers(scene: &Scene, time: f64, source: MotionSource) -> Result<Vec<DVec3>> {
     let Some(superpoints) = &scene.superpoints else { return Ok(Vec::new()) };
     let position = superpoints.position.iter().map(|p| DVec3::from_array(p.map(f64::from)));
-    Ok(match motion::poses(scene, time, source)? {
-        Some(poses) => position.zip(poses).map(|(p, q)| motion::exp(q.rotation) * p + q.translation).collect(),
+    Ok(match reference::poses(scene, time, source)? {
+        Some(poses) => position.zip(poses).map(|(p, q)| reference::exp(q.rotation) * p + q.translation).collect(),
         None => position.collect(),
     })
 }

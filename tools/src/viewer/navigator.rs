@@ -125,6 +125,11 @@ impl Navigator {
         self.pose = pose;
     }
 
+    /// Where the camera is going.
+    pub(super) fn goal(&self) -> Pose {
+        self.glide.map_or(self.pose, |(_, goal, _)| goal)
+    }
+
     /// Whether the camera moves by itself.
     pub(super) fn is_gliding(&self) -> bool {
         self.glide.is_some()
@@ -167,7 +172,7 @@ impl Navigator {
     /// Turntable: by `yaw` about the world's up, by `pitch` about the camera's right, up to the poles.
     fn turn(&mut self, yaw: f64, pitch: f64) {
         // Dragging to the right turns the scene to the right, so the camera goes to the left.
-        let about_up = DQuat::from_axis_angle(self.up, if self.is_upside_down() { -yaw } else { yaw } * -1.0);
+        let about_up = DQuat::from_axis_angle(self.up, if self.is_upside_down() { yaw } else { -yaw });
         let turned = (about_up * self.pose.rotation).normalize();
         let right = turned * DVec3::X;
         let elevation = (turned * DVec3::Z).dot(self.up).clamp(-1.0, 1.0).asin();

@@ -60,11 +60,10 @@ impl Projection {
 }
 
 /// Draws what the settings ask for.
-pub(super) fn draw(painter: &Painter, projection: &Projection, state: &State, model: Option<&Model>) {
+pub(super) fn draw(painter: &Painter, projection: &Projection, state: &State, model: &Model) {
     if state.settings.frusta {
         frusta(painter, projection, state);
     }
-    let Some(model) = model else { return };
     if state.settings.paths {
         paths(painter, projection, model);
     }

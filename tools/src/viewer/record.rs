@@ -37,7 +37,7 @@ impl Recording {
     pub(super) fn write(&self, folder: &Path) -> Result<PathBuf> {
         let path = free_name(folder, "path", "json")?;
         let text = crate::output::to_json(&self.to_json())? + "\n";
-        engine::file::durable::write(&path, text.as_bytes())?;
+        engine::file::durable::write_atomic(&path, |out| out.write_all(text.as_bytes()))?;
         Ok(path)
     }
 
@@ -45,7 +45,6 @@ impl Recording {
         let Some(first) = self.cameras.first() else { return json!({ "frames": [] }) };
         let frames: Vec<_> = (0..).zip(&self.cameras).map(|(i, c)| frame(i, c)).collect();
         json!({
-            "camera_angle_x": 2.0 * (0.5 * f64::from(first.width) / first.fx).atan(),
             "w": first.width,
             "h": first.height,
             "fps": (1.0 / INTERVAL_S).round(),

@@ -119,9 +119,20 @@ pub(super) struct State {
     pub(super) loading: Option<String>,
     /// The user moves something: the next frames follow at once.
     pub(super) interacting: bool,
+    /// Where the camera's axis meets the window, pixels: the middle of what the interface leaves free.
+    pub(super) view_center: [f64; 2],
+    /// Seconds that the last frame let pass.
+    pub(super) step: f64,
+    pub(super) wants_to_quit: bool,
 }
 
 impl State {
+    /// The camera for a window of this size.
+    pub(super) fn view(&self, size: [u32; 2]) -> Camera {
+        let [cx, cy] = self.view_center;
+        Camera { cx, cy, ..self.navigator.pose.camera(size, self.timeline.time) }
+    }
+
     /// Shows a line for a while.
     pub(super) fn say(&mut self, text: impl Into<String>, is_error: bool) {
         let until = Instant::now() + std::time::Duration::from_secs_f64(MESSAGE_S);

@@ -1,0 +1,141 @@
+//! Opening models beside the window: files, and folders of a training run, which are looked at again and again.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, SystemTime};
+
+use engine::error::{Error, Result};
+use engine::scene::{Scene, Superpoints};
+use engine::train::checkpoint::Checkpoint;
+use winit::event_loop::EventLoopProxy;
+
+/// How often a folder is looked at.
+const WATCH_EVERY: Duration = Duration::from_secs(1);
+
+/// A model that was read.
+#[derive(Debug)]
+pub(super) struct Opened {
+    /// What was asked for.
+    pub(super) path: PathBuf,
+    pub(super) scene: Scene,
+    /// What the user should know.
+    pub(super) messages: Vec<String>,
+    /// Colour that the run was trained on.
+    pub(super) background: Option<[f32; 3]>,
+    /// Read again because the folder changed.
+    pub(super) again: bool,
+}
+
+/// What comes from another thread.
+#[derive(Debug)]
+pub(super) enum News {
+    Opened(Box<Opened>),
+    Failed(PathBuf, Error),
+}
+
+/// Reads `path` in a thread of its own; a folder is read again whenever it changes, until the flag is set.
+pub(super) fn start(path: PathBuf, proxy: EventLoopProxy<News>) -> Arc<AtomicBool> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let stopped = Arc::clone(&stop);
+    std::thread::spawn(move || {
+        let mut seen = None;
+        let mut again = false;
+        while !stopped.load(Ordering::Relaxed) {
+            let now = newest(&path);
+            if now != seen || !again {
+                let news = match open(&path, now.as_ref().map(|(p, _)| p.as_path())) {
+                    Ok(opened) => News::Opened(Box::new(Opened { again, ..opened })),
+                    // A checkpoint may be replaced while it is read; the next look finds another.
+                    Err(_) if again => {
+                        std::thread::sleep(WATCH_EVERY);
+                        continue;
+                    }
+                    Err(error) => News::Failed(path.clone(), error),
+                };
+                let failed = matches!(news, News::Failed(..));
+                if proxy.send_event(news).is_err() || failed || now.is_none() {
+                    return;
+                }
+                (seen, again) = (now, true);
+            }
+            std::thread::sleep(WATCH_EVERY);
+        }
+    });
+    stop
+}
+
+/// The newest model or checkpoint of a training folder; `None` for a file.
+fn newest(path: &Path) -> Option<(PathBuf, SystemTime)> {
+    if !path.is_dir() {
+        return None;
+    }
+    let checkpoints = std::fs::read_dir(path.join("checkpoints")).into_iter().flatten().flatten().map(|e| e.path());
+    let is_model = |p: &PathBuf| p.extension().is_some_and(|e| e == "safetensors");
+    let changed = |p: PathBuf| {
+        let time = std::fs::metadata(&p).and_then(|m| m.modified()).ok()?;
+        Some((p, time))
+    };
+    let all = checkpoints.chain([path.join("model.safetensors")]).filter(is_model).filter_map(changed);
+    all.max_by_key(|(_, time)| *time)
+}
+
+fn open(path: &Path, of_folder: Option<&Path>) -> Result<Opened> {
+    let file = match of_folder {
+        Some(file) if file.starts_with(path.join("checkpoints")) => return open_checkpoint(path, file),
+        Some(file) => file,
+        None if path.is_dir() => {
+            let expected = "a folder of `spgs train` with model.safetensors or checkpoints/";
+            return Err(Error::usage(path.display().to_string(), "a folder without a model", expected));
+        }
+        None => path,
+    };
+    let loaded = engine::file::load(file)?;
+    Ok(Opened {
+        path: path.to_owned(),
+        scene: loaded.scene,
+        messages: loaded.warnings,
+        background: None,
+        again: false,
+    })
+}
+
+/// The scene as a training run has it at this moment.
+fn open_checkpoint(folder: &Path, file: &Path) -> Result<Opened> {
+    let checkpoint = Checkpoint::load(file)?;
+    let mut scene = Scene { gaussians: checkpoint.parameters.gaussians, ..Scene::default() };
+    if let Some(motion) = checkpoint.motion {
+        scene.deform = Some(motion.network.deform()?);
+        let of_gaussian = checkpoint.parameters.superpoint_of_gaussian;
+        scene.superpoints = Some(Superpoints { of_gaussian, position: motion.position });
+    }
+    if let Some(network) = checkpoint.nonrigid {
+        scene.nonrigid = Some(network.nonrigid()?);
+    }
+    let count = scene.gaussians.len();
+    Ok(Opened {
+        path: folder.to_owned(),
+        scene,
+        messages: vec![format!("iteration {}: {count} Gaussians", checkpoint.iteration)],
+        background: Some(checkpoint.config.background),
+        again: false,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+
+    #[test]
+    fn folders_without_a_model_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(newest(folder.path()), None);
+        let error = open(folder.path(), None).unwrap_err();
+        assert_eq!(error.exit_code(), 2, "{error}");
+        assert_eq!(open(&folder.path().join("none.ply"), None).unwrap_err().exit_code(), 3);
+        let model = folder.path().join("model.safetensors");
+        std::fs::write(&model, b"x").unwrap();
+        assert_eq!(newest(folder.path()).unwrap().0, model);
+    }
+}

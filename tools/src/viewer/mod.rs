@@ -1,0 +1,349 @@
+//! `spgs view`: a window to fly through a moving scene, scrub its time and see what every millisecond goes to.
+//!
+//! ```text
+//! winit events ──► egui ──► input, panel ──► State (camera, time, settings, requests)
+//!                                               │
+//!                    Renderer ──► display ──► Presenter ──► window     (all on the device: gui.rs)
+//! ```
+//!
+//! Camera, time, statistics and input are plain code without window or device ([`navigator`], [`timeline`], [`statistics`],
+//! [`input`]). Frames are drawn while something moves; a still picture costs nothing.
+
+mod actions;
+mod gui;
+mod input;
+mod load;
+mod model;
+mod navigator;
+mod overlay;
+mod panel;
+mod record;
+mod state;
+mod statistics;
+mod theme;
+mod timeline;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use engine::error::{Error, Result};
+use engine::gpu::GpuOptions;
+use engine::render::Quality;
+use engine::scene::Scene;
+use serde_json::json;
+use winit::application::ApplicationHandler;
+use winit::dpi::PhysicalSize;
+use winit::event::{ElementState, KeyEvent, WindowEvent};
+use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy};
+use winit::keyboard::{KeyCode, PhysicalKey};
+use winit::window::{Window, WindowId};
+
+use self::gui::{Gui, Next};
+use self::load::{News, Opened};
+use self::navigator::{Navigator, Pose};
+use self::state::{Settings, Show, State};
+use self::timeline::Timeline;
+use crate::args::{Global, ViewerArgs, motion_source};
+use crate::{gpu_session, model as model_file, output, view};
+
+/// The program between two events.
+struct Viewer {
+    args: ViewerArgs,
+    options: GpuOptions,
+    proxy: EventLoopProxy<News>,
+    /// Stops the thread that watches a folder.
+    watching: Option<Arc<AtomicBool>>,
+    state: State,
+    gui: Option<Gui>,
+    drawn: u64,
+    opened_once: bool,
+    started: Instant,
+    error: Option<Error>,
+}
+
+/// Opens the window and runs until it is closed.
+pub fn run(args: &ViewerArgs, global: &Global) -> Result<()> {
+    if let Some(path) = &args.model {
+        std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
+    }
+    let state = first_state(args)?;
+    let no_display = |e: winit::error::EventLoopError| {
+        let found = output::one_line(&format!("no display ({e})"));
+        Error::usage("spgs view", found, "a graphical session (DISPLAY); pictures without one: spgs render")
+    };
+    let mut event_loop = EventLoop::<News>::with_user_event();
+    #[cfg(target_os = "linux")]
+    winit::platform::x11::EventLoopBuilderExtX11::with_any_thread(&mut event_loop, true);
+    let event_loop = event_loop.build().map_err(no_display)?;
+    let mut viewer = Viewer {
+        options: gpu_session::options(global),
+        proxy: event_loop.create_proxy(),
+        watching: None,
+        state,
+        gui: None,
+        drawn: 0,
+        opened_once: false,
+        started: Instant::now(),
+        error: None,
+        args: args.clone(),
+    };
+    event_loop.run_app(&mut viewer).map_err(no_display)?;
+    viewer.close()
+}
+
+fn first_state(args: &ViewerArgs) -> Result<State> {
+    let cameras = match &args.data {
+        Some(path) => model_file::load_cameras(path, args.split.as_deref(), [None; 2])?.cameras,
+        None => Vec::new(),
+    };
+    let camera = view::default_camera(&Scene::default(), args.size);
+    let up = navigator::up_of_cameras(&cameras);
+    let quality_name = Quality::PRESETS.iter().find(|(_, q)| *q == args.quality());
+    let settings = Settings {
+        show: Show::Color,
+        background: args.background,
+        resolution: args.quality().resolution,
+        quality: Quality { resolution: 1.0, ..args.quality() },
+        quality_name: quality_name.map_or("", |(name, _)| name),
+        motion: motion_source(args.motion),
+        vsync: !args.no_vsync,
+        centers: false,
+        paths: false,
+        frusta: false,
+        panel: args.size[0] as f32 >= panel::PANEL_FROM,
+        help: false,
+    };
+    Ok(State {
+        settings,
+        navigator: Navigator::new(Pose::of_camera(&camera, 1.0), up),
+        timeline: Timeline::new([0.0, 0.0]),
+        statistics: statistics::Statistics::default(),
+        frame: engine::render::FrameStatistics::default(),
+        selection: None,
+        extent: (glam::DVec3::ZERO, 1.0),
+        cameras,
+        camera: None,
+        requests: Vec::new(),
+        messages: Vec::new(),
+        recording: None,
+        loading: None,
+        interacting: false,
+        view_center: args.size.map(|s| 0.5 * f64::from(s)),
+        step: 0.0,
+        wants_to_quit: false,
+    })
+}
+
+impl Viewer {
+    /// Starts to read a model; it is shown when it is there.
+    fn open(&mut self, path: std::path::PathBuf) {
+        if let Some(stop) = self.watching.take() {
+            stop.store(true, Ordering::Relaxed);
+        }
+        self.state.loading = Some(path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned());
+        self.watching = Some(load::start(path, self.proxy.clone()));
+    }
+
+    fn show(&mut self, opened: Opened) -> Result<()> {
+        let Some(gui) = &mut self.gui else { return Ok(()) };
+        self.state.loading = None;
+        opened.messages.iter().for_each(|m| self.state.say(m.clone(), false));
+        let (again, first) = (opened.again, !self.opened_once);
+        if let (Some(background), true) = (opened.background, first) {
+            self.state.settings.background = background;
+        }
+        gui.set_model(opened, &mut self.state)?;
+        self.opened_once = true;
+        if !again {
+            self.place_camera(first);
+        }
+        self.started = Instant::now();
+        Ok(())
+    }
+
+    /// The whole scene in view, or the first camera of the data set.
+    fn place_camera(&mut self, first: bool) {
+        let Some(gui) = &self.gui else { return };
+        let camera = view::default_camera(&gui.model.scene, gui.size());
+        let state = &mut self.state;
+        let pose = Pose::of_camera(&camera, (camera.position - state.extent.0).length());
+        state.navigator.jump_to(pose);
+        if first && !state.cameras.is_empty() {
+            state.go_to_camera(0);
+            let pose = state.navigator.goal();
+            state.navigator.jump_to(pose);
+            state.timeline.playing = state.timeline.moves();
+        } else if state.navigator.up != glam::DVec3::NEG_Y {
+            // From the side and a little above.
+            let up = state.navigator.up;
+            let upright = state.navigator.looking(up.any_orthonormal_vector() - 0.25 * up);
+            state.navigator.jump_to(upright);
+        }
+        if first {
+            if let Some(time) = self.args.time {
+                state.timeline.seek(time);
+            }
+            state.timeline.playing &= !self.args.pause;
+        }
+    }
+
+    fn redraw(&mut self, event_loop: &ActiveEventLoop) {
+        let Some(gui) = &mut self.gui else { return };
+        let next = gui.frame(&mut self.state);
+        let done = next.and_then(|next| self.do_requests().map(|more| if more { Next::Now } else { next }));
+        match done {
+            Ok(next) => {
+                self.drawn += u64::from(self.opened_once);
+                self.schedule(next, event_loop);
+            }
+            Err(error) => self.fail(error, event_loop),
+        }
+    }
+
+    fn schedule(&mut self, next: Next, event_loop: &ActiveEventLoop) {
+        let counted = self.args.frames.is_some();
+        if self.args.frames.is_some_and(|n| self.drawn >= n) || self.state.wants_to_quit {
+            event_loop.exit();
+            return;
+        }
+        event_loop.set_control_flow(ControlFlow::Wait);
+        match next {
+            Next::After(delay) if !counted => {
+                event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + delay));
+            }
+            Next::WhenAsked if !counted => {}
+            _ => self.gui.iter().for_each(|g| g.window.request_redraw()),
+        }
+    }
+
+    fn fail(&mut self, error: Error, event_loop: &ActiveEventLoop) {
+        self.error.get_or_insert(error);
+        event_loop.exit();
+    }
+
+    /// What the program says at its end.
+    fn close(mut self) -> Result<()> {
+        if let Some(stop) = &self.watching {
+            stop.store(true, Ordering::Relaxed);
+        }
+        let statistics = &self.state.statistics;
+        let measured = (statistics.fps(), statistics.low_fps(), self.state.frame);
+        let (mut messages, mut device) = (0, None);
+        if let Some(gui) = self.gui.take() {
+            let gpu = gui.gpu.clone();
+            drop(gui);
+            device = Some(gpu.info().name.clone());
+            let all = gpu.take_validation_messages();
+            messages = all.len();
+            all.iter().for_each(|m| log::warn!("validation layer: {m}"));
+        }
+        if let Some(error) = self.error {
+            return Err(error);
+        }
+        if self.args.json {
+            let (fps, low, frame) = measured;
+            return output::json(&json!({
+                "device": device,
+                "frames": self.drawn,
+                "seconds": self.started.elapsed().as_secs_f64(),
+                "fps": fps,
+                "fps_low_1_percent": low,
+                "visible": frame.visible,
+                "instances": frame.instances,
+                "stages_ms": statistics::STAGES.iter().zip(self.state.statistics.mean_stages()).collect::<std::collections::BTreeMap<_, _>>(),
+                "validation_messages": messages,
+            }));
+        }
+        Ok(())
+    }
+}
+
+impl ApplicationHandler<News> for Viewer {
+    fn resumed(&mut self, event_loop: &ActiveEventLoop) {
+        if self.gui.is_some() {
+            return;
+        }
+        let [width, height] = self.args.size;
+        let attributes =
+            Window::default_attributes().with_title("spgs").with_inner_size(PhysicalSize::new(width, height));
+        let window = event_loop.create_window(attributes).map_err(|e| {
+            Error::usage("spgs view", format!("no window ({})", output::one_line(&e.to_string())), "a graphical session")
+        });
+        match window.and_then(|w| Gui::new(w, &self.options, &self.state)) {
+            Ok(gui) => {
+                if let Some(submission) = self.args.lose_device_at {
+                    gui.gpu.inject_device_lost(submission);
+                }
+                self.gui = Some(gui);
+            }
+            Err(error) => return self.fail(error, event_loop),
+        }
+        if let Some(path) = self.args.model.clone() {
+            self.open(path);
+        }
+        self.gui.iter().for_each(|g| g.window.request_redraw());
+    }
+
+    fn user_event(&mut self, event_loop: &ActiveEventLoop, news: News) {
+        let result = match news {
+            News::Opened(opened) => self.show(*opened),
+            News::Failed(path, error) if self.opened_once || self.args.model.as_ref() != Some(&path) => {
+                self.state.loading = None;
+                self.state.say(error.to_string(), true);
+                Ok(())
+            }
+            News::Failed(_, error) => Err(error),
+        };
+        if let Err(error) = result {
+            self.fail(error, event_loop);
+        }
+        self.gui.iter().for_each(|g| g.window.request_redraw());
+    }
+
+    fn new_events(&mut self, _: &ActiveEventLoop, cause: winit::event::StartCause) {
+        if let winit::event::StartCause::ResumeTimeReached { .. } = cause {
+            self.gui.iter().for_each(|g| g.window.request_redraw());
+        }
+    }
+
+    fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
+        match &event {
+            WindowEvent::CloseRequested => return event_loop.exit(),
+            WindowEvent::RedrawRequested => return self.redraw(event_loop),
+            WindowEvent::KeyboardInput { event, .. } if special_key(event, &mut self.state) => {
+                self.gui.iter().for_each(|g| g.window.request_redraw());
+                return;
+            }
+            _ => {}
+        }
+        let Some(gui) = &mut self.gui else { return };
+        if matches!(event, WindowEvent::Resized(_) | WindowEvent::ScaleFactorChanged { .. } | WindowEvent::Occluded(_)) {
+            gui.resized();
+            gui.window.request_redraw();
+        }
+        if gui.egui.on_window_event(&gui.window, &event).repaint {
+            gui.window.request_redraw();
+        }
+    }
+}
+
+/// Keys that egui keeps for itself or does not tell apart: Tab and those of the numpad.
+fn special_key(event: &KeyEvent, state: &mut State) -> bool {
+    let PhysicalKey::Code(code) = event.physical_key else { return false };
+    let numpad = match code {
+        KeyCode::Tab => 0,
+        KeyCode::Numpad1 => 1,
+        KeyCode::Numpad3 => 3,
+        KeyCode::Numpad7 => 7,
+        KeyCode::Numpad9 => 9,
+        _ => return false,
+    };
+    if event.state == ElementState::Pressed && !event.repeat {
+        match numpad {
+            0 => input::press(egui::Key::Tab, egui::Modifiers::NONE, state),
+            n => input::numpad(n, state),
+        }
+    }
+    true
+}
