@@ -128,3 +128,27 @@ pub extern "C" fn spgs_version() -> u32 {
         | part(env!("CARGO_PKG_VERSION_MINOR")) << 8
         | part(env!("CARGO_PKG_VERSION_PATCH"))
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::panic, reason = "tests")]
+    use super::*;
+
+    fn message() -> String {
+        // SAFETY: never null, valid until the next call of this thread.
+        unsafe { CStr::from_ptr(spgs_message()) }.to_string_lossy().into_owned()
+    }
+
+    #[test]
+    fn a_panic_is_a_status_and_a_message() {
+        assert_eq!(guard(|| panic!("a wheel came off")), PANIC);
+        assert!(message().contains("a wheel came off"), "{}", message());
+        assert_eq!(guard(|| Err(null("view"))), 2);
+        assert_eq!(message(), "view: found null, expected an object");
+        assert_eq!(guard(|| Ok(())), OK);
+        quietly(|| panic!("another"));
+        assert!(message().contains("destroyed"));
+        // Another thread has its own, and none yet.
+        assert_eq!(std::thread::spawn(message).join().ok(), Some(String::new()));
+    }
+}
