@@ -5,7 +5,9 @@ use std::sync::atomic::Ordering;
 
 use ash::vk;
 
+use super::access::Use;
 use super::device::{Gpu, vk_error};
+use super::kernel::Kernel;
 use super::memory::{Buffer, Memory};
 use super::sequence::{Encoding, Sequence};
 use crate::error::{Error, Result};
@@ -38,13 +40,6 @@ impl std::fmt::Debug for Commands {
     }
 }
 
-impl std::ops::Deref for Commands {
-    type Target = Sequence;
-    fn deref(&self) -> &Sequence {
-        &self.sequence
-    }
-}
-
 impl Commands {
     /// Encodes a sequence in a command buffer of its own.
     pub(super) fn encode(sequence: Sequence) -> Result<Self> {
@@ -57,6 +52,36 @@ impl Commands {
         };
         let (pool, raw) = encode_alone(&sequence, 0, breadcrumbs.as_ref(), &[])?;
         Ok(Self { sequence, pool, raw, breadcrumbs, last: Submission(0) })
+    }
+
+    /// The barrier plan.
+    pub fn plan(&self) -> &str {
+        self.sequence.plan()
+    }
+
+    /// Number of dispatches.
+    pub fn dispatches(&self) -> usize {
+        self.sequence.dispatches()
+    }
+
+    /// Number of barriers, the one at the beginning included.
+    pub fn barriers(&self) -> usize {
+        self.sequence.barriers()
+    }
+
+    /// Labels and kernels of the dispatches, in order.
+    pub fn kernels(&self) -> Vec<(&str, &'static Kernel)> {
+        self.sequence.kernels()
+    }
+
+    /// Push constants of the dispatches, in the order of [`Commands::kernels`].
+    pub fn push_constants(&self) -> Vec<&[u8]> {
+        self.sequence.push_constants()
+    }
+
+    /// Which bytes each operation touches, for tests of the plan.
+    pub fn uses(&self) -> Vec<(&str, &[Use], bool)> {
+        self.sequence.uses()
     }
 
     /// The latest submission of these commands.

@@ -136,6 +136,13 @@ impl Gpu {
         if !missing.is_empty() {
             return Err(Error::NoDevice { reason: format!("{}: lacks {}", info.name, missing.join(", ")) });
         }
+        // SAFETY: plain query.
+        let families = unsafe { instance.get_physical_device_queue_family_properties(physical) };
+        let family = families.get(host.queue_family as usize);
+        if !family.is_some_and(|f| f.queue_flags.contains(vk::QueueFlags::COMPUTE)) {
+            let found = format!("{} of {}", host.queue_family, families.len());
+            return Err(Error::usage("host device, queue family", found, "a family with compute"));
+        }
         // Whether a host enabled what is optional cannot be asked.
         info.capabilities.float_atomics = false;
         info.capabilities.compute_family = Some(host.queue_family);

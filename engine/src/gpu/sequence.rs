@@ -348,7 +348,7 @@ impl Sequence {
         self.operations.iter().filter_map(|o| kernel(o).map(|k| (o.label.as_str(), k))).collect()
     }
 
-    /// Push constants of the dispatches, in the order of [`Commands::kernels`].
+    /// Push constants of the dispatches, in the order of [`Sequence::kernels`].
     pub fn push_constants(&self) -> Vec<&[u8]> {
         let pushes = self.operations.iter().filter_map(|o| match &o.work {
             Work::Dispatch { push, .. } => Some(push.as_slice()),

@@ -60,7 +60,7 @@
 //! - **Growth**: a frame that needs more tile instances than the buffers hold shows the background only. The call that
 //!   finds this out, `in_flight` calls later, makes larger buffers and records with them; the old ones go when they are
 //!   not in use any more. [`View::warm_up`] finds the size beforehand, so that no frame is lost.
-//! - **Threads**: [`Gpu`] and [`SceneHandle`] are `Send` and `Sync`; [`View`] and [`Loading`] are `Send`. Different views
+//! - **Threads**: [`Gpu`](crate::gpu::Gpu) and [`SceneHandle`] are `Send` and `Sync`; [`View`] and [`Loading`] are `Send`. Different views
 //!   may be recorded on different threads at the same time, also of one scene, into command buffers of different pools.
 //!   Views of one scene that has network F or G share its output, so their command buffers execute one after another, as
 //!   those of one view do; those of other scenes may overlap.

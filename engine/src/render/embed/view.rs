@@ -29,6 +29,22 @@ struct Targets {
 }
 
 /// Records frames of one scene; several views of one scene share it.
+///
+/// ```
+/// use engine::gpu::{Gpu, GpuOptions};
+/// use engine::render::{SceneHandle, SceneOptions, View, ViewOptions};
+/// use engine::scene::synthetic::{demo_camera, demo_scene};
+///
+/// # fn main() -> engine::Result<()> {
+/// let gpu = Gpu::new(&GpuOptions::default())?; // or Gpu::from_host, on the host's device
+/// let loading = SceneHandle::load(&gpu, || Ok(demo_scene()), &SceneOptions::default());
+/// let mut view = View::new(&gpu, &loading.finish()?, &ViewOptions::default())?;
+/// let statistics = view.warm_up(&demo_camera(0.0, 64, 48), 0.0)?;
+/// assert!(statistics.visible > 0 && view.memory().instance_capacity >= statistics.instances);
+/// // From here on `view.record` goes into the host's command buffers and allocates nothing.
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug)]
 pub struct View {
     gpu: Gpu,
