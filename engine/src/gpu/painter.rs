@@ -116,9 +116,8 @@ impl Painter {
         let push = [vk::PushConstantRange::default().stage_flags(vk::ShaderStageFlags::VERTEX).size(8)];
         // SAFETY: plain creation; `Drop` destroys what was made.
         unsafe {
-            self.set_layout = device
-                .create_descriptor_set_layout(&sets, None)
-                .map_err(vk_error("vkCreateDescriptorSetLayout"))?;
+            self.set_layout =
+                device.create_descriptor_set_layout(&sets, None).map_err(vk_error("vkCreateDescriptorSetLayout"))?;
             self.descriptors =
                 device.create_descriptor_pool(&pool, None).map_err(vk_error("vkCreateDescriptorPool"))?;
             self.sampler = device.create_sampler(&sampler, None).map_err(vk_error("vkCreateSampler"))?;
@@ -135,10 +134,8 @@ impl Painter {
         for (module, (_, bytes)) in modules.iter_mut().zip(SHADERS) {
             let words: Vec<u32> = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
             // SAFETY: committed SPIR-V that spirv-val accepts.
-            *module = unsafe {
-                device.create_shader_module(&vk::ShaderModuleCreateInfo::default().code(&words), None)
-            }
-            .map_err(vk_error("vkCreateShaderModule"))?;
+            *module = unsafe { device.create_shader_module(&vk::ShaderModuleCreateInfo::default().code(&words), None) }
+                .map_err(vk_error("vkCreateShaderModule"))?;
         }
         let made = self.create_pipeline_of(render_pass, modules);
         for module in modules {
@@ -153,9 +150,8 @@ impl Painter {
         render_pass: vk::RenderPass,
         [vertex, fragment]: [vk::ShaderModule; 2],
     ) -> Result<vk::Pipeline> {
-        let stage = |flag, module| {
-            vk::PipelineShaderStageCreateInfo::default().stage(flag).module(module).name(c"main")
-        };
+        let stage =
+            |flag, module| vk::PipelineShaderStageCreateInfo::default().stage(flag).module(module).name(c"main");
         let stages = [stage(vk::ShaderStageFlags::VERTEX, vertex), stage(vk::ShaderStageFlags::FRAGMENT, fragment)];
         let bindings = [vk::VertexInputBindingDescription::default().stride(size_of::<Vertex>() as u32)];
         let attribute = |location, format, offset| {
@@ -169,15 +165,15 @@ impl Painter {
         let input = vk::PipelineVertexInputStateCreateInfo::default()
             .vertex_binding_descriptions(&bindings)
             .vertex_attribute_descriptions(&attributes);
-        let assembly = vk::PipelineInputAssemblyStateCreateInfo::default()
-            .topology(vk::PrimitiveTopology::TRIANGLE_LIST);
+        let assembly =
+            vk::PipelineInputAssemblyStateCreateInfo::default().topology(vk::PrimitiveTopology::TRIANGLE_LIST);
         let viewport = vk::PipelineViewportStateCreateInfo::default().viewport_count(1).scissor_count(1);
         let raster = vk::PipelineRasterizationStateCreateInfo::default()
             .polygon_mode(vk::PolygonMode::FILL)
             .cull_mode(vk::CullModeFlags::NONE)
             .line_width(1.0);
-        let samples = vk::PipelineMultisampleStateCreateInfo::default()
-            .rasterization_samples(vk::SampleCountFlags::TYPE_1);
+        let samples =
+            vk::PipelineMultisampleStateCreateInfo::default().rasterization_samples(vk::SampleCountFlags::TYPE_1);
         let (one, rest) = (vk::BlendFactor::ONE, vk::BlendFactor::ONE_MINUS_SRC_ALPHA);
         let blends = [vk::PipelineColorBlendAttachmentState::default()
             .blend_enable(true)
@@ -250,7 +246,8 @@ impl Painter {
     ) -> Result<()> {
         let (vertices, indices) =
             meshes().fold((0, 0), |(v, i), m| (v + m.vertices.len() as u64, i + m.indices.len() as u64));
-        let vertex_buffer = self.room(&mut kept.vertices, "interface vertices", vertices * size_of::<Vertex>() as u64)?;
+        let vertex_buffer =
+            self.room(&mut kept.vertices, "interface vertices", vertices * size_of::<Vertex>() as u64)?;
         let index_buffer = self.room(&mut kept.indices, "interface indices", indices * 4)?;
         let (mut v, mut i) = (0, 0);
         for mesh in meshes() {

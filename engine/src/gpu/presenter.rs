@@ -69,8 +69,7 @@ impl Presenter {
         let gpu = surface.gpu.clone();
         let swapchain = Swapchain::new(surface, vsync)?;
         let painter = Painter::new(&gpu, swapchain.render_pass)?;
-        let mut presenter =
-            Self { gpu, painter, slots: Vec::new(), turn: 0, acquired: None, stale: true, swapchain };
+        let mut presenter = Self { gpu, painter, slots: Vec::new(), turn: 0, acquired: None, stale: true, swapchain };
         for _ in 0..FRAMES {
             presenter.add_slot()?;
         }
@@ -251,9 +250,11 @@ fn record_copy(device: &ash::Device, commands: vk::CommandBuffer, picture: &Buff
         .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
         .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
         .subresource_range(whole())];
-    let region = vk::BufferImageCopy::default()
-        .image_subresource(layers())
-        .image_extent(vk::Extent3D { width: size[0], height: size[1], depth: 1 });
+    let region = vk::BufferImageCopy::default().image_subresource(layers()).image_extent(vk::Extent3D {
+        width: size[0],
+        height: size[1],
+        depth: 1,
+    });
     let compute = vk::PipelineStageFlags::COMPUTE_SHADER;
     // SAFETY: recording. The submission waits for the image in the transfer stage, from which the barrier goes on.
     unsafe {

@@ -40,7 +40,10 @@ impl Swapchain {
             .map_err(vk_error("vkGetPhysicalDeviceSurfaceFormatsKHR"))?;
         let wanted = FORMATS.iter().find_map(|f| formats.iter().find(|s| s.format == *f));
         let format = *wanted.ok_or_else(|| Error::NoDevice {
-            reason: format!("the window takes none of {FORMATS:?}, only {:?}", formats.iter().map(|f| f.format).collect::<Vec<_>>()),
+            reason: format!(
+                "the window takes none of {FORMATS:?}, only {:?}",
+                formats.iter().map(|f| f.format).collect::<Vec<_>>()
+            ),
         })?;
         let loader = ash::khr::swapchain::Device::new(&shared.instance, &shared.device);
         let render_pass = create_render_pass(&shared.device, format.format)?;
@@ -235,8 +238,7 @@ fn create_render_pass(device: &ash::Device, format: vk::Format) -> Result<vk::Re
         .store_op(vk::AttachmentStoreOp::STORE)
         .initial_layout(vk::ImageLayout::TRANSFER_DST_OPTIMAL)
         .final_layout(vk::ImageLayout::PRESENT_SRC_KHR)];
-    let colors =
-        [vk::AttachmentReference::default().attachment(0).layout(vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL)];
+    let colors = [vk::AttachmentReference::default().attachment(0).layout(vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL)];
     let subpasses = [vk::SubpassDescription::default().color_attachments(&colors)];
     let dependencies = [vk::SubpassDependency::default()
         .src_subpass(vk::SUBPASS_EXTERNAL)
@@ -245,10 +247,8 @@ fn create_render_pass(device: &ash::Device, format: vk::Format) -> Result<vk::Re
         .src_access_mask(vk::AccessFlags::TRANSFER_WRITE)
         .dst_stage_mask(vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT)
         .dst_access_mask(vk::AccessFlags::COLOR_ATTACHMENT_READ | vk::AccessFlags::COLOR_ATTACHMENT_WRITE)];
-    let create = vk::RenderPassCreateInfo::default()
-        .attachments(&attachments)
-        .subpasses(&subpasses)
-        .dependencies(&dependencies);
+    let create =
+        vk::RenderPassCreateInfo::default().attachments(&attachments).subpasses(&subpasses).dependencies(&dependencies);
     // SAFETY: plain creation.
     unsafe { device.create_render_pass(&create, None) }.map_err(vk_error("vkCreateRenderPass"))
 }

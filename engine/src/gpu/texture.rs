@@ -101,8 +101,7 @@ impl Texture {
         // SAFETY: plain creation from live handles.
         unsafe {
             self.view = device.create_image_view(&view, None).map_err(vk_error("vkCreateImageView"))?;
-            self.set =
-                device.allocate_descriptor_sets(&allocate).map_err(vk_error("vkAllocateDescriptorSets"))?[0];
+            self.set = device.allocate_descriptor_sets(&allocate).map_err(vk_error("vkAllocateDescriptorSets"))?[0];
             let images = [vk::DescriptorImageInfo::default()
                 .image_view(self.view)
                 .sampler(sampler)
@@ -117,7 +116,13 @@ impl Texture {
     }
 
     /// Records the copy of `size` texels from `source` to `offset`; what lies outside the texture is not copied.
-    pub(super) fn record_copy(&mut self, commands: vk::CommandBuffer, source: &Buffer, offset: [u32; 2], size: [u32; 2]) {
+    pub(super) fn record_copy(
+        &mut self,
+        commands: vk::CommandBuffer,
+        source: &Buffer,
+        offset: [u32; 2],
+        size: [u32; 2],
+    ) {
         if offset[0] + size[0] > self.size[0] || offset[1] + size[1] > self.size[1] {
             return;
         }

@@ -19,7 +19,6 @@ use super::scene_buffers::{Poses, SceneBuffers};
 use super::splat::splat_words;
 use super::work_buffers::{COUNTER_WORDS, WorkBuffers};
 
-
 pub use live::Picked;
 
 /// Frames of one renderer that may be in flight.

@@ -1,6 +1,9 @@
-//! Kernel `display` on the device against its twin.
+//! What a window needs of the renderer: kernel `display` against its twin, picking, other colours.
 
 use engine::render::display::{DISPLAY, Display, palette};
+use engine::render::{Quality, RenderOptions, Renderer};
+use engine::scene::{Camera, Gaussians, Scene};
+use glam::DVec3;
 use tests_harness::KernelCase;
 
 struct Rng(u64);
@@ -22,10 +25,12 @@ fn case(source: [u32; 2], target: [u32; 2], mode: u32, failed: u32, seed: u64) -
         target: [target[0], target[1], (seed % 2) as u32, 0],
         range: [1.0, 0.25, 0.001, 0.0],
     };
-    let mut color: Vec<u32> = (0..4 * pixels).map(|i| {
-        let v = if i % 4 == 3 { rng.unit() } else { 1.4 * rng.unit() - 0.2 };
-        v.to_bits()
-    }).collect();
+    let mut color: Vec<u32> = (0..4 * pixels)
+        .map(|i| {
+            let v = if i % 4 == 3 { rng.unit() } else { 1.4 * rng.unit() - 0.2 };
+            v.to_bits()
+        })
+        .collect();
     if pixels > 3 {
         color[8] = f32::NAN.to_bits();
         color[9] = f32::INFINITY.to_bits();
@@ -49,7 +54,8 @@ fn case(source: [u32; 2], target: [u32; 2], mode: u32, failed: u32, seed: u64) -
 #[test]
 fn every_mode_agrees_with_the_twin() {
     let gpu = tests_harness::gpu();
-    let sizes = [([64, 48], [64, 48]), ([33, 17], [33, 17]), ([40, 30], [81, 61]), ([1, 1], [1, 1]), ([1, 1], [7, 300])];
+    let sizes =
+        [([64, 48], [64, 48]), ([33, 17], [33, 17]), ([40, 30], [81, 61]), ([1, 1], [1, 1]), ([1, 1], [7, 300])];
     for (i, (source, target)) in (1..).zip(sizes) {
         for mode in 0..4 {
             let result = case(source, target, mode, 0, i).run(&gpu);
@@ -72,4 +78,54 @@ fn a_frame_that_failed_leaves_the_picture() {
     let result = case([20, 20], [20, 20], 0, 1, 5).run(&gpu);
     assert!(result.gpu[6].iter().all(|w| *w == tests_harness::kernel_case::POISON), "something was written");
     assert_eq!(result.gpu[6], result.twin[6]);
+}
+
+/// Two round Gaussians beside each other and one behind the first.
+fn three() -> Scene {
+    let gaussians = Gaussians {
+        mean: vec![[0.0, 0.0, 1.0], [-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [-0.5, 0.0, 0.8]],
+        log_scale: vec![[-9.0; 3], [-2.0; 3], [-2.0; 3], [-2.0; 3]],
+        rotation: vec![[1.0, 0.0, 0.0, 0.0]; 4],
+        opacity_logit: vec![-9.0, 4.0, 4.0, 4.0],
+        sh_degree: 0,
+        sh: vec![0.5; 12],
+    };
+    Scene { gaussians, ..Scene::default() }
+}
+
+#[test]
+fn a_click_finds_what_is_seen_there() {
+    let gpu = tests_harness::gpu();
+    let camera = Camera::look_at(DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::NEG_Y, 0.6, [200, 100]);
+    for quality in [Quality::EXACT, Quality::HIGH, Quality::FAST] {
+        let options = RenderOptions { quality, ..RenderOptions::default() };
+        let mut renderer = Renderer::new(&gpu, &three(), &options).unwrap();
+        assert_eq!(renderer.pick([1, 1]).unwrap(), None, "before the first frame");
+        renderer.draw(&camera, 0.0).unwrap();
+        let pixel = |x: f64| [(camera.cx + camera.fx * x / 4.0) as u32, 50];
+        let [left, right] = [-0.5, 0.5].map(|x| renderer.pick(pixel(x)).unwrap().unwrap());
+        assert_eq!((left.gaussian, right.gaussian), (1, 2));
+        assert!((left.depth - 4.0).abs() < 1e-3 && left.weight > 0.9, "{left:?}");
+        assert!(left.blended >= right.blended);
+        for outside in [[0, 0], [199, 99], [500, 50]] {
+            assert_eq!(renderer.pick(outside).unwrap(), None, "{outside:?}");
+        }
+    }
+}
+
+#[test]
+fn base_colours_replace_those_of_the_scene() {
+    let gpu = tests_harness::gpu();
+    let camera = Camera::look_at(DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::NEG_Y, 0.6, [64, 32]);
+    for quality in [Quality::EXACT, Quality::HIGH, Quality::FAST] {
+        let options = RenderOptions { quality, ..RenderOptions::default() };
+        let mut renderer = Renderer::new(&gpu, &three(), &options).unwrap();
+        renderer.set_base_colors(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0; 3]]).unwrap();
+        let image = renderer.render(&camera, 0.0).unwrap();
+        let at = |x: usize| &image.rgba[4 * (16 * 64 + x)..][..3];
+        let column = |x: f64| (camera.cx + camera.fx * x / 4.0) as usize;
+        assert!(at(column(-0.5))[0] > 0.9 && at(column(-0.5))[1] < 0.05, "{:?}", at(column(-0.5)));
+        assert!(at(column(0.5))[1] > 0.9 && at(column(0.5))[0] < 0.05, "{:?}", at(column(0.5)));
+        assert!(renderer.set_base_colors(&[[0.0; 3]]).is_err());
+    }
 }

@@ -56,10 +56,12 @@ fn a_window_is_orbited_scrubbed_resized_and_closed() {
     window.key("f");
     std::thread::sleep(Duration::from_millis(800));
 
-    let modes: Vec<_> = ["1", "2", "3", "4", "5"].map(|key| {
-        window.key(key);
-        window.picture()
-    }).into();
+    let modes: Vec<_> = ["1", "2", "3", "4", "5"]
+        .map(|key| {
+            window.key(key);
+            window.picture()
+        })
+        .into();
     for (i, a) in modes.iter().enumerate() {
         assert!(drawn(a) > 0.02, "mode {} is empty", i + 1);
         assert!(modes[..i].iter().all(|b| difference(a, b) > 1.0), "mode {} looks like another", i + 1);

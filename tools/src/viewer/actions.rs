@@ -40,7 +40,8 @@ fn act(request: Request, gui: &mut Gui, state: &mut State, folder: &Path) -> Res
         Request::SaveExr => {
             gui.finish(state)?;
             let image = exact_image(gui, state)?;
-            let written = free_name(folder, "view", "exr").and_then(|path| picture::write_exr(&path, &image).map(|()| path));
+            let written =
+                free_name(folder, "view", "exr").and_then(|path| picture::write_exr(&path, &image).map(|()| path));
             tell(state, written);
         }
         Request::ToggleRecording => match gui.recording.take() {

@@ -292,7 +292,8 @@ impl Gui {
 /// Lets time pass for the scene and the camera.
 fn advance(state: &mut State, model: &mut Model, dt: f64, thrust: Thrust) -> Result<()> {
     state.step = dt;
-    state.interacting |= state.navigator.advance(dt, thrust) || thrust != Thrust { fast: thrust.fast, ..Thrust::default() };
+    state.interacting |=
+        state.navigator.advance(dt, thrust) || thrust != Thrust { fast: thrust.fast, ..Thrust::default() };
     state.timeline.advance(dt);
     if state.settings.centers || state.selection.is_some() {
         model.pose(state.timeline.time, state.settings.motion)?;

@@ -233,8 +233,7 @@ pub(super) fn numpad(number: u32, state: &mut State) {
 }
 
 fn cycle_up(state: &mut State) {
-    const UPS: [(DVec3, &str); 4] =
-        [(DVec3::NEG_Y, "−y"), (DVec3::Z, "+z"), (DVec3::Y, "+y"), (DVec3::NEG_Z, "−z")];
+    const UPS: [(DVec3, &str); 4] = [(DVec3::NEG_Y, "−y"), (DVec3::Z, "+z"), (DVec3::Y, "+y"), (DVec3::NEG_Z, "−z")];
     let at = UPS.iter().position(|(u, _)| *u == state.navigator.up);
     let (up, name) = UPS[at.map_or(0, |i| (i + 1) % UPS.len())];
     state.navigator.set_up(up);
@@ -341,8 +340,24 @@ mod tests {
     #[test]
     fn every_listed_key_does_something() {
         let all: Vec<Key> = vec![
-            Key::F, Key::PageDown, Key::U, Key::Tab, Key::Num2, Key::C, Key::P, Key::K, Key::B, Key::Minus, Key::H,
-            Key::Questionmark, Key::F1, Key::R, Key::F12, Key::OpenBracket, Key::CloseBracket, Key::L,
+            Key::F,
+            Key::PageDown,
+            Key::U,
+            Key::Tab,
+            Key::Num2,
+            Key::C,
+            Key::P,
+            Key::K,
+            Key::B,
+            Key::Minus,
+            Key::H,
+            Key::Questionmark,
+            Key::F1,
+            Key::R,
+            Key::F12,
+            Key::OpenBracket,
+            Key::CloseBracket,
+            Key::L,
         ];
         for key in all {
             let (before, mut after) = (state(), state());

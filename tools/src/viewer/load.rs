@@ -91,13 +91,7 @@ fn open(path: &Path, of_folder: Option<&Path>) -> Result<Opened> {
         None => path,
     };
     let loaded = engine::file::load(file)?;
-    Ok(Opened {
-        path: path.to_owned(),
-        scene: loaded.scene,
-        messages: loaded.warnings,
-        background: None,
-        again: false,
-    })
+    Ok(Opened { path: path.to_owned(), scene: loaded.scene, messages: loaded.warnings, background: None, again: false })
 }
 
 /// The scene as a training run has it at this moment.

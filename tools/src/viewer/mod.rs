@@ -268,7 +268,11 @@ impl ApplicationHandler<News> for Viewer {
         let attributes =
             Window::default_attributes().with_title("spgs").with_inner_size(PhysicalSize::new(width, height));
         let window = event_loop.create_window(attributes).map_err(|e| {
-            Error::usage("spgs view", format!("no window ({})", output::one_line(&e.to_string())), "a graphical session")
+            Error::usage(
+                "spgs view",
+                format!("no window ({})", output::one_line(&e.to_string())),
+                "a graphical session",
+            )
         });
         match window.and_then(|w| Gui::new(w, &self.options, &self.state)) {
             Ok(gui) => {
@@ -318,7 +322,8 @@ impl ApplicationHandler<News> for Viewer {
             _ => {}
         }
         let Some(gui) = &mut self.gui else { return };
-        if matches!(event, WindowEvent::Resized(_) | WindowEvent::ScaleFactorChanged { .. } | WindowEvent::Occluded(_)) {
+        if matches!(event, WindowEvent::Resized(_) | WindowEvent::ScaleFactorChanged { .. } | WindowEvent::Occluded(_))
+        {
             gui.resized();
             gui.window.request_redraw();
         }

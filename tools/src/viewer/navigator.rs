@@ -64,7 +64,7 @@ impl Pose {
     pub(super) fn camera(&self, size: [u32; 2], time: f64) -> Camera {
         let f = 0.5 * f64::from(size[1]) / (0.5 * self.fov_y).tan();
         Camera {
-            name: "view".into(),
+            name: String::new(),
             width: size[0],
             height: size[1],
             fx: f,

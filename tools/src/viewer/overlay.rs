@@ -31,10 +31,7 @@ impl Projection {
 
     fn flat(&self, v: DVec3) -> Pos2 {
         let c = &self.camera;
-        pos2(
-            (self.scale * (c.fx * v.x / v.z + c.cx)) as f32,
-            (self.scale * (c.fy * v.y / v.z + c.cy)) as f32,
-        )
+        pos2((self.scale * (c.fx * v.x / v.z + c.cx)) as f32, (self.scale * (c.fy * v.y / v.z + c.cy)) as f32)
     }
 
     /// A point in front of the camera.
@@ -115,7 +112,8 @@ fn frusta(painter: &Painter, projection: &Projection, state: &State) {
     let depth = 0.12 * state.extent.1;
     for (i, camera) in state.cameras.iter().enumerate() {
         let current = state.camera == Some(i);
-        let color = if current { Color32::from_rgb(255, 190, 60) } else { Color32::from_rgba_unmultiplied(120, 190, 255, 150) };
+        let color =
+            if current { Color32::from_rgb(255, 190, 60) } else { Color32::from_rgba_unmultiplied(120, 190, 255, 150) };
         let stroke = Stroke::new(if current { 2.0 } else { 1.0 }, color);
         let corner = |x: f64, y: f64| {
             let ray = DVec3::new((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0) * depth;

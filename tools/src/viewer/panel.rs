@@ -62,7 +62,8 @@ fn time_bar(ui: &mut Ui, time: &mut Timeline) {
                 time.repeat = time.repeat.next();
             }
             let mut speed = time.speed;
-            let field = egui::DragValue::new(&mut speed).speed(0.01).range(1.0 / 64.0..=64.0).suffix("×").max_decimals(2);
+            let field =
+                egui::DragValue::new(&mut speed).speed(0.01).range(1.0 / 64.0..=64.0).suffix("×").max_decimals(2);
             if ui.add(field).on_hover_text("speed ([ and ])").changed() {
                 time.speed = speed;
             }
@@ -84,7 +85,8 @@ fn time_bar(ui: &mut Ui, time: &mut Timeline) {
 fn side_panel(ui: &mut Ui, state: &mut State, info: &Info) {
     let name = if info.model.is_empty() { "no model" } else { &info.model };
     ui.add(egui::Label::new(RichText::new(name).heading()).truncate());
-    let faint = |ui: &mut Ui, text: String| ui.add(egui::Label::new(RichText::new(text).small().color(FAINT)).truncate());
+    let faint =
+        |ui: &mut Ui, text: String| ui.add(egui::Label::new(RichText::new(text).small().color(FAINT)).truncate());
     faint(ui, format!("{} Gaussians", grouped(info.gaussians as u64)));
     if info.superpoints > 0 {
         faint(ui, format!("{} superpoints, {} key times", grouped(info.superpoints as u64), info.key_times));

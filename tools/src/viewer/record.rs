@@ -1,11 +1,10 @@
-//! Recorded camera paths: a NeRF `transforms.json` with a time per frame, which `spgs render --cameras` reads.
+//! Recorded camera paths: a NeRF `transforms.json` with a time per frame, which `spgs render --path` and `--cameras` read.
 
 use std::path::{Path, PathBuf};
 
+use engine::data::camera_file;
 use engine::error::{Error, Result};
 use engine::scene::Camera;
-use glam::DMat4;
-use serde_json::json;
 
 /// Seconds between two recorded frames.
 pub(super) const INTERVAL_S: f64 = 1.0 / 30.0;
@@ -36,48 +35,19 @@ impl Recording {
     /// Writes the path as the next free `path-N.json` of a folder.
     pub(super) fn write(&self, folder: &Path) -> Result<PathBuf> {
         let path = free_name(folder, "path", "json")?;
-        let text = crate::output::to_json(&self.to_json())? + "\n";
-        engine::file::durable::write_atomic(&path, |out| out.write_all(text.as_bytes()))?;
+        camera_file::write(&path, &self.cameras)?;
         Ok(path)
     }
-
-    fn to_json(&self) -> serde_json::Value {
-        let Some(first) = self.cameras.first() else { return json!({ "frames": [] }) };
-        let frames: Vec<_> = (0..).zip(&self.cameras).map(|(i, c)| frame(i, c)).collect();
-        json!({
-            "w": first.width,
-            "h": first.height,
-            "fps": (1.0 / INTERVAL_S).round(),
-            "frames": frames,
-        })
-    }
-}
-
-/// Camera to world with OpenGL axes, row-major.
-fn frame(index: usize, camera: &Camera) -> serde_json::Value {
-    let to_world = camera.world_to_camera().inverse();
-    let opengl = DMat4::from_cols(to_world.x_axis, -to_world.y_axis, -to_world.z_axis, to_world.w_axis);
-    let rows: Vec<[f64; 4]> = (0..4).map(|r| opengl.row(r).to_array()).collect();
-    json!({
-        "file_path": format!("{index:05}"),
-        "time": camera.time,
-        "fl_x": camera.fx,
-        "fl_y": camera.fy,
-        "cx": camera.cx,
-        "cy": camera.cy,
-        "w": camera.width,
-        "h": camera.height,
-        "transform_matrix": rows,
-    })
 }
 
 /// `STEM-1.EXTENSION`, or the next number that is free.
 pub(super) fn free_name(folder: &Path, stem: &str, extension: &str) -> Result<PathBuf> {
     crate::render::create_folder(folder)?;
     let name = |n: u32| folder.join(format!("{stem}-{n}.{extension}"));
-    (1..100_000).map(name).find(|p| !p.exists()).ok_or_else(|| {
-        Error::usage("folder for pictures", folder.display().to_string(), "fewer than 100000 files")
-    })
+    (1..100_000)
+        .map(name)
+        .find(|p| !p.exists())
+        .ok_or_else(|| Error::usage("folder for pictures", folder.display().to_string(), "fewer than 100000 files"))
 }
 
 #[cfg(test)]
