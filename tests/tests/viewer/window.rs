@@ -54,7 +54,7 @@ fn a_window_is_orbited_scrubbed_resized_and_closed() {
     assert!(difference(&scrubbed, &flown) > 0.5, "fly");
     window.key("Home");
     window.key("f");
-    std::thread::sleep(Duration::from_millis(800));
+    std::thread::sleep(Duration::from_secs(2));
 
     let modes: Vec<_> = ["1", "2", "3", "4", "5"]
         .map(|key| {

@@ -34,6 +34,12 @@ fn act(request: Request, gui: &mut Gui, state: &mut State, folder: &Path) -> Res
     // What cannot be written is said in the window; the device's errors end the program.
     match request {
         Request::SavePng => {
+            gui.finish(state)?;
+            if !gui.complete {
+                // The next frame has the room that this one lacked.
+                state.requests.push(Request::SavePng);
+                return Ok(());
+            }
             let written = save_png(gui, folder);
             tell(state, written);
         }

@@ -39,6 +39,8 @@ pub(super) struct Gui {
     context: egui::Context,
     /// The latest frame, when it was not finished yet.
     pending: Option<FrameId>,
+    /// The latest finished frame had room; otherwise the window still shows an older one.
+    pub(super) complete: bool,
     /// The model was never drawn.
     fresh: bool,
     pub(super) info: Info,
@@ -78,6 +80,7 @@ impl Gui {
             egui,
             context,
             pending: None,
+            complete: true,
             fresh: true,
             info,
             recording: None,
@@ -223,7 +226,9 @@ impl Gui {
     pub(super) fn finish(&mut self, state: &mut State) -> Result<bool> {
         let Some(frame) = self.pending.take() else { return Ok(true) };
         let renderer = self.model.current();
-        let Some(statistics) = renderer.finish(frame)? else { return Ok(false) };
+        let finished = renderer.finish(frame)?;
+        self.complete = finished.is_some();
+        let Some(statistics) = finished else { return Ok(false) };
         state.frame = statistics;
         let mut stages: StageTimes = [0.0; 6];
         for timing in renderer.timings(frame)? {
