@@ -31,6 +31,8 @@ struct Slot {
     acquired: vk::Semaphore,
     last: Submission,
     kept: Kept,
+    /// What the frame copies from.
+    picture: Option<Buffer>,
 }
 
 /// What lies over the picture.
@@ -90,6 +92,7 @@ impl Presenter {
                 acquired: vk::Semaphore::null(),
                 last: Submission::default(),
                 kept: Kept::default(),
+                picture: None,
             });
             let allocate = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
             let commands = device.allocate_command_buffers(&allocate).map_err(vk_error("vkAllocateCommandBuffers"))?;
@@ -178,6 +181,8 @@ impl Presenter {
             return Err(Error::Limit { what, need: need.into(), have: picture.bytes().into() });
         }
         let turn = self.turn;
+        // Whoever made it may let go of it before the copy has run.
+        self.slots[turn].picture = Some(picture.clone());
         self.painter.upload(&mut self.slots[turn].kept, &overlay.meshes)?;
         self.record(image, picture, overlay)?;
         let submission = self.submit(image)?;

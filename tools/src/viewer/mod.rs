@@ -169,6 +169,9 @@ impl Viewer {
         let state = &mut self.state;
         let pose = Pose::of_camera(&camera, (camera.position - state.extent.0).length());
         state.navigator.jump_to(pose);
+        // The window may be wide: what fits its width need not fit its height.
+        let framed = state.navigator.framing(state.extent.0, state.extent.1);
+        state.navigator.jump_to(framed);
         if first && !state.cameras.is_empty() {
             state.go_to_camera(0);
             let pose = state.navigator.goal();
