@@ -201,7 +201,7 @@ fn showcase() {
     let desktop = Desktop::new(1280, 800);
     let path = folder.path().join("demo.safetensors");
     file::save(&path, &synthetic::demo_scene()).unwrap();
-    let mut window = Window::open(&desktop, &path, &folder.path().join("out"), &["--size", "1280x800", "--no-vsync"]);
+    let window = Window::open(&desktop, &path, &folder.path().join("out"), &["--size", "1280x800", "--no-vsync"]);
     std::thread::sleep(Duration::from_secs(8));
     desktop.capture().keep("1_colour");
     for (key, name) in [("2", "2_depth"), ("3", "3_opacity"), ("4", "4_tiles"), ("5", "5_superpoints")] {
