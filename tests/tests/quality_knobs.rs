@@ -223,9 +223,10 @@ const BOUNDS: &[(&str, f64, f64)] = &[
     ("alpha_cut=1/128", 45.0, 0.05),
     ("alpha_cut=1/64", 38.0, 0.1),
     ("alpha_cut=1/32", 30.0, 0.2),
-    // What lies behind the stop is at most the stop times the brightest colour, here about 12.
-    ("stop=0.001", 65.0, 0.015),
-    ("stop=0.01", 48.0, 0.15),
+    // The Gaussian that would take T below the stop is left out whole: with alpha = 0.99, up to 100 times the stop is lost.
+    // Colours reach 1.14 here and a tenth of that limit is seen.
+    ("stop=0.001", 65.0, 0.02),
+    ("stop=0.01", 50.0, 0.2),
     ("depth_bits=24", 80.0, 5e-3),
     ("depth_bits=20", 70.0, 0.02),
     ("depth_bits=16", 45.0, 0.2),
@@ -277,8 +278,7 @@ fn knobs_that_cost_nothing_leave_every_bit() {
     assert!(difference(linear.rgb(), geodesic.rgb()).psnr > 80.0);
 }
 
-/// The rule of the preset: at most 0.01 % of the values that a picture shows (0 to 1) off by more than 1/255. Where colours
-/// go far beyond a picture's (to 8 and more), half precision leaves a difference of such values less exact: there 0.1 %.
+/// The rule of the preset: at most 0.01 % of the values that a picture shows (0 to 1) off by more than 1/255.
 #[test]
 fn high_has_no_visible_error() {
     let gpu = tests_harness::gpu();
@@ -300,9 +300,8 @@ fn high_has_no_visible_error() {
         let share = off as f64 / (3 * exact.width * exact.height) as f64;
         let e = difference(exact.rgb(), high.rgb());
         println!("{name:30} {:6.1} dB, largest {:.1e}, visible {:.4} %", e.psnr, e.max, 100.0 * share);
-        let brightest = exact.rgb().fold(0.0, f64::max);
-        if share > if brightest > 8.0 { 1e-3 } else { 1e-4 } {
-            failed.push(format!("{name}: {share}, brightest {brightest} {e:?}"));
+        if share > 1e-4 {
+            failed.push(format!("{name}: {share} {e:?}"));
         }
     }
     assert!(failed.is_empty(), "{failed:#?}");

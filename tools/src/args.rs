@@ -173,7 +173,7 @@ pub struct ViewArgs {
     #[arg(long, value_enum)]
     pub motion: Option<MotionArg>,
     /// What may be given up for speed: exact; high: nothing that is visible; fast: a few levels of 255 in places
-    #[arg(long, value_name = "exact|high|fast", default_value = "exact", value_parser = preset)]
+    #[arg(long, value_name = "exact|high|fast", default_value = "high", value_parser = preset)]
     pub quality: Quality,
     /// Single knobs on top of --quality, knob=value,…: cull, alpha_cut, stop, depth_bits, sh_degree, sh, colour, conic,
     /// table_step, interpolation, network, nonrigid, resolution

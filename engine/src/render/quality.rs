@@ -4,7 +4,7 @@
 //! |---|---|---|---|
 //! | `cull` | exact, box | `box`: a count without a loop over tile rows, for more tile instances | none |
 //! | `alpha_cut` | 1/255 … 1/32 | tile instances and pixels of a splat's rim | a splat loses at most the cut per pixel |
-//! | `stop` | 1e-4 … 1e-2 | what lies behind nearly opaque pixels | at most the stop times the largest colour |
+//! | `stop` | 1e-4 … 1e-2 | what lies behind nearly opaque pixels | the splat that would cross the stop and what is behind it: the stop over 1 − its α, at most |
 //! | `depth_bits` | 12 … 32 | one sort pass of four per 8 bits | order of splats closer than a step of the depth range |
 //! | `sh_degree` | 0 … 3 | 36, 60 and 84 bytes per visible Gaussian | what the higher bands say |
 //! | `sh` | f32, f16, u8 | half or three quarters of the SH bytes | half a step of 2⁻¹¹, of 1/255 of a coefficient's range |
@@ -17,13 +17,20 @@
 //! | `resolution` | 0.25 … 1 | pixels; the picture is enlarged bilinearly when it is read | detail |
 //!
 //! Screen positions stay f32 in every packing: the 32-byte record has room for them, and half precision would be off by
-//! half a pixel at 1,000 px. Training always runs with [`Quality::EXACT`].
+//! half a pixel at 1,000 px. Half precision of `sh` and `conic` is for colours like a picture's: see [`Quality::for_scene`].
+//! Training always runs with [`Quality::EXACT`].
 
 mod knobs;
 
 pub use knobs::{KNOBS, Knob};
 
 use crate::error::{Error, Result};
+use crate::scene::Gaussians;
+
+/// SH coefficients up to here have a half-precision error below 1/1000, a quarter of a level of 255.
+const HALF_LIMIT: f32 = 4.0;
+/// One Gaussian in so many may have larger ones.
+const BRIGHT_SHARE: usize = 1000;
 
 /// How the tiles of a splat are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -103,9 +110,9 @@ impl Quality {
         resolution: 1.0,
     };
 
-    /// No visible error: 99.99 % of all values within 1/255 of the definition.
-    pub const HIGH: Self =
-        Self { depth_bits: 24, sh: Storage::F16, colour: Storage::F16, conic: Storage::F16, ..Self::EXACT };
+    /// No visible error: 99.99 % of all values within 1/255 of the definition. Colours stay f32: beside an f16 conic they fit
+    /// into the 32-byte record.
+    pub const HIGH: Self = Self { depth_bits: 24, sh: Storage::F16, conic: Storage::F16, ..Self::EXACT };
 
     /// Errors of a few levels of 255 in places, for slow devices.
     pub const FAST: Self = Self {
@@ -120,6 +127,20 @@ impl Quality {
 
     /// Names of the presets, and what they are.
     pub const PRESETS: [(&'static str, Self); 3] = [("exact", Self::EXACT), ("high", Self::HIGH), ("fast", Self::FAST)];
+
+    /// These knobs for a scene: its colours decide whether half precision is enough. Where more than one Gaussian in 1,000 has
+    /// an SH coefficient beyond ±4 (colours far outside a picture's, which multiply each error of α), `sh` and `conic` are f32
+    /// instead of f16.
+    pub fn for_scene(mut self, gaussians: &Gaussians) -> Self {
+        let rows = gaussians.sh.chunks_exact(3 * gaussians.sh_coefficients());
+        let bright = rows.filter(|row| row.iter().any(|c| c.is_finite() && c.abs() > HALF_LIMIT)).count();
+        if bright * BRIGHT_SHARE > gaussians.len() {
+            for storage in [&mut self.sh, &mut self.conic] {
+                *storage = if *storage == Storage::F16 { Storage::F32 } else { *storage };
+            }
+        }
+        self
+    }
 
     /// A preset by name.
     ///
@@ -234,6 +255,20 @@ mod tests {
                 assert_eq!(q == Quality::EXACT, *value == knob.values[0], "{} = {value}", knob.name);
             }
         }
+    }
+
+    #[test]
+    fn bright_scenes_keep_full_precision() {
+        let mut gaussians = Gaussians { mean: vec![[0.0; 3]; 2000], sh: vec![0.5; 3 * 2000], ..Gaussians::default() };
+        gaussians.sh[7] = 9.0;
+        gaussians.sh[3001] = -9.0;
+        gaussians.sh[5000] = f32::NAN;
+        assert_eq!(Quality::HIGH.for_scene(&gaussians), Quality::HIGH);
+        gaussians.sh[4000] = 4.1;
+        let kept = Quality::HIGH.for_scene(&gaussians);
+        assert_eq!(kept, Quality { sh: Storage::F32, conic: Storage::F32, ..Quality::HIGH });
+        assert_eq!(Quality::FAST.for_scene(&gaussians).sh, Storage::Bits8);
+        assert_eq!(Quality::HIGH.for_scene(&Gaussians::default()), Quality::HIGH);
     }
 
     #[test]

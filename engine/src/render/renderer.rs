@@ -124,12 +124,17 @@ impl Renderer {
     /// # Errors
     /// `Usage` for an inconsistent scene or a motion source that it lacks, `Limit` and `OutOfMemory` when it does not fit.
     pub fn new(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<Self> {
+        let options = RenderOptions { quality: options.quality.for_scene(&scene.gaussians), ..options.clone() };
         let scene = SceneBuffers::new(gpu, scene, options.motion, &options.quality)?;
         let capacity = (u64::from(scene.gaussians) * FIRST_INSTANCES_PER_GAUSSIAN).max(4096);
-        let mut renderer =
-            Self { gpu: gpu.clone(), options: options.clone(), scene, targets: None, capacity, frames: 0 };
+        let mut renderer = Self { gpu: gpu.clone(), options, scene, targets: None, capacity, frames: 0 };
         renderer.capacity = capacity.min(renderer.instance_limit());
         Ok(renderer)
+    }
+
+    /// The knobs in use: those asked for, as the scene bears them ([`Quality::for_scene`]).
+    pub fn quality(&self) -> &Quality {
+        &self.options.quality
     }
 
     /// Gaussians refused on upload, by reason.
