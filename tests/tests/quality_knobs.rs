@@ -11,6 +11,7 @@ use engine::render::blend::{self, BLEND, Stage};
 use engine::render::compact::{COMPACT, CompactPush};
 use engine::render::ellipse::Ellipse;
 use engine::render::frame::Frame;
+use engine::render::mean_storage;
 use engine::render::quality::{KNOBS, Quality};
 use engine::render::sh_storage;
 use engine::render::splat::{splat_words, unpack_splat};
@@ -35,11 +36,12 @@ fn settings() -> Vec<Quality> {
         "depth_bits=12",
         "sh=f16",
         "sh=u8",
+        "position=unorm16",
         "colour=f16",
         "colour=unorm8",
         "conic=f16",
         "conic=f16,colour=f16",
-        "conic=f16,colour=unorm8,cull=box,alpha_cut=1/32,stop=0.003,depth_bits=24,sh=u8",
+        "conic=f16,colour=unorm8,cull=box,alpha_cut=1/32,stop=0.003,depth_bits=24,sh=u8,position=unorm16",
     ];
     lists
         .iter()
@@ -61,7 +63,15 @@ fn run_twin(kernel: &'static Kernel, size: u32, case: &KernelCase) -> Vec<Vec<u3
 
 fn project_case(input: &RenderInput, frame: &Frame, q: &Quality) -> KernelCase {
     let mut case = input.deform_project(frame);
-    case.spec[3..].copy_from_slice(&[q.alpha_cut_constant(), q.cull_constant(), q.packing_constant(), q.sh.constant()]);
+    case.spec[3..].copy_from_slice(&[
+        q.alpha_cut_constant(),
+        q.cull_constant(),
+        q.packing_constant(),
+        q.sh.constant(),
+        mean_storage::constant(q.position),
+    ]);
+    let scene = input.scene();
+    case.buffers[1] = mean_storage::encode(q.position, &scene.gaussians.mean);
     for band in 0..=input.degree as usize {
         case.buffers[7 + band] = sh_storage::encode(q.sh, band, &input.sh[band], input.count);
     }
@@ -223,6 +233,7 @@ const BOUNDS: &[(&str, f64, f64)] = &[
     ("alpha_cut=1/128", 45.0, 0.05),
     ("alpha_cut=1/64", 38.0, 0.1),
     ("alpha_cut=1/32", 30.0, 0.2),
+    ("position=unorm16", 70.0, 0.01),
     // The Gaussian that would take T below the stop is left out whole: with alpha = 0.99, up to 100 times the stop is lost.
     // Colours reach 1.14 here and a tenth of that limit is seen.
     ("stop=0.001", 65.0, 0.02),

@@ -175,8 +175,8 @@ pub struct ViewArgs {
     /// What may be given up for speed: exact; high: nothing that is visible; fast: a few levels of 255 in places
     #[arg(long, value_name = "exact|high|fast", default_value = "high", value_parser = preset)]
     pub quality: Quality,
-    /// Single knobs on top of --quality, knob=value,…: cull, alpha_cut, stop, depth_bits, sh_degree, sh, colour, conic,
-    /// table_step, interpolation, network, nonrigid, resolution
+    /// Single knobs on top of --quality, knob=value,…: cull, alpha_cut, stop, depth_bits, position, sh_degree, sh, colour,
+    /// conic, table_step, interpolation, network, nonrigid, resolution
     #[arg(long, value_name = "KNOB=VALUE,…", value_parser = knobs)]
     pub set: Option<String>,
 }

@@ -19,6 +19,7 @@ pub mod ellipse;
 pub mod frame;
 pub mod half;
 pub mod limits;
+pub mod mean_storage;
 pub mod nonrigid_network;
 pub(crate) mod pipeline;
 pub(crate) mod pose_table;

@@ -12,6 +12,7 @@ use super::frame::{Frame, FrameOptions};
 use super::limits::{
     COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE, TILE_SIZE,
 };
+use super::mean_storage;
 use super::pipeline::{self, FrameBuffers, Shape};
 use super::quality::Quality;
 use super::scene_buffers::{Poses, SceneBuffers};
@@ -124,7 +125,7 @@ impl Renderer {
     /// # Errors
     /// `Usage` for an inconsistent scene or a motion source that it lacks, `Limit` and `OutOfMemory` when it does not fit.
     pub fn new(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<Self> {
-        let options = RenderOptions { quality: options.quality.for_scene(&scene.gaussians), ..options.clone() };
+        let options = RenderOptions { quality: options.quality.for_scene(scene), ..options.clone() };
         let scene = SceneBuffers::new(gpu, scene, options.motion, &options.quality)?;
         let capacity = (u64::from(scene.gaussians) * FIRST_INSTANCES_PER_GAUSSIAN).max(4096);
         let mut renderer = Self { gpu: gpu.clone(), options, scene, targets: None, capacity, frames: 0 };
@@ -267,8 +268,10 @@ impl Renderer {
                 ("sh_coefficients", u64::from((self.scene.sh_degree + 1) * (self.scene.sh_degree + 1))),
                 ("moving", u64::from(self.scene.moves())),
                 ("depth", u64::from(self.options.depth)),
-                ("fp16_weights", u64::from(self.scene.fp16_weights)),
+                ("network_bytes", self.scene.network_bytes()),
+                ("network_products", self.scene.network_products()),
                 ("splat_bytes", 4 * splat_words(self.options.quality.packing_constant()) as u64),
+                ("mean_bytes", mean_storage::bytes(self.options.quality.position)),
                 ("sh_bytes", self.scene.sh_bytes()),
             ]
             .into_iter()

@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 pub use camera::Camera;
 pub use gaussians::{Gaussians, Rejected};
 pub use motion::{Association, KeyInterval, Motion, MotionSource, Superpoints};
-pub use network::{DeformNetwork, Linear, NonrigidNetwork};
+pub use network::{DeformNetwork, DeformSize, Linear, NonrigidNetwork};
 
 /// A named tensor that the engine carries but does not interpret: shape and f32 data.
 #[derive(Debug, Clone, PartialEq)]
