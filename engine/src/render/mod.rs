@@ -8,6 +8,9 @@
 //! [`Renderer`] uploads a scene once, records the frame once per image size and replays it: only the [`frame::Frame`]
 //! of each view is written by the host. Nothing is read back inside a frame; the counters are looked at after it, and a
 //! frame that needed more tile instances than the buffers hold is run again with larger ones.
+//!
+//! What may be given up for speed is in [`Quality`]: a list of knobs and three presets. The default, [`Quality::EXACT`], is
+//! the definition of the image; programs that show images want [`Quality::HIGH`], which differs from it invisibly.
 
 pub mod angle;
 pub mod blend;
