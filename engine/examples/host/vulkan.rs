@@ -160,6 +160,11 @@ impl Vulkan {
         self.messenger.is_some()
     }
 
+    /// What the validation layer has said since the last call.
+    pub(crate) fn take_messages(&self) -> Vec<String> {
+        std::mem::take(&mut self.messages.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
     /// What the validation layer has said so far.
     pub(crate) fn messages(&self) -> Vec<String> {
         self.messages.lock().unwrap_or_else(PoisonError::into_inner).clone()

@@ -65,7 +65,7 @@ fn draw_many(count: u32, slack: u64) {
             allocations = 0;
         }
     }
-    frames.map(|f| host.vulkan.wait(f).unwrap());
+    frames.into_iter().for_each(|f| host.vulkan.wait(f).unwrap());
     let after = (resident(), host.gpu().memory_used().0, host.gpu().buffer_count());
     println!(
         "{count} frames: {allocations} allocations in record; resident memory {} -> {} KiB",
@@ -81,8 +81,8 @@ fn draw_many(count: u32, slack: u64) {
         assert!(after.0 <= before.0 + slack, "resident memory grew from {} to {} bytes", before.0, after.0);
     }
     drop(view);
-    [color, depth].map(|p| host.vulkan.destroy(p));
-    frames.map(|f| host.vulkan.destroy_frame(f));
+    [color, depth].into_iter().for_each(|p| host.vulkan.destroy(p));
+    frames.into_iter().for_each(|f| host.vulkan.destroy_frame(f));
 }
 
 #[test]
