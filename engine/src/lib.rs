@@ -22,7 +22,7 @@
 //! | [`mod@reference`] | the f64 image that is the truth |
 //! | [`mod@file`], [`data`] | model files and pictures; data sets of posed pictures, camera files |
 //! | [`metrics`] | how far a picture is from its ground truth: PSNR, SSIM, MS-SSIM, FLIP, LPIPS, flicker |
-//! | [`render`] | scene(t) + camera → image on the GPU: kernels, their twins, the frame |
+//! | [`render`] | scene(t) + camera → image on the GPU: kernels, their twins, the frame; [`render::embed`]: frames in other programs |
 //! | [`train`] | posed images → scene on the GPU: loss, backward kernels, Adam, density, checkpoints |
 //!
 //! ## A frame
@@ -47,6 +47,15 @@
 //!
 //! Capacity: counts are 64-bit. A frame that needs more tile instances than there is room for writes nothing past a
 //! buffer, sets a bit, and is drawn again with larger buffers; what can never fit is [`Error::Limit`] with the numbers.
+//!
+//! ## Inside another program
+//!
+//! [`gpu::host`] takes a host's device (or lends ours), [`render::embed`] records frames into its command buffers and
+//! images. A frame is the same list of operations either way, a [`gpu::Sequence`]: descriptor sets and barriers are made once;
+//! encoding it writes commands and allocates nothing. What differs from frame to frame (camera, time, poses) travels inside the
+//! command buffer by `vkCmdUpdateBuffer`, so that any number of frames may be in flight; kernel `blend_packed` ends in the
+//! format of the host's image, which a copy then fills. Package `spgs-capi` (engine/capi) gives the same calls to C; its
+//! header is `spgs.h`.
 //!
 //! ## A kernel is declared once
 //!

@@ -4,7 +4,7 @@ use engine::gpu::kernel::TwinCall;
 use engine::gpu::{Gpu, Kernel};
 use engine::image::difference;
 use engine::reference::{self, ReferenceOptions};
-use engine::render::blend::{self, BLEND, Stage};
+use engine::render::blend::{self, BLEND, BLEND_PACKED, PixelFormat, Stage};
 use engine::render::deform_network::{self, DEFORM_NETWORK};
 use engine::render::deform_project::DEFORM_PROJECT;
 use engine::render::frame::Frame;
@@ -177,6 +177,36 @@ fn blend_matches_its_twin() {
                 }
             }
         }
+    }
+}
+
+#[test]
+fn blend_packed_stores_what_its_twin_stores() {
+    let gpu = tests_harness::gpu();
+    let size = gpu.subgroup_size();
+    let input = RenderInput::random(800, 1, 5);
+    let frame = input.frame(&test_camera(75, 53));
+    let (splats, tile_count) = twin_splats(&input, &frame);
+    for format in [PixelFormat::Rgba8, PixelFormat::Bgra8, PixelFormat::Rgba16F] {
+        let spec = [1, Stage::of_device(&gpu) as u32, blend::pixels_per_lane(size)];
+        let mut case = blend_case(&frame, &splats, &tile_count, spec, size);
+        let words = format.bytes() as usize / 4;
+        case.kernel = &BLEND_PACKED;
+        case.spec.push(format as u32);
+        case.buffers[4] = vec![0; words * frame.pixels()];
+        let mut result = case.run(&gpu);
+        let step = if words == 1 { 1.01 / 255.0 } else { 1.0 / 1024.0 };
+        let pairs = result.gpu[4].chunks_exact(words).zip(result.twin[4].chunks_exact(words));
+        let off = pairs.filter(|(g, t)| {
+            let (g, t) = (format.unpack(g), format.unpack(t));
+            g.iter().zip(t).any(|(g, t)| (g - t).abs() > step * t.abs().max(1.0))
+        });
+        assert!(off.count() as f32 <= BLEND_PACKED.tolerance.flips * frame.pixels() as f32, "{format:?}");
+        let lit = result.gpu[4].chunks_exact(words).filter(|g| format.unpack(g)[3] > 0.5).count();
+        assert!(lit > frame.pixels() / 20, "{format:?}: {lit} pixels are covered");
+        // Depth as usual; pixels were compared by level above.
+        result.gpu[4].clone_from(&result.twin[4]);
+        result.assert_equal(&BLEND_PACKED, &format!("{format:?}"));
     }
 }
 

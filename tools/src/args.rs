@@ -8,6 +8,10 @@ use engine::scene::MotionSource;
 
 use crate::paper::Benchmark;
 
+mod render;
+
+pub use render::{PathArg, RenderArgs};
+
 /// Renders dynamic 3D Gaussian scenes on Vulkan.
 #[derive(Debug, Parser)]
 #[command(name = "spgs", version, arg_required_else_help = false)]
@@ -124,37 +128,6 @@ pub enum PresetArg {
     Nerfds,
     /// NVIDIA Dynamic Scene.
     Nvidia,
-}
-
-/// `spgs render`.
-#[derive(Debug, Args)]
-pub struct RenderArgs {
-    /// Model: .safetensors or 3DGS .ply
-    pub model: PathBuf,
-    /// Camera file (transforms*.json), COLMAP folder or data set
-    #[arg(long, value_name = "FILE|DATA")]
-    pub cameras: PathBuf,
-    /// Part of a data set
-    #[arg(long, value_name = "NAME")]
-    pub split: Option<String>,
-    /// Time of every frame [default: the camera's own]
-    #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = finite)]
-    pub time: Option<f64>,
-    /// Only this frame, counted from 0 in the camera file's order; may be given several times
-    #[arg(long = "frame", value_name = "I")]
-    pub frames: Vec<usize>,
-    /// Folder for the pictures: DIR/00000.png, 00001.png, …
-    #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
-    /// png: 8 bit; exr: float R, G, B, A and depth Z
-    #[arg(long, value_enum, default_value_t = Format::Png)]
-    pub format: Format,
-    /// How the view is drawn
-    #[command(flatten)]
-    pub view: ViewArgs,
-    /// Print a summary as JSON
-    #[arg(long)]
-    pub json: bool,
 }
 
 /// Options of a rendered view.

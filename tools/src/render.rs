@@ -1,8 +1,13 @@
-//! `spgs render`: pictures of a model along a camera file.
+//! `spgs render`: pictures of a model along a camera file or a path, and videos.
+
+mod average;
+mod plan;
+mod video;
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use engine::data::CameraSet;
 use engine::error::{Error, Result};
 use engine::file::picture::{self, Alpha};
 use engine::image::Image;
@@ -10,31 +15,46 @@ use engine::render::{RenderOptions, Renderer};
 use serde::Serialize;
 use serde_json::json;
 
-use crate::args::{Format, Global, RenderArgs};
+use crate::args::{Format, Global, PathArg, RenderArgs};
 use crate::{gpu_session, model, output, progress};
+use average::{Mean, reduced};
+use plan::Picture;
+use video::Encoder;
 
 /// One written picture.
 #[derive(Debug, Serialize)]
 struct FrameSummary {
     index: usize,
     name: String,
-    file: PathBuf,
+    /// The picture's file; none in a video.
+    file: Option<PathBuf>,
     time: f64,
     width: u32,
     height: u32,
-    /// Host time from submission to the image in host memory, milliseconds.
+    /// Host time from submission to the image in host memory, all sub-frames, milliseconds.
     render_ms: f64,
+}
+
+/// Where the pictures go.
+#[derive(Debug)]
+struct Places {
+    folder: Option<PathBuf>,
+    /// The encoder's program and the file.
+    video: Option<(PathBuf, PathBuf)>,
 }
 
 /// Renders and writes the pictures.
 pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
-    let loaded = model::load(&args.model)?;
-    let set = model::load_cameras(&args.cameras, args.split.as_deref(), [args.view.width, args.view.height])?;
-    let frames: Vec<usize> =
-        if args.frames.is_empty() { (0..set.cameras.len()).collect() } else { args.frames.clone() };
-    for &index in &frames {
-        model::camera(&set, index)?;
+    if let Some(path) = &args.video {
+        video::check(path)?;
     }
+    let loaded = model::load(&args.model)?;
+    let set = cameras(args)?;
+    let pictures = match (&args.path, &set) {
+        (Some(kind), set) => plan::of_path(args, kind, set.as_ref(), &loaded.scene)?,
+        (None, Some(set)) => plan::of_views(args, set)?,
+        (None, None) => return Err(Error::usage("--cameras", "nothing", "--cameras FILE|DATA or --path")),
+    };
     let gpu = gpu_session::open(global)?;
     let options = RenderOptions {
         background: args.view.background,
@@ -44,46 +64,114 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
         ..RenderOptions::default()
     };
     let mut renderer = Renderer::new(&gpu, &loaded.scene, &options)?;
-    create_folder(&args.out)?;
-    let bar = progress::bar(frames.len() as u64, global.quiet);
+    let places = places(args);
+    if let Some(folder) = &places.folder {
+        create_folder(folder)?;
+    }
+    if let Some(parent) = places.video.as_ref().and_then(|(_, file)| file.parent()) {
+        create_folder(parent)?;
+    }
+    let bar = progress::bar(pictures.len() as u64, global.quiet);
     let start = Instant::now();
-    let mut summaries = Vec::with_capacity(frames.len());
-    for &index in &frames {
-        let camera = model::camera(&set, index)?;
-        let time = args.time.unwrap_or(camera.time);
+    let mut summaries = Vec::with_capacity(pictures.len());
+    let mut encoder = None;
+    for picture in &pictures {
         let begin = Instant::now();
-        let image = renderer.render(camera, time)?;
+        let image = draw(&mut renderer, picture, args.supersample)?;
         let render_ms = begin.elapsed().as_secs_f64() * 1e3;
-        let file = args.out.join(format!("{index:05}.{}", args.format.extension()));
-        write(&file, &image, args.format)?;
-        let (width, height, name) = (camera.width, camera.height, camera.name.clone());
-        summaries.push(FrameSummary { index, name, file, time, width, height, render_ms });
+        let file = places.folder.as_ref().map(|f| f.join(format!("{:05}.{}", picture.index, args.format.extension())));
+        if let Some(file) = &file {
+            write(file, &image, args.format)?;
+        }
+        if let Some((program, path)) = &places.video {
+            let size = [image.width, image.height];
+            let encoder = match &mut encoder {
+                Some(running) => running,
+                none => none.insert(Encoder::start(program, path, size, args.fps)?),
+            };
+            encoder.add(&image)?;
+        }
+        summaries.push(summary(picture, file, &image, render_ms));
         bar.inc(1);
     }
+    encoder.map_or(Ok(()), Encoder::finish)?;
     bar.finish_and_clear();
     let seconds = start.elapsed().as_secs_f64();
     gpu_session::report_validation(&gpu);
+    let video = places.video.as_ref().map(|(_, file)| file);
     if args.json {
         return output::json(&json!({
             "model": args.model,
-            "cameras": set.source,
+            "cameras": set.map(|s| s.source),
             "device": gpu.info().name,
             "gaussians": loaded.scene.gaussians.len(),
             "rejected": loaded.rejected,
             "seconds": seconds,
+            "video": video,
             "frames": summaries,
         }));
     }
     if !global.quiet {
         let each = summaries.iter().map(|s| s.render_ms).sum::<f64>() / summaries.len().max(1) as f64;
+        let files: Vec<String> = places.folder.iter().chain(video).map(|p| p.display().to_string()).collect();
         output::line(&format!(
             "{} pictures in {} ({seconds:.1} s; {each:.1} ms to render and read back each) on {}",
             summaries.len(),
-            args.out.display(),
+            files.join(" and "),
             gpu_session::describe(&gpu)
         ));
     }
     Ok(())
+}
+
+fn summary(picture: &Picture, file: Option<PathBuf>, image: &Image, render_ms: f64) -> FrameSummary {
+    let Picture { index, name, views } = picture;
+    // Of the sub-frames, the middle.
+    let time = views.iter().map(|(_, t)| t).sum::<f64>() / views.len().max(1) as f64;
+    FrameSummary { index: *index, name: name.clone(), file, time, width: image.width, height: image.height, render_ms }
+}
+
+/// The views of `--cameras`, or of the recorded path.
+fn cameras(args: &RenderArgs) -> Result<Option<CameraSet>> {
+    let file = match &args.path {
+        Some(PathArg::File(file)) if args.cameras.is_some() => {
+            let found = format!("--path {} and --cameras", file.display());
+            return Err(Error::usage("cameras", found, "one of them"));
+        }
+        Some(PathArg::File(file)) => Some(file),
+        _ => args.cameras.as_ref(),
+    };
+    let size = [args.view.width, args.view.height];
+    file.map(|f| model::load_cameras(f, args.split.as_deref(), size)).transpose()
+}
+
+/// Where things go; without an encoder the pictures take the video's place, and a line says so.
+fn places(args: &RenderArgs) -> Places {
+    let Some(file) = &args.video else { return Places { folder: args.out.clone(), video: None } };
+    match video::encoder() {
+        Some(program) => Places { folder: args.out.clone(), video: Some((program, file.clone())) },
+        None => {
+            let folder = args.out.clone().unwrap_or_else(|| file.with_extension(""));
+            let shown = (file.display(), folder.display());
+            log::warn!("ffmpeg is not installed: instead of {} there are numbered pictures in {}", shown.0, shown.1);
+            Places { folder: Some(folder), video: None }
+        }
+    }
+}
+
+/// Draws a picture: the mean of its sub-frames, each the mean of its samples.
+fn draw(renderer: &mut Renderer, picture: &Picture, supersample: u32) -> Result<Image> {
+    let mut mean = Mean::default();
+    for (camera, time) in &picture.views {
+        let image = if supersample > 1 {
+            let side = |s: u32| s.saturating_mul(supersample);
+            renderer.render(&camera.resized(side(camera.width), side(camera.height)), *time)?
+        } else {
+            renderer.render(camera, *time)?
+        };
+        mean.add(reduced(image, supersample));
+    }
+    Ok(mean.finish())
 }
 
 /// Makes a folder and those above it.

@@ -30,7 +30,7 @@ pub fn orbit(scene: &Scene, size: [u32; 2], count: usize) -> Vec<Camera> {
 }
 
 /// Median centre, and the radius within which 90 % of the Gaussians lie. Values that are not finite do not count.
-fn extent(scene: &Scene) -> (DVec3, f64) {
+pub fn extent(scene: &Scene) -> (DVec3, f64) {
     let finite: Vec<DVec3> =
         scene.gaussians.mean.iter().map(|m| DVec3::from_array(m.map(f64::from))).filter(|m| m.is_finite()).collect();
     if finite.is_empty() {

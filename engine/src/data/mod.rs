@@ -1,5 +1,6 @@
 //! Data sets of posed pictures, and camera files: NeRF `transforms*.json` and COLMAP models.
 
+pub mod camera_file;
 pub mod colmap;
 pub mod dataset;
 mod frame;

@@ -5,8 +5,6 @@ use std::ffi::CStr;
 use ash::vk;
 use serde::Serialize;
 
-use super::device::show_version;
-
 /// Features and limits that the engine looks at.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Capabilities {
@@ -198,8 +196,19 @@ impl DeviceInfo {
     }
 
     pub(super) fn query(instance: &ash::Instance, physical: vk::PhysicalDevice, index: usize) -> Self {
+        Self::query_up_to(instance, physical, index, u32::MAX)
+    }
+
+    /// The same as far as an application sees it that asked for Vulkan `version` when it made the instance.
+    pub(super) fn query_up_to(
+        instance: &ash::Instance,
+        physical: vk::PhysicalDevice,
+        index: usize,
+        version: u32,
+    ) -> Self {
         // SAFETY: plain query.
-        let base = unsafe { instance.get_physical_device_properties(physical) };
+        let mut base = unsafe { instance.get_physical_device_properties(physical) };
+        base.api_version = base.api_version.min(version);
         let name = text(&base.device_name);
         let kind = match base.device_type {
             vk::PhysicalDeviceType::DISCRETE_GPU => "discrete",
@@ -312,4 +321,10 @@ impl DeviceInfo {
 fn text(chars: &[std::ffi::c_char]) -> String {
     let bytes: Vec<u8> = chars.iter().take_while(|c| **c != 0).map(|c| c.to_ne_bytes()[0]).collect();
     String::from_utf8_lossy(&bytes).into_owned()
+}
+
+/// `1.3.230` from a packed version.
+pub(super) fn show_version(version: u32) -> String {
+    let (major, minor) = (vk::api_version_major(version), vk::api_version_minor(version));
+    format!("{major}.{minor}.{}", vk::api_version_patch(version))
 }

@@ -9,6 +9,8 @@ use ash::vk;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 
 use super::capability::{Capabilities, DeviceInfo, REQUIREMENTS};
+use super::host::QueueLock;
+use super::instance::{Messages, Messenger, create_instance};
 use super::pipeline::{PipelineCacheFile, Pipelines};
 use crate::error::{Error, Result};
 
@@ -31,6 +33,12 @@ pub struct GpuOptions {
     pub pipeline_cache: bool,
     /// Seconds before a wait for the device gives up.
     pub timeout_s: f64,
+    /// Instance extensions that the caller needs beside the engine's, for a window's surface; a loader without one of
+    /// them is refused.
+    pub instance_extensions: Vec<CString>,
+    /// Device extensions that the caller needs beside the engine's, such as `VK_KHR_swapchain`; devices without one of
+    /// them are not chosen.
+    pub device_extensions: Vec<CString>,
 }
 
 impl Default for GpuOptions {
@@ -45,6 +53,8 @@ impl Default for GpuOptions {
             byte_budget: None,
             pipeline_cache: true,
             timeout_s: timeout.unwrap_or(60.0),
+            instance_extensions: Vec::new(),
+            device_extensions: Vec::new(),
         }
     }
 }
@@ -76,9 +86,29 @@ pub(super) struct Shared {
     pub(super) family: u32,
     pub(super) sync2: Sync2,
     pub(super) device: ash::Device,
+    pub(super) physical: vk::PhysicalDevice,
+    /// Made by the engine, and destroyed by it; a host's device is neither.
+    pub(super) owned: bool,
+    /// The host's own lock of the queue, when it submits to it too.
+    pub(super) host_lock: Option<Arc<dyn QueueLock>>,
     debug: Option<Messenger>,
-    instance: ash::Instance,
-    _entry: ash::Entry,
+    pub(super) instance: ash::Instance,
+    pub(super) entry: ash::Entry,
+}
+
+/// What is opened: by the engine or by a host.
+pub(super) struct Opened {
+    pub(super) entry: ash::Entry,
+    pub(super) instance: ash::Instance,
+    pub(super) physical: vk::PhysicalDevice,
+    pub(super) info: DeviceInfo,
+    pub(super) device: ash::Device,
+    pub(super) family: u32,
+    pub(super) queue: vk::Queue,
+    pub(super) owned: bool,
+    pub(super) host_lock: Option<Arc<dyn QueueLock>>,
+    pub(super) debug: Option<Messenger>,
+    pub(super) messages: Messages,
 }
 
 /// Byte accounting of all allocations of a device.
@@ -131,25 +161,44 @@ impl Gpu {
         options: &GpuOptions,
     ) -> Result<Self> {
         let candidates = enumerate(instance)?;
-        let index = choose(&candidates, options.device.as_deref())?;
+        let index = choose(&candidates, options)?;
         let (physical, info) = candidates[index].clone();
-        let (device, family) = create_device(instance, physical, &info)?;
+        let (device, family) = create_device(instance, physical, &info, &options.device_extensions)?;
         // SAFETY: the queue was requested at device creation.
         let queue = unsafe { device.get_device_queue(family, 0) };
+        let instance = instance.clone();
+        let (owned, host_lock) = (true, None);
+        let opened = Opened {
+            entry,
+            instance,
+            physical,
+            info,
+            device: device.clone(),
+            family,
+            queue,
+            owned,
+            host_lock,
+            debug,
+            messages,
+        };
+        let made = Self::from_opened(opened, options);
+        if made.is_err() {
+            // SAFETY: nothing made from the device is left.
+            unsafe { device.destroy_device(None) };
+        }
+        made
+    }
+
+    /// The engine's own objects on an open device. When it fails, nothing of them is left.
+    pub(super) fn from_opened(opened: Opened, options: &GpuOptions) -> Result<Self> {
+        let Opened { entry, instance, physical, info, device, family, queue, owned, host_lock, debug, messages } =
+            opened;
         let sync2 = if info.capabilities.api_version >= vk::API_VERSION_1_3 {
             Sync2::Core
         } else {
-            Sync2::Extension(ash::khr::synchronization2::Device::new(instance, &device))
+            Sync2::Extension(ash::khr::synchronization2::Device::new(&instance, &device))
         };
-        let made = Self::device_objects(instance, &device, physical, &info, options);
-        let (timeline, allocator, cache) = match made {
-            Ok(made) => made,
-            Err(error) => {
-                // SAFETY: nothing made from the device is left.
-                unsafe { device.destroy_device(None) };
-                return Err(error);
-            }
-        };
+        let (timeline, allocator, cache) = Self::device_objects(&instance, &device, physical, &info, options)?;
         let budget = options.byte_budget.unwrap_or(info.capabilities.device_heap_bytes / 5 * 4);
         let memory = MemoryBudget { budget: AtomicU64::new(budget), ..MemoryBudget::default() };
         Ok(Self(Arc::new(Shared {
@@ -168,9 +217,12 @@ impl Gpu {
             family,
             sync2,
             device,
+            physical,
+            owned,
+            host_lock,
             debug,
-            instance: instance.clone(),
-            _entry: entry,
+            instance,
+            entry,
         })))
     }
 
@@ -225,23 +277,71 @@ impl Gpu {
         self.0.lose_at.store(submission, Ordering::SeqCst);
     }
 
-    /// Blocks until the device is idle.
+    /// Blocks until the device is idle. Of a host's device: until what the engine itself submitted has finished.
     pub fn wait_idle(&self) -> Result<()> {
-        let _queue = lock(&self.0.queue);
-        // SAFETY: the queue lock keeps others from submitting meanwhile.
-        unsafe { self.0.device.device_wait_idle() }.map_err(vk_error("vkDeviceWaitIdle"))
+        self.0.settle().map_err(vk_error("vkDeviceWaitIdle"))
+    }
+}
+
+/// The queue, held for one submission.
+pub(super) struct QueueGuard<'a> {
+    queue: MutexGuard<'a, vk::Queue>,
+    host_lock: Option<&'a dyn QueueLock>,
+}
+
+impl std::ops::Deref for QueueGuard<'_> {
+    type Target = vk::Queue;
+    fn deref(&self) -> &vk::Queue {
+        &self.queue
+    }
+}
+
+impl Drop for QueueGuard<'_> {
+    fn drop(&mut self) {
+        if let Some(host_lock) = self.host_lock {
+            host_lock.unlock();
+        }
+    }
+}
+
+impl Shared {
+    /// Nobody else submits until the guard goes.
+    pub(super) fn lock_queue(&self) -> QueueGuard<'_> {
+        let queue = lock(&self.queue);
+        let host_lock = self.host_lock.as_deref();
+        if let Some(host_lock) = host_lock {
+            host_lock.lock();
+        }
+        QueueGuard { queue, host_lock }
+    }
+
+    /// Waits for everything that the engine submitted; of its own device, for everything.
+    pub(super) fn settle(&self) -> ash::prelude::VkResult<()> {
+        if self.owned {
+            let _queue = self.lock_queue();
+            // SAFETY: the queue lock keeps others from submitting meanwhile.
+            return unsafe { self.device.device_wait_idle() };
+        }
+        let (semaphores, values) = ([self.timeline], [self.submissions.load(Ordering::SeqCst)]);
+        let wait = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
+        // SAFETY: the semaphore is live; the last submission signals this value.
+        unsafe { self.device.wait_semaphores(&wait, u64::MAX) }
     }
 }
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        // SAFETY: this is the last handle, so nothing made from the device is in use after the wait.
+        let _ = self.settle();
+        // SAFETY: this is the last handle, so nothing made from the device is in use after the wait; a host has promised
+        // that what it recorded has finished.
         unsafe {
-            let _ = self.device.device_wait_idle();
             lock(&self.pipelines).destroy(&self.device);
             self.cache.save_and_destroy(&self.device);
             self.device.destroy_semaphore(self.timeline, None);
             drop(lock(&self.allocator).take());
+            if !self.owned {
+                return;
+            }
             self.device.destroy_device(None);
             if let Some((loader, messenger)) = &self.debug {
                 loader.destroy_debug_utils_messenger(*messenger, None);
@@ -261,113 +361,6 @@ pub fn devices() -> Result<Vec<DeviceInfo>> {
     list
 }
 
-type Messenger = (ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT);
-type Messages = Arc<Mutex<Vec<String>>>;
-
-fn create_instance(options: &GpuOptions) -> Result<(ash::Entry, ash::Instance, Option<Messenger>, Messages)> {
-    // SAFETY: loading the system's Vulkan loader runs its initialisers, which are trusted.
-    let entry = unsafe { ash::Entry::load() }.map_err(|e| Error::NoDevice {
-        reason: format!("the Vulkan loader (libvulkan.so.1) cannot be loaded: {e}; run ci/setup"),
-    })?;
-    let no_instance = |code: vk::Result| Error::NoDevice { reason: format!("vkCreateInstance: {code:?}") };
-    // SAFETY: plain queries.
-    let version = unsafe { entry.try_enumerate_instance_version() }.map_err(no_instance)?;
-    let version = version.unwrap_or(vk::API_VERSION_1_0);
-    if version < vk::API_VERSION_1_2 {
-        return Err(Error::NoDevice {
-            reason: format!("the Vulkan loader is {}, expected 1.2 or later", show_version(version)),
-        });
-    }
-    let app = vk::ApplicationInfo::default()
-        .application_name(c"spgs")
-        .engine_name(c"spgs")
-        .api_version(version.min(vk::API_VERSION_1_3));
-    let mut layers = Vec::new();
-    let mut extensions = Vec::new();
-    let validation_layer = c"VK_LAYER_KHRONOS_validation";
-    if options.validation {
-        // SAFETY: plain query.
-        let available = unsafe { entry.enumerate_instance_layer_properties() }.map_err(no_instance)?;
-        if !available.iter().any(|l| l.layer_name_as_c_str() == Ok(validation_layer)) {
-            let reason =
-                "validation was asked for, but VK_LAYER_KHRONOS_validation is not installed; run ci/setup --tests";
-            return Err(Error::NoDevice { reason: reason.into() });
-        }
-        layers.push(validation_layer.as_ptr());
-        extensions.push(ash::ext::debug_utils::NAME.as_ptr());
-        extensions.push(ash::ext::validation_features::NAME.as_ptr());
-    }
-    // SAFETY: plain query.
-    let available = unsafe { entry.enumerate_instance_extension_properties(None) }.map_err(no_instance)?;
-    let mut flags = vk::InstanceCreateFlags::empty();
-    if available.iter().any(|e| e.extension_name_as_c_str() == Ok(ash::khr::portability_enumeration::NAME)) {
-        extensions.push(ash::khr::portability_enumeration::NAME.as_ptr());
-        flags |= vk::InstanceCreateFlags::ENUMERATE_PORTABILITY_KHR;
-    }
-    let enabled: &[vk::ValidationFeatureEnableEXT] = if options.gpu_assisted {
-        &[
-            vk::ValidationFeatureEnableEXT::GPU_ASSISTED,
-            vk::ValidationFeatureEnableEXT::GPU_ASSISTED_RESERVE_BINDING_SLOT,
-        ]
-    } else {
-        &[vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION]
-    };
-    let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(enabled);
-    let mut create = vk::InstanceCreateInfo::default()
-        .flags(flags)
-        .application_info(&app)
-        .enabled_layer_names(&layers)
-        .enabled_extension_names(&extensions);
-    if options.validation {
-        create = create.push_next(&mut features);
-    }
-    // SAFETY: the create info and what it points to live until the call returns.
-    let instance = unsafe { entry.create_instance(&create, None) }.map_err(no_instance)?;
-    let messages = Arc::new(Mutex::new(Vec::new()));
-    let debug = if options.validation { Some(create_messenger(&entry, &instance, &messages)?) } else { None };
-    Ok((entry, instance, debug, messages))
-}
-
-fn create_messenger(entry: &ash::Entry, instance: &ash::Instance, messages: &Messages) -> Result<Messenger> {
-    let loader = ash::ext::debug_utils::Instance::new(entry, instance);
-    let create = vk::DebugUtilsMessengerCreateInfoEXT::default()
-        .message_severity(vk::DebugUtilsMessageSeverityFlagsEXT::ERROR | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING)
-        .message_type(
-            vk::DebugUtilsMessageTypeFlagsEXT::GENERAL
-                | vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION
-                | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE,
-        )
-        .pfn_user_callback(Some(on_message))
-        .user_data(Arc::as_ptr(messages).cast_mut().cast());
-    // SAFETY: `messages` is kept by `Shared`, which destroys the messenger before it drops the list.
-    let messenger = unsafe { loader.create_debug_utils_messenger(&create, None) };
-    Ok((loader, messenger.map_err(vk_error("vkCreateDebugUtilsMessengerEXT"))?))
-}
-
-// SAFETY contract: called by the validation layer with a valid callback data pointer and our list as user data.
-unsafe extern "system" fn on_message(
-    _severity: vk::DebugUtilsMessageSeverityFlagsEXT,
-    _kind: vk::DebugUtilsMessageTypeFlagsEXT,
-    data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
-    user: *mut std::ffi::c_void,
-) -> vk::Bool32 {
-    if data.is_null() || user.is_null() {
-        return vk::FALSE;
-    }
-    // SAFETY: see the contract above; the text is a NUL-terminated string when present.
-    let (text, list) = unsafe {
-        let text = if (*data).p_message.is_null() {
-            String::new()
-        } else {
-            CStr::from_ptr((*data).p_message).to_string_lossy().into_owned()
-        };
-        (text, &*user.cast::<Mutex<Vec<String>>>())
-    };
-    log::warn!("validation: {text}");
-    lock(list).push(text);
-    vk::FALSE
-}
-
 fn enumerate(instance: &ash::Instance) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
     // SAFETY: plain queries on a live instance.
     let all = unsafe { instance.enumerate_physical_devices() }
@@ -379,18 +372,23 @@ fn enumerate(instance: &ash::Instance) -> Result<Vec<(vk::PhysicalDevice, Device
         .collect())
 }
 
-fn choose(candidates: &[(vk::PhysicalDevice, DeviceInfo)], wanted: Option<&str>) -> Result<usize> {
+fn choose(candidates: &[(vk::PhysicalDevice, DeviceInfo)], options: &GpuOptions) -> Result<usize> {
+    let lacks = |d: &DeviceInfo| -> Vec<String> {
+        let extensions = options.device_extensions.iter().filter(|e| !d.capabilities.has_extension(e));
+        let extensions = extensions.map(|e| e.to_string_lossy().into_owned());
+        d.missing().into_iter().map(str::to_owned).chain(extensions).collect()
+    };
     let refusals = |list: &[(vk::PhysicalDevice, DeviceInfo)]| {
         let lines: Vec<String> = list
             .iter()
-            .map(|(_, d)| match d.missing() {
+            .map(|(_, d)| match lacks(d) {
                 m if m.is_empty() => format!("[{}] {}", d.index, d.name),
                 m => format!("[{}] {}: lacks {}", d.index, d.name, m.join(", ")),
             })
             .collect();
         if lines.is_empty() { "no driver found; run ci/setup".to_owned() } else { lines.join("; ") }
     };
-    if let Some(text) = wanted {
+    if let Some(text) = options.device.as_deref() {
         let found = match text.parse::<usize>() {
             Ok(index) => (index < candidates.len()).then_some(index),
             Err(_) => candidates.iter().position(|(_, d)| d.name.to_lowercase().contains(&text.to_lowercase())),
@@ -398,12 +396,12 @@ fn choose(candidates: &[(vk::PhysicalDevice, DeviceInfo)], wanted: Option<&str>)
         let index = found.ok_or_else(|| {
             Error::usage("--device", text, format!("an index or part of a name of: {}", refusals(candidates)))
         })?;
-        if !candidates[index].1.missing().is_empty() {
+        if !lacks(&candidates[index].1).is_empty() {
             return Err(Error::NoDevice { reason: refusals(&candidates[index..=index]) });
         }
         return Ok(index);
     }
-    let usable = candidates.iter().enumerate().filter(|(_, (_, d))| d.missing().is_empty());
+    let usable = candidates.iter().enumerate().filter(|(_, (_, d))| lacks(d).is_empty());
     usable
         .min_by_key(|(i, (_, d))| (d.kind_rank(), *i))
         .map(|(i, _)| i)
@@ -414,6 +412,7 @@ fn create_device(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
     info: &DeviceInfo,
+    wanted: &[CString],
 ) -> Result<(ash::Device, u32)> {
     let capabilities: &Capabilities = &info.capabilities;
     let family = capabilities
@@ -421,9 +420,9 @@ fn create_device(
         .ok_or_else(|| Error::NoDevice { reason: format!("{}: {}", info.name, REQUIREMENTS[0].why) })?;
     let priorities = [1.0];
     let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&priorities)];
-    let mut extensions: Vec<CString> = Vec::new();
+    let mut extensions = wanted.to_vec();
     let mut enable = |name: &CStr| {
-        if capabilities.has_extension(name) {
+        if capabilities.has_extension(name) && !extensions.iter().any(|e| e.as_c_str() == name) {
             extensions.push(name.to_owned());
         }
     };
@@ -462,10 +461,4 @@ fn cache_path(info: &DeviceInfo) -> Option<PathBuf> {
         .map(PathBuf::from)
         .or_else(|| std::env::var_os("HOME").map(|h| PathBuf::from(h).join(".cache")))?;
     Some(base.join("spgs").join(format!("pipelines-{}.bin", info.capabilities.cache_uuid)))
-}
-
-/// `1.3.230` from a packed version.
-pub(super) fn show_version(version: u32) -> String {
-    let (major, minor) = (vk::api_version_major(version), vk::api_version_minor(version));
-    format!("{major}.{minor}.{}", vk::api_version_patch(version))
 }

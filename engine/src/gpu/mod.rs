@@ -3,23 +3,29 @@
 //!
 //! [`Gpu`] opens a device ([`capability::REQUIREMENTS`] is the table of what it must have). [`Kernel`] declares a compute
 //! shader once. [`Recorder`] collects operations, derives the barriers from the declared accesses ([`access`]) and becomes
-//! [`Commands`], which are submitted again and again, several in flight.
+//! [`Commands`], which are submitted again and again, several in flight, or a [`Sequence`], which is written into the
+//! command buffers of another program ([`host`]).
 
 pub mod access;
 pub mod capability;
 mod commands;
 mod device;
+pub mod host;
+mod instance;
 pub mod kernel;
 mod memory;
 pub mod mmap;
 mod pipeline;
 pub mod product;
 mod recorder;
+mod sequence;
 pub mod spirv;
 
 pub use capability::{Capabilities, DeviceInfo};
 pub use commands::{Commands, Submission, Timing};
 pub use device::{Gpu, GpuOptions, devices};
+pub use host::{HostCommandBuffer, HostDevice, HostImage, ImageUse, QueueLock};
 pub use kernel::Kernel;
 pub use memory::{Buffer, Memory, Slice};
 pub use recorder::{Groups, Recorder, SLICE_ALIGNMENT};
+pub use sequence::Sequence;

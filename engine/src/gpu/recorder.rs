@@ -9,6 +9,7 @@ use super::device::Gpu;
 use super::kernel::{Access, Kernel};
 use super::memory::{Buffer, Memory, Slice};
 use super::pipeline::Pipeline;
+use super::sequence::Sequence;
 use crate::error::{Error, Result};
 
 /// Alignment of slice starts: the largest `minStorageBufferOffsetAlignment` that the specification allows.
@@ -24,9 +25,33 @@ pub enum Groups {
 }
 
 pub(super) enum Work {
-    Fill { slice: Slice, value: u32 },
-    Copy { source: Slice, destination: Slice },
-    Dispatch { kernel: &'static Kernel, pipeline: Pipeline, push: Vec<u8>, slices: Vec<Slice>, grid: Grid },
+    Fill {
+        slice: Slice,
+        value: u32,
+    },
+    /// `slot_bytes`: the destination moves by that much from slot to slot.
+    Copy {
+        source: Slice,
+        destination: Slice,
+        slot_bytes: u64,
+    },
+    /// Bytes that are given when the sequence is encoded.
+    Update {
+        slice: Slice,
+        slot_bytes: u64,
+    },
+    /// To an image that is given when the sequence is encoded; `size` in pixels.
+    CopyToImage {
+        slice: Slice,
+        size: [u32; 2],
+    },
+    Dispatch {
+        kernel: &'static Kernel,
+        pipeline: Pipeline,
+        push: Vec<u8>,
+        slices: Vec<Slice>,
+        grid: Grid,
+    },
     HostRead,
 }
 
@@ -108,7 +133,40 @@ impl Recorder {
         }
         let label = format!("copy {}", source.buffer.name());
         let uses = vec![access(&source, Stages::TRANSFER, false), access(&destination, Stages::TRANSFER, true)];
-        self.push(label, Work::Copy { source, destination }, uses);
+        self.push(label, Work::Copy { source, destination, slot_bytes: 0 }, uses);
+        Ok(())
+    }
+
+    /// [`Recorder::copy`] to a ring: in slot `s` of a [`Sequence`] the destination lies `s · slot_bytes` further.
+    pub fn copy_to_slot(&mut self, source: impl Into<Slice>, destination: Slice, slot_bytes: u64) -> Result<()> {
+        self.copy(source, destination)?;
+        if let Some(Operation { work: Work::Copy { slot_bytes: bytes, .. }, .. }) = self.operations.last_mut() {
+            *bytes = slot_bytes;
+        }
+        Ok(())
+    }
+
+    /// Writes bytes that are given anew each time that the [`Sequence`] is encoded; in slot `s`, `s · slot_bytes` further
+    /// on. The bytes are part of the command buffer: no memory of the host is read later.
+    pub fn update(&mut self, slice: impl Into<Slice>, slot_bytes: u64) -> Result<()> {
+        let slice = slice.into();
+        check_range(&slice, 4, "update")?;
+        let uses = vec![access(&slice, Stages::TRANSFER, true)];
+        self.push(format!("update {}", slice.name()), Work::Update { slice, slot_bytes }, uses);
+        Ok(())
+    }
+
+    /// Copies tightly packed pixels to an image that is given each time that the [`Sequence`] is encoded.
+    pub fn copy_to_image(&mut self, slice: impl Into<Slice>, size: [u32; 2], pixel_bytes: u64) -> Result<()> {
+        let slice = slice.into();
+        check_range(&slice, 4, "copy to image")?;
+        let need = u64::from(size[0]) * u64::from(size[1]) * pixel_bytes;
+        if need > slice.bytes {
+            let what = format!("bytes of `{}` for an image", slice.name());
+            return Err(Error::Limit { what, need: need.into(), have: slice.bytes.into() });
+        }
+        let uses = vec![access(&slice, Stages::TRANSFER, false)];
+        self.push(format!("copy {} to image", slice.name()), Work::CopyToImage { slice, size }, uses);
         Ok(())
     }
 
@@ -234,9 +292,17 @@ impl Recorder {
     }
 
     /// Derives nothing new: encodes the list with its barriers.
+    ///
+    /// # Errors
+    /// `Usage` when something is only known at encoding ([`Recorder::update`], [`Recorder::copy_to_image`]).
     pub fn finish(self) -> Result<Commands> {
+        Commands::encode(self.finish_sequence(1)?)
+    }
+
+    /// The list with its barriers and descriptor sets, to be written into other command buffers, `slots` of them in flight.
+    pub fn finish_sequence(self, slots: u32) -> Result<Sequence> {
         let plan = plan(&self.operations, self.begin_barrier);
-        Commands::encode(&self.gpu, self.name, self.operations, plan, (self.profile, self.begin_barrier))
+        Sequence::new(&self.gpu, self.name, self.operations, plan, (self.profile, self.begin_barrier, slots))
     }
 }
 

@@ -5,11 +5,15 @@
 //! 1 − T) and, when `WITH_DEPTH` is 1, `depth float[H·W]` (Σ z α T; else a dummy of any size). When `WITH_SLOTS` is 1,
 //! `values` are slots and `gaussian_of_slot` leads to the Gaussians (see [`SlotBuffers`](super::tiles::SlotBuffers)).
 //!
+//! Kernel `blend_packed` does the same and stores pixels in the format of a picture ([`PixelFormat`]): in a frame that goes
+//! into a host's image this saves writing, reading and converting 16 bytes per pixel.
+//!
 //! One subgroup blends one subtile ([`subtile`]); the formulas are those of 3D Gaussian splatting's forward pass with the
 //! threshold α ≥ 1/255 tested before exp2, in the log2 domain.
 
 use super::ellipse::{Ellipse, log2_cut};
 use super::frame::Frame;
+use super::half::{self, HALF_MAX};
 use super::limits::TILE_SIZE;
 use super::splat::{Splat, unpack_splat};
 use super::twin::{set_f32, set_vec4, spec, struct_at};
@@ -76,6 +80,92 @@ pub static BLEND: Kernel = Kernel {
     spirv: include_bytes!("../../../spirv_cache/blend.spv"),
 };
 
+/// Format of the pixels that a frame ends in; always R, G, B = Σ c α T + T·background and A = 1 − T, which is premultiplied
+/// colour when the background is black.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[repr(u32)]
+pub enum PixelFormat {
+    /// `VK_FORMAT_R8G8B8A8_UNORM` (or `_SRGB`: the bytes are the same), clamped to \[0, 1\] and rounded to the nearest level.
+    #[default]
+    Rgba8 = 0,
+    /// `VK_FORMAT_B8G8R8A8_UNORM`, as [`PixelFormat::Rgba8`].
+    Bgra8 = 1,
+    /// `VK_FORMAT_R16G16B16A16_SFLOAT`, within ±65504.
+    Rgba16F = 2,
+    /// `VK_FORMAT_R32G32B32A32_SFLOAT`: the engine's own bits.
+    Rgba32F = 3,
+}
+
+impl PixelFormat {
+    /// Bytes of a pixel.
+    pub fn bytes(self) -> u64 {
+        [4, 4, 8, 16][self as usize]
+    }
+
+    /// A pixel as `blend_packed` stores it; the first [`PixelFormat::bytes`] count.
+    pub fn pack(self, value: [f32; 4]) -> [u32; 4] {
+        let half = |a: f32, b: f32| half::pack([a, b].map(|v| v.clamp(-HALF_MAX, HALF_MAX)));
+        let level = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u32;
+        let [r, g, b, a] = value;
+        match self {
+            Self::Rgba8 => [level(r) | level(g) << 8 | level(b) << 16 | level(a) << 24, 0, 0, 0],
+            Self::Bgra8 => [level(b) | level(g) << 8 | level(r) << 16 | level(a) << 24, 0, 0, 0],
+            Self::Rgba16F => [half(r, g), half(b, a), 0, 0],
+            Self::Rgba32F => value.map(f32::to_bits),
+        }
+    }
+
+    /// Colour and alpha of a stored pixel.
+    pub fn unpack(self, words: &[u32]) -> [f32; 4] {
+        let level = |shift: u32| ((words[0] >> shift) & 255) as f32 / 255.0;
+        let half = |i: usize| half::to_f32(words[i / 2] >> (16 * (i % 2)) & 0xFFFF);
+        match self {
+            Self::Rgba8 => [level(0), level(8), level(16), level(24)],
+            Self::Bgra8 => [level(16), level(8), level(0), level(24)],
+            Self::Rgba16F => [half(0), half(1), half(2), half(3)],
+            Self::Rgba32F => std::array::from_fn(|i| f32::from_bits(words[i])),
+        }
+    }
+}
+
+/// `blend` into an 8-bit or half-float picture.
+pub static BLEND_PACKED: Kernel = Kernel {
+    name: "blend_packed",
+    doc: "blend, pixels stored in the format of a host's image",
+    local_size: BLEND_THREADS,
+    spec: &[
+        "SUBGROUP_SIZE",
+        "WITH_DEPTH",
+        "STAGE",
+        "PIXELS_PER_LANE",
+        "WITH_SLOTS",
+        "ALPHA_CUT",
+        "TRANSMITTANCE_STOP",
+        "PACKING",
+        "FORMAT",
+    ],
+    push: &[],
+    bindings: &[
+        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
+        Binding::new("ranges", Access::Read, Element::U32),
+        Binding::new("values", Access::Read, Element::U32),
+        Binding::new("splats", Access::Read, Element::F32),
+        Binding::new("pixels", Access::Write, Element::U32),
+        Binding::new("depth", Access::Write, Element::F32),
+        Binding::new("gaussian_of_slot", Access::Read, Element::U32),
+    ],
+    twin: blend_packed_twin,
+    // Of the depth, as for `blend`; a pixel's level may be the next one.
+    tolerance: Tolerance { absolute: 1e-4, relative: 1e-4, flips: 1e-3 },
+    bytes: blend_packed_bytes,
+    spirv: include_bytes!("../../../spirv_cache/blend_packed.spv"),
+};
+
+/// As `blend`, with the pixels' own size.
+fn blend_packed_bytes(work: &Workload) -> u64 {
+    blend_bytes(work) - work.get("pixels") * 16 + work.get("pixels") * work.get("pixel_bytes")
+}
+
 /// Each instance's index and splat once, each pixel's colour (and depth) once, each tile's range once.
 fn blend_bytes(work: &Workload) -> u64 {
     work.get("instances") * (4 + work.get("splat_bytes"))
@@ -137,6 +227,18 @@ fn blend_splat(pixel: &mut Pixel, [first, second, third]: Splat, limits: &Limits
 }
 
 fn blend_twin(call: &mut TwinCall<'_>) {
+    blend_tiles(call, |target, at, value| set_vec4(target, at, value));
+}
+
+fn blend_packed_twin(call: &mut TwinCall<'_>) {
+    let format = [PixelFormat::Rgba8, PixelFormat::Bgra8, PixelFormat::Rgba16F][spec(call, 8) as usize];
+    let words = format.bytes() as usize / 4;
+    blend_tiles(call, |target, at, value| {
+        target[words * at..words * (at + 1)].copy_from_slice(&format.pack(value)[..words]);
+    });
+}
+
+fn blend_tiles(call: &mut TwinCall<'_>, store_pixel: impl Fn(&mut [u32], usize, [f32; 4])) {
     let frame: Frame = struct_at(&call.buffers[0], 0);
     let with_depth = spec(call, 1) == 1;
     let with_slots = spec(call, 4) == 1;
@@ -173,7 +275,7 @@ fn blend_twin(call: &mut TwinCall<'_>) {
                     let at = (y * width + x) as usize;
                     let rest = pixel.transmittance.abs();
                     let [r, g, b] = std::array::from_fn(|c| pixel.colour[c] + rest * frame.background[c]);
-                    set_vec4(&mut call.buffers[4], at, [r, g, b, 1.0 - rest]);
+                    store_pixel(&mut call.buffers[4], at, [r, g, b, 1.0 - rest]);
                     if with_depth {
                         set_f32(&mut call.buffers[5], at, pixel.depth);
                     }

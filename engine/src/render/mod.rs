@@ -11,14 +11,18 @@
 //!
 //! What may be given up for speed is in [`Quality`]: a list of knobs and three presets. The default, [`Quality::EXACT`], is
 //! the definition of the image; programs that show images want [`Quality::HIGH`], which differs from it invisibly.
+//!
+//! [`View`] records the same frame into another program's command buffer and image; [`embed`] says how.
 
 pub mod angle;
 pub mod blend;
 pub(crate) mod bounds;
+mod capacity;
 pub mod compact;
 pub mod deform_network;
 pub mod deform_project;
 pub mod ellipse;
+pub mod embed;
 pub mod frame;
 pub mod half;
 pub mod limits;
@@ -42,6 +46,8 @@ pub mod tiles;
 pub mod twin;
 pub(crate) mod work_buffers;
 
+pub use blend::PixelFormat;
+pub use embed::{Finished, Loading, Recorded, SceneHandle, SceneOptions, Target, View, ViewOptions};
 pub use pipeline::KERNELS;
 pub use quality::Quality;
 pub use renderer::{FrameId, FrameStatistics, MemoryUse, RenderOptions, Renderer};

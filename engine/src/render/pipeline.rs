@@ -4,7 +4,7 @@ use crate::error::Result;
 use crate::gpu::kernel::Kernel;
 use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, SLICE_ALIGNMENT, Slice};
 
-use super::blend::{self, BLEND};
+use super::blend::{self, BLEND, BLEND_PACKED, PixelFormat};
 use super::compact::{
     COMPACT, COMPACT_GAUSSIANS, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT, INDIRECT_RANGES, INDIRECT_TILE_SORT,
 };
@@ -47,6 +47,8 @@ pub(crate) struct Shape {
     pub(crate) nonrigid_offset: Option<Slice>,
     /// What may be given up; exact unless said.
     pub(crate) quality: Quality,
+    /// `frame.color` holds pixels of this format; `None`: floats.
+    pub(crate) format: Option<PixelFormat>,
 }
 
 /// Records a frame that the host looks at.
@@ -302,7 +304,13 @@ fn ranges_and_blend(
         gaussian_of_slot,
     ];
     let groups = Groups::Direct(blend::groups(shape.tiles, size, pixels_per_lane));
-    r.dispatch(&BLEND, &spec, &[], &buffers, groups)
+    match shape.format {
+        None | Some(PixelFormat::Rgba32F) => r.dispatch(&BLEND, &spec, &[], &buffers, groups),
+        Some(format) => {
+            let [a, b, c, d, e, f, g] = spec;
+            r.dispatch(&BLEND_PACKED, &[a, b, c, d, e, f, g, format as u32], &[], &buffers, groups)
+        }
+    }
 }
 
 fn slices(buffers: &[&Buffer]) -> Vec<Slice> {
@@ -322,5 +330,6 @@ pub static KERNELS: &[&Kernel] = &[
     &EMIT_TILES,
     &TILE_RANGES,
     &BLEND,
+    &BLEND_PACKED,
     &super::rate::ARITHMETIC_RATE,
 ];

@@ -63,7 +63,21 @@ fn left_jacobian(axis: DVec3) -> DMat3 {
 }
 
 /// Poses at `time` as `[M,2]` vec4, relative to `origin` o: R(μ' + o) + τ − o = Rμ' + τ'.
-pub(crate) fn poses_at(motion: &Motion, interpolation: Interpolation, time: f64, origin: DVec3) -> Vec<[f32; 4]> {
+#[cfg(test)]
+fn poses_at(motion: &Motion, interpolation: Interpolation, time: f64, origin: DVec3) -> Vec<[f32; 4]> {
+    let mut out = Vec::new();
+    write_poses(motion, interpolation, time, origin, &mut out);
+    out
+}
+
+/// Poses at `time` as `[M,2]` vec4, relative to `origin` o: R(μ' + o) + τ − o = Rμ' + τ'; they replace what is in `out`.
+pub(crate) fn write_poses(
+    motion: &Motion,
+    interpolation: Interpolation,
+    time: f64,
+    origin: DVec3,
+    out: &mut Vec<[f32; 4]>,
+) {
     let interval = motion.interval(time);
     let m = motion.superpoint_count();
     let (first, second) = (interval.first as usize * m, interval.second as usize * m);
@@ -71,7 +85,8 @@ pub(crate) fn poses_at(motion: &Motion, interpolation: Interpolation, time: f64,
         let (a, b) = (DVec3::from(list[first + i].map(f64::from)), DVec3::from(list[second + i].map(f64::from)));
         a + (b - a) * interval.weight
     };
-    let mut out = Vec::with_capacity(2 * m);
+    out.clear();
+    out.reserve(2 * m);
     for i in 0..m {
         let (r, rotation, translation) = match interpolation {
             Interpolation::Linear => {
@@ -90,7 +105,6 @@ pub(crate) fn poses_at(motion: &Motion, interpolation: Interpolation, time: f64,
         out.push(r.as_vec3().extend(0.0).to_array());
         out.push(translation.as_vec3().extend(0.0).to_array());
     }
-    out
 }
 
 #[cfg(test)]

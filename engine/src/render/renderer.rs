@@ -8,10 +8,9 @@ use crate::gpu::{Buffer, Commands, Gpu, Memory, Timing};
 use crate::image::Image;
 use crate::scene::{Camera, MotionSource, Rejected, Scene};
 
+use super::capacity;
 use super::frame::{Frame, FrameOptions};
-use super::limits::{
-    COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE, TILE_SIZE,
-};
+use super::limits::TILE_SIZE;
 use super::mean_storage;
 use super::pipeline::{self, FrameBuffers, Shape};
 use super::quality::Quality;
@@ -19,10 +18,6 @@ use super::scene_buffers::{Poses, SceneBuffers};
 use super::splat::splat_words;
 use super::work_buffers::{COUNTER_WORDS, WorkBuffers};
 
-/// Tile instances that the first frame has room for, per Gaussian.
-const FIRST_INSTANCES_PER_GAUSSIAN: u64 = 2;
-/// Room beyond what a frame needed when the buffers grow.
-const GROWTH_PERCENT: u64 = 125;
 /// Frames of one renderer that may be in flight.
 const FRAMES_IN_FLIGHT: usize = 2;
 
@@ -117,6 +112,8 @@ pub struct Renderer {
     targets: Option<Targets>,
     capacity: u64,
     frames: u64,
+    /// Poses of the latest frame, when the host makes them.
+    host_pose: Vec<[f32; 4]>,
 }
 
 impl Renderer {
@@ -127,10 +124,9 @@ impl Renderer {
     pub fn new(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<Self> {
         let options = RenderOptions { quality: options.quality.for_scene(scene), ..options.clone() };
         let scene = SceneBuffers::new(gpu, scene, options.motion, &options.quality)?;
-        let capacity = (u64::from(scene.gaussians) * FIRST_INSTANCES_PER_GAUSSIAN).max(4096);
-        let mut renderer = Self { gpu: gpu.clone(), options, scene, targets: None, capacity, frames: 0 };
-        renderer.capacity = capacity.min(renderer.instance_limit());
-        Ok(renderer)
+        let capacity = capacity::first(scene.gaussians).min(capacity::limit(gpu, options.max_instances));
+        let gpu = gpu.clone();
+        Ok(Self { gpu, options, scene, targets: None, capacity, frames: 0, host_pose: Vec::new() })
     }
 
     /// The knobs in use: those asked for, as the scene bears them ([`Quality::for_scene`]).
@@ -169,7 +165,7 @@ impl Renderer {
         let camera = &*self.drawn(camera);
         let mut frame = self.frame(camera, time)?;
         let slot = self.prepare([camera.width, camera.height])?;
-        let pose = self.scene.host_poses(time);
+        self.scene.write_host_poses(time, &mut self.host_pose);
         let Some(targets) = &mut self.targets else {
             return Err(Error::usage("renderer", "no targets", "targets after prepare"));
         };
@@ -177,8 +173,8 @@ impl Renderer {
         let slot = &mut targets.slots[slot];
         self.gpu.wait_for(&slot.commands)?;
         slot.buffers.frame.write(0, bytemuck::bytes_of(&frame))?;
-        if let (Some(buffer), Some(pose)) = (&slot.buffers.host_pose, pose) {
-            buffer.write(0, bytemuck::cast_slice(&pose))?;
+        if let Some(buffer) = &slot.buffers.host_pose {
+            buffer.write(0, bytemuck::cast_slice(&self.host_pose))?;
         }
         self.gpu.submit(&mut slot.commands)?;
         self.frames += 1;
@@ -194,13 +190,14 @@ impl Renderer {
         self.gpu.wait_for(&slot.commands)?;
         let mut bytes = [0_u8; COUNTER_WORDS as usize * 4];
         slot.buffers.counters.read(0, &mut bytes)?;
-        let word = |i: u32| u32::from_le_bytes([0, 1, 2, 3].map(|b| bytes[4 * i as usize + b]));
-        let instances = u64::from(word(COUNT_INSTANCES_HIGH)) << 32 | u64::from(word(COUNT_INSTANCES_LOW));
-        if word(COUNT_FAILED) != 0 {
-            self.grow(instances)?;
+        let counted = capacity::counted(&bytes);
+        if counted.overflowed {
+            let limit = capacity::limit(&self.gpu, self.options.max_instances);
+            let needed = counted.statistics.instances;
+            self.capacity = capacity::grown(self.capacity, needed, limit, self.scene.gaussians)?;
             return Ok(None);
         }
-        Ok(Some(FrameStatistics { visible: word(COUNT_VISIBLE), instances, rejected: word(COUNT_REJECTED) }))
+        Ok(Some(counted.statistics))
     }
 
     /// Reads the image of a finished frame, in the size that was asked for: one that was rendered smaller (see
@@ -316,15 +313,9 @@ impl Renderer {
             background: self.options.background,
             near: self.options.near,
             time,
-            interval: self.scene.interval(time),
-            gaussians: self.scene.gaussians,
-            superpoints: self.scene.superpoints,
-            sh_degree: self.scene.sh_degree,
-            instance_capacity: 0,
+            ..FrameOptions::default()
         };
-        let mut frame = Frame::new(camera, self.scene.origin, &options)?;
-        self.scene.bounds.set_depth_key(&mut frame, self.options.quality.depth_bits);
-        Ok(frame)
+        self.scene.frame(camera, options, self.options.quality.depth_bits)
     }
 
     /// Makes targets of this size and capacity when there are none; returns the slot for the next frame.
@@ -367,22 +358,5 @@ impl Renderer {
             depth: self.gpu.buffer("depth", depth_bytes, Memory::Device)?,
             counters: self.gpu.buffer("counters readback", COUNTER_WORDS * 4, Memory::Readback)?,
         })
-    }
-
-    /// Most tile instances that one binding of 4-byte words holds.
-    fn instance_limit(&self) -> u64 {
-        let c = &self.gpu.info().capabilities;
-        let device = (c.max_storage_buffer_range.min(c.max_allocation_bytes) / 4).min(1 << 31);
-        self.options.max_instances.unwrap_or(u64::MAX).min(device)
-    }
-
-    fn grow(&mut self, needed: u64) -> Result<()> {
-        let limit = self.instance_limit();
-        if needed > limit {
-            let what = format!("tile instances of {} Gaussians in this view", self.scene.gaussians);
-            return Err(Error::Limit { what, need: needed.into(), have: limit.into() });
-        }
-        self.capacity = (needed * GROWTH_PERCENT / 100).clamp(self.capacity, limit);
-        Ok(())
     }
 }

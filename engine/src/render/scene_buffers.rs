@@ -4,10 +4,13 @@ use glam::DVec3;
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Memory};
-use crate::scene::{DeformSize, Gaussians, KeyInterval, Motion, MotionSource, NonrigidNetwork, Rejected, Scene};
+use crate::scene::{
+    Camera, DeformSize, Gaussians, KeyInterval, Motion, MotionSource, NonrigidNetwork, Rejected, Scene,
+};
 
 use super::bounds::Bounds;
 use super::deform_network::pack_weights;
+use super::frame::{Frame, FrameOptions};
 use super::mean_storage;
 use super::nonrigid_network::{NONRIGID_PLANES, pack_parameters};
 use super::pose_table;
@@ -159,11 +162,26 @@ impl SceneBuffers {
         if let Poses::Table(motion) = &self.poses { motion.interval(time) } else { KeyInterval::default() }
     }
 
-    /// Poses at `time` as `[M,2]` vec4, relative to the origin: Exp(r)(μ' + o) + τ − o = Exp(r)μ' + τ'. Only for
-    /// [`Poses::Host`].
-    pub(crate) fn host_poses(&self, time: f64) -> Option<Vec<[f32; 4]>> {
-        let Poses::Host(motion, interpolation) = &self.poses else { return None };
-        Some(pose_table::poses_at(motion, *interpolation, time, self.origin))
+    /// A frame of this scene; background, near plane and time come from `options`.
+    pub(crate) fn frame(&self, camera: &Camera, options: FrameOptions, depth_bits: u32) -> Result<Frame> {
+        let options = FrameOptions {
+            interval: self.interval(options.time),
+            gaussians: self.gaussians,
+            superpoints: self.superpoints,
+            sh_degree: self.sh_degree,
+            ..options
+        };
+        let mut frame = Frame::new(camera, self.origin, &options)?;
+        self.bounds.set_depth_key(&mut frame, depth_bits);
+        Ok(frame)
+    }
+
+    /// Poses at `time` as `[M,2]` vec4, relative to the origin: Exp(r)(μ' + o) + τ − o = Exp(r)μ' + τ'. They replace what
+    /// is in `out`; `false`, and nothing is done, unless the scene has [`Poses::Host`].
+    pub(crate) fn write_host_poses(&self, time: f64, out: &mut Vec<[f32; 4]>) -> bool {
+        let Poses::Host(motion, interpolation) = &self.poses else { return false };
+        pose_table::write_poses(motion, *interpolation, time, self.origin, out);
+        true
     }
 
     /// SH bytes that a visible Gaussian costs.

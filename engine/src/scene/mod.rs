@@ -4,6 +4,7 @@ pub mod camera;
 pub mod gaussians;
 pub mod motion;
 pub mod network;
+pub mod path;
 pub mod synthetic;
 
 use std::collections::BTreeMap;
@@ -14,6 +15,7 @@ pub use camera::Camera;
 pub use gaussians::{Gaussians, Rejected};
 pub use motion::{Association, KeyInterval, Motion, MotionSource, Superpoints};
 pub use network::{DeformNetwork, DeformSize, Linear, NonrigidNetwork};
+pub use path::CameraPath;
 
 /// A named tensor that the engine carries but does not interpret: shape and f32 data.
 #[derive(Debug, Clone, PartialEq)]

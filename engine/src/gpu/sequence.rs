@@ -1,0 +1,427 @@
+//! Operations with their barriers and descriptor sets, ready to be written into a command buffer: the engine's own
+//! ([`super::Commands`]) once, or a host's in every frame.
+
+use std::sync::Arc;
+
+use ash::vk;
+
+use super::access::{Barrier, Stages};
+use super::commands::Timing;
+use super::device::{Gpu, Shared, Sync2, vk_error};
+use super::host::{HostCommandBuffer, HostImage};
+use super::memory::Buffer;
+use super::recorder::{Grid, Operation, Work};
+use crate::error::{Error, Result};
+
+/// Images that one sequence can write.
+const MAX_IMAGES: usize = 4;
+/// Bytes that `vkCmdUpdateBuffer` takes at once.
+const UPDATE_BYTES: usize = 65_536;
+
+/// Recorded operations. Everything that encoding needs is made beforehand: writing them into a command buffer allocates
+/// nothing.
+pub struct Sequence {
+    pub(super) gpu: Arc<Shared>,
+    pub(super) name: String,
+    pub(super) operations: Vec<Operation>,
+    plan: String,
+    begin_barrier: bool,
+    descriptors: vk::DescriptorPool,
+    /// One per operation; null for what is no dispatch.
+    sets: Vec<vk::DescriptorSet>,
+    queries: vk::QueryPool,
+    slots: u32,
+}
+
+impl std::fmt::Debug for Sequence {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Sequence({}, {} operations)", self.name, self.operations.len())
+    }
+}
+
+/// What differs each time that a sequence is encoded.
+#[derive(Clone, Copy)]
+pub(super) struct Encoding<'a> {
+    pub(super) raw: vk::CommandBuffer,
+    pub(super) slot: u32,
+    pub(super) breadcrumbs: Option<&'a Buffer>,
+    pub(super) updates: &'a [&'a [u8]],
+    pub(super) images: &'a [Option<HostImage>],
+}
+
+impl Sequence {
+    /// `slots`: how many encodings of it may be in flight, each with its own timestamps and its own place in buffers that
+    /// are written by slot.
+    pub(super) fn new(
+        gpu: &Gpu,
+        name: String,
+        operations: Vec<Operation>,
+        plan: String,
+        (profile, begin_barrier, slots): (bool, bool, u32),
+    ) -> Result<Self> {
+        let mut sequence = Self {
+            gpu: Arc::clone(&gpu.0),
+            name,
+            sets: vec![vk::DescriptorSet::null(); operations.len()],
+            operations,
+            plan,
+            begin_barrier,
+            descriptors: vk::DescriptorPool::null(),
+            queries: vk::QueryPool::null(),
+            slots: slots.max(1),
+        };
+        sequence.create_sets()?;
+        if profile {
+            let create = vk::QueryPoolCreateInfo::default()
+                .query_type(vk::QueryType::TIMESTAMP)
+                .query_count(sequence.slots * sequence.queries_per_slot());
+            // SAFETY: plain creation; `Drop` destroys the pool.
+            sequence.queries = unsafe { sequence.gpu.device.create_query_pool(&create, None) }
+                .map_err(vk_error("vkCreateQueryPool"))?;
+        }
+        Ok(sequence)
+    }
+
+    fn queries_per_slot(&self) -> u32 {
+        self.operations.len() as u32 + 1
+    }
+
+    fn create_sets(&mut self) -> Result<()> {
+        let device = &self.gpu.device;
+        let dispatches = self.dispatches() as u32;
+        let buffers: u32 = self
+            .operations
+            .iter()
+            .map(|o| if let Work::Dispatch { slices, .. } = &o.work { slices.len() as u32 } else { 0 })
+            .sum();
+        if dispatches == 0 {
+            return Ok(());
+        }
+        let sizes =
+            [vk::DescriptorPoolSize::default().ty(vk::DescriptorType::STORAGE_BUFFER).descriptor_count(buffers.max(1))];
+        let create = vk::DescriptorPoolCreateInfo::default().max_sets(dispatches).pool_sizes(&sizes);
+        // SAFETY: plain creation; `Drop` destroys the pool.
+        self.descriptors =
+            unsafe { device.create_descriptor_pool(&create, None) }.map_err(vk_error("vkCreateDescriptorPool"))?;
+        for (operation, set) in self.operations.iter().zip(&mut self.sets) {
+            let Work::Dispatch { pipeline, slices, .. } = &operation.work else { continue };
+            let layouts = [pipeline.set_layout];
+            let allocate =
+                vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.descriptors).set_layouts(&layouts);
+            // SAFETY: the pool was sized for all dispatches.
+            *set =
+                unsafe { device.allocate_descriptor_sets(&allocate) }.map_err(vk_error("vkAllocateDescriptorSets"))?[0];
+            let infos: Vec<_> = slices
+                .iter()
+                .map(|s| vk::DescriptorBufferInfo { buffer: s.buffer.raw(), offset: s.start, range: s.bytes })
+                .collect();
+            let updates: Vec<_> = infos
+                .iter()
+                .enumerate()
+                .map(|(binding, info)| {
+                    vk::WriteDescriptorSet::default()
+                        .dst_set(*set)
+                        .dst_binding(binding as u32)
+                        .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                        .buffer_info(std::slice::from_ref(info))
+                })
+                .collect();
+            // SAFETY: the set is new, the buffers are live and kept by the operation.
+            unsafe { device.update_descriptor_sets(&updates, &[]) };
+        }
+        Ok(())
+    }
+
+    /// Writes all operations into a host's command buffer. `updates`: the bytes of each [`super::Recorder::update`], in
+    /// order; `images`: where each [`super::Recorder::copy_to_image`] goes, `None` to leave it out. `slot` may be used
+    /// again once the encoding before it has finished executing.
+    ///
+    /// # Errors
+    /// `Usage` when the lists do not fit what was recorded.
+    pub fn encode(
+        &self,
+        commands: &HostCommandBuffer,
+        slot: u32,
+        updates: &[&[u8]],
+        images: &[Option<HostImage>],
+    ) -> Result<()> {
+        self.encode_with(&Encoding { raw: commands.0, slot, breadcrumbs: None, updates, images })
+    }
+
+    pub(super) fn encode_with(&self, to: &Encoding<'_>) -> Result<()> {
+        self.check(to)?;
+        let first_query = to.slot * self.queries_per_slot();
+        if self.queries != vk::QueryPool::null() {
+            // SAFETY: recording; the queries of this slot are not in use any more.
+            unsafe {
+                let count = self.queries_per_slot();
+                self.gpu.device.cmd_reset_query_pool(to.raw, self.queries, first_query, count);
+            }
+        }
+        // Earlier submissions share buffers with this one; the queue alone orders nothing.
+        let begin = self.begin_barrier.then(|| {
+            let all = Stages::COMPUTE.union(Stages::TRANSFER).union(Stages::INDIRECT);
+            memory_barrier(all, true, all, to.breadcrumbs.is_some())
+        });
+        self.barriers_of(to.raw, begin, to.images, true);
+        self.timestamp(to.raw, first_query);
+        let (mut updates, mut images) = (to.updates.iter(), to.images.iter());
+        for (index, operation) in self.operations.iter().enumerate() {
+            if let Some(Barrier { source, flush, destination, .. }) = &operation.barrier {
+                let barrier = memory_barrier(*source, *flush, *destination, to.breadcrumbs.is_some());
+                self.barriers_of(to.raw, Some(barrier), &[], true);
+            }
+            self.breadcrumb(to, index);
+            match &operation.work {
+                Work::Update { slice, slot_bytes } => {
+                    let bytes = updates.next().copied().unwrap_or_default();
+                    self.update(to.raw, &slice.buffer, slice.start + u64::from(to.slot) * slot_bytes, bytes);
+                }
+                Work::CopyToImage { slice, size } => {
+                    if let Some(Some(image)) = images.next() {
+                        let layout = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
+                        let regions = [image.region(slice.start, *size)];
+                        let (from, device) = (slice.buffer.raw(), &self.gpu.device);
+                        // SAFETY: recording; the host vouches for the image, the recorder checked the buffer's range.
+                        unsafe { device.cmd_copy_buffer_to_image(to.raw, from, image.raw, layout, &regions) };
+                    }
+                }
+                work => self.operation(to, work, self.sets[index]),
+            }
+            self.timestamp(to.raw, first_query + index as u32 + 1);
+        }
+        self.barriers_of(to.raw, None, to.images, false);
+        Ok(())
+    }
+
+    fn check(&self, to: &Encoding<'_>) -> Result<()> {
+        let lengths = self.operations.iter().filter_map(|o| match &o.work {
+            Work::Update { slice, .. } => Some(slice.bytes),
+            _ => None,
+        });
+        if !lengths.eq(to.updates.iter().map(|u| u.len() as u64)) {
+            return Err(Error::usage("updates of a sequence", "other lengths", "those that were recorded"));
+        }
+        let images = self.images();
+        if images != to.images.len() || images > MAX_IMAGES {
+            let expected = format!("{images}, at most {MAX_IMAGES}");
+            return Err(Error::usage("images of a sequence", to.images.len().to_string(), expected));
+        }
+        if to.slot >= self.slots {
+            return Err(Error::usage("slot of a sequence", to.slot.to_string(), format!("below {}", self.slots)));
+        }
+        Ok(())
+    }
+
+    /// How many images it writes.
+    pub(super) fn images(&self) -> usize {
+        self.operations.iter().filter(|o| matches!(o.work, Work::CopyToImage { .. })).count()
+    }
+
+    /// One pipeline barrier: of memory, and of the images' layouts before the first operation or after the last.
+    fn barriers_of(
+        &self,
+        raw: vk::CommandBuffer,
+        memory: Option<vk::MemoryBarrier2<'static>>,
+        images: &[Option<HostImage>],
+        first: bool,
+    ) {
+        let mut barriers = [vk::ImageMemoryBarrier2::default(); MAX_IMAGES];
+        let mut count = 0;
+        for image in images.iter().flatten() {
+            barriers[count] = image.barrier(first);
+            count += 1;
+        }
+        if memory.is_none() && count == 0 {
+            return;
+        }
+        let dependency =
+            vk::DependencyInfo::default().memory_barriers(memory.as_slice()).image_memory_barriers(&barriers[..count]);
+        // SAFETY: recording; synchronization2 is enabled.
+        unsafe {
+            match &self.gpu.sync2 {
+                Sync2::Core => self.gpu.device.cmd_pipeline_barrier2(raw, &dependency),
+                Sync2::Extension(loader) => loader.cmd_pipeline_barrier2(raw, &dependency),
+            }
+        }
+    }
+
+    fn timestamp(&self, raw: vk::CommandBuffer, query: u32) {
+        if self.queries != vk::QueryPool::null() {
+            let stage = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
+            // SAFETY: recording; the query exists and was reset.
+            unsafe { self.gpu.device.cmd_write_timestamp(raw, stage, self.queries, query) };
+        }
+    }
+
+    /// Word `index` becomes 1 when everything before the last barrier has finished and operation `index` may start.
+    fn breadcrumb(&self, to: &Encoding<'_>, index: usize) {
+        if let Some(buffer) = to.breadcrumbs {
+            // SAFETY: recording; the buffer has a word per operation.
+            unsafe { self.gpu.device.cmd_fill_buffer(to.raw, buffer.raw(), 4 * index as u64, 4, 1) };
+        }
+    }
+
+    fn update(&self, raw: vk::CommandBuffer, buffer: &Buffer, start: u64, bytes: &[u8]) {
+        for (index, part) in bytes.chunks(UPDATE_BYTES).enumerate() {
+            let at = start + (index * UPDATE_BYTES) as u64;
+            // SAFETY: recording; the recorder checked range and alignment, `check` the length.
+            unsafe { self.gpu.device.cmd_update_buffer(raw, buffer.raw(), at, part) };
+        }
+    }
+
+    fn operation(&self, to: &Encoding<'_>, work: &Work, set: vk::DescriptorSet) {
+        let device = &self.gpu.device;
+        match work {
+            // SAFETY: recording; ranges were checked.
+            Work::Fill { slice, value } => unsafe {
+                device.cmd_fill_buffer(to.raw, slice.buffer.raw(), slice.start, slice.bytes, *value);
+            },
+            Work::Copy { source, destination, slot_bytes } => {
+                let dst_offset = destination.start + u64::from(to.slot) * slot_bytes;
+                let regions = [vk::BufferCopy { src_offset: source.start, dst_offset, size: source.bytes }];
+                // SAFETY: as above.
+                unsafe { device.cmd_copy_buffer(to.raw, source.buffer.raw(), destination.buffer.raw(), &regions) };
+            }
+            Work::Dispatch { pipeline, push, grid, .. } => {
+                let (point, sets) = (vk::PipelineBindPoint::COMPUTE, [set]);
+                // SAFETY: recording; all handles are live and kept by `self`.
+                unsafe {
+                    device.cmd_bind_pipeline(to.raw, point, pipeline.raw);
+                    device.cmd_bind_descriptor_sets(to.raw, point, pipeline.layout, 0, &sets, &[]);
+                    if !push.is_empty() {
+                        device.cmd_push_constants(to.raw, pipeline.layout, vk::ShaderStageFlags::COMPUTE, 0, push);
+                    }
+                    match grid {
+                        Grid::Direct([x, y, z]) => device.cmd_dispatch(to.raw, *x, *y, *z),
+                        Grid::Indirect(buffer, offset) => device.cmd_dispatch_indirect(to.raw, buffer.raw(), *offset),
+                    }
+                }
+            }
+            Work::HostRead | Work::Update { .. } | Work::CopyToImage { .. } => {}
+        }
+    }
+
+    /// Device time of each operation in the encoding of `slot`, which has finished; empty without timestamps, or when it
+    /// was never executed.
+    pub fn timings(&self, slot: u32) -> Result<Vec<Timing>> {
+        if self.queries == vk::QueryPool::null() || slot >= self.slots {
+            return Ok(Vec::new());
+        }
+        let count = self.queries_per_slot();
+        let mut ticks = vec![0_u64; count as usize];
+        // SAFETY: the pool has that many queries.
+        let read = unsafe {
+            let flags = vk::QueryResultFlags::TYPE_64;
+            self.gpu.device.get_query_pool_results(self.queries, slot * count, &mut ticks, flags)
+        };
+        match read {
+            Ok(()) => {}
+            Err(vk::Result::NOT_READY) => return Ok(Vec::new()),
+            Err(code) => return Err(vk_error("vkGetQueryPoolResults")(code)),
+        }
+        let ns = self.gpu.info.capabilities.timestamp_ns;
+        let named = self.operations.iter().zip(ticks.windows(2));
+        Ok(named
+            .map(|(o, t)| Timing { label: o.label.clone(), us: t[1].wrapping_sub(t[0]) as f64 * ns / 1e3 })
+            .collect())
+    }
+
+    /// The barrier plan.
+    pub fn plan(&self) -> &str {
+        &self.plan
+    }
+
+    /// Number of dispatches.
+    pub fn dispatches(&self) -> usize {
+        self.operations.iter().filter(|o| matches!(o.work, Work::Dispatch { .. })).count()
+    }
+
+    /// Number of barriers, the one at the beginning included.
+    pub fn barriers(&self) -> usize {
+        1 + self.operations.iter().filter(|o| o.barrier.is_some()).count()
+    }
+
+    /// Labels and kernels of the dispatches, in order.
+    pub fn kernels(&self) -> Vec<(&str, &'static super::kernel::Kernel)> {
+        let kernel = |o: &'_ Operation| if let Work::Dispatch { kernel, .. } = &o.work { Some(*kernel) } else { None };
+        self.operations.iter().filter_map(|o| kernel(o).map(|k| (o.label.as_str(), k))).collect()
+    }
+
+    /// Push constants of the dispatches, in the order of [`Sequence::kernels`].
+    pub fn push_constants(&self) -> Vec<&[u8]> {
+        let pushes = self.operations.iter().filter_map(|o| match &o.work {
+            Work::Dispatch { push, .. } => Some(push.as_slice()),
+            _ => None,
+        });
+        pushes.collect()
+    }
+
+    /// Which bytes each operation touches, for tests of the plan.
+    pub fn uses(&self) -> Vec<(&str, &[super::access::Use], bool)> {
+        self.operations.iter().map(|o| (o.label.as_str(), o.uses.as_slice(), o.barrier.is_some())).collect()
+    }
+}
+
+impl Drop for Sequence {
+    fn drop(&mut self) {
+        // SAFETY: whoever encoded it has waited; null handles are ignored.
+        unsafe {
+            self.gpu.device.destroy_query_pool(self.queries, None);
+            self.gpu.device.destroy_descriptor_pool(self.descriptors, None);
+        }
+    }
+}
+
+fn memory_barrier(source: Stages, flush: bool, destination: Stages, crumbs: bool) -> vk::MemoryBarrier2<'static> {
+    // A breadcrumb is a transfer that must not overtake the kernels before it.
+    let crumb = if crumbs { vk::PipelineStageFlags2::TRANSFER } else { vk::PipelineStageFlags2::NONE };
+    let barrier =
+        vk::MemoryBarrier2::default().src_stage_mask(stages(source)).dst_stage_mask(stages(destination) | crumb);
+    if flush {
+        barrier.src_access_mask(writes(source)).dst_access_mask(reads(destination) | writes(destination))
+    } else {
+        barrier
+    }
+}
+
+fn stages(s: Stages) -> vk::PipelineStageFlags2 {
+    let mut flags = vk::PipelineStageFlags2::NONE;
+    for (stage, flag) in [
+        (Stages::COMPUTE, vk::PipelineStageFlags2::COMPUTE_SHADER),
+        (Stages::TRANSFER, vk::PipelineStageFlags2::TRANSFER),
+        (Stages::INDIRECT, vk::PipelineStageFlags2::DRAW_INDIRECT),
+        (Stages::HOST, vk::PipelineStageFlags2::HOST),
+    ] {
+        if s.contains(stage) {
+            flags |= flag;
+        }
+    }
+    flags
+}
+
+fn writes(s: Stages) -> vk::AccessFlags2 {
+    let mut flags = vk::AccessFlags2::NONE;
+    if s.contains(Stages::COMPUTE) {
+        flags |= vk::AccessFlags2::SHADER_STORAGE_WRITE;
+    }
+    if s.contains(Stages::TRANSFER) {
+        flags |= vk::AccessFlags2::TRANSFER_WRITE;
+    }
+    flags
+}
+
+fn reads(s: Stages) -> vk::AccessFlags2 {
+    let mut flags = vk::AccessFlags2::NONE;
+    for (stage, flag) in [
+        (Stages::COMPUTE, vk::AccessFlags2::SHADER_STORAGE_READ),
+        (Stages::TRANSFER, vk::AccessFlags2::TRANSFER_READ),
+        (Stages::INDIRECT, vk::AccessFlags2::INDIRECT_COMMAND_READ),
+        (Stages::HOST, vk::AccessFlags2::HOST_READ),
+    ] {
+        if s.contains(stage) {
+            flags |= flag;
+        }
+    }
+    flags
+}

@@ -1,0 +1,144 @@
+//! Thousands of frames: nothing is allocated, on the host or on the device, and an embedded frame costs what the engine's
+//! own does.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::time::Instant;
+
+use engine::gpu::GpuOptions;
+use engine::render::{PixelFormat, RenderOptions, Renderer, SceneHandle, SceneOptions, Target, View, ViewOptions};
+use engine::scene::synthetic::{demo_camera, demo_scene};
+
+use super::*;
+
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Resident memory of this process, bytes.
+fn resident() -> u64 {
+    let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
+    text.split_whitespace().nth(1).and_then(|n| n.parse::<u64>().ok()).unwrap_or(0) * 4096
+}
+
+/// Draws `count` frames after some of warming up. The engine allocates nothing in them; resident memory grows by at most
+/// `slack` bytes.
+fn draw_many(count: u32, slack: u64) {
+    let host = Host::new();
+    let camera = demo_camera(0.0, 64, 48);
+    let handle = SceneHandle::upload(host.gpu(), &demo_scene(), &SceneOptions::default()).unwrap();
+    let mut view = View::new(host.gpu(), &handle, &ViewOptions { depth: true, ..ViewOptions::default() }).unwrap();
+    view.warm_up(&camera, 0.0).unwrap();
+    let color = host.picture([64, 48], vk::Format::R8G8B8A8_UNORM);
+    let depth = host.picture([64, 48], vk::Format::R32_SFLOAT);
+    let frames = [(); 2].map(|()| host.vulkan.frame().unwrap());
+    let target = Target { color: to_read(color), depth: Some(to_read(depth)) };
+    let (mut allocations, mut before) = (0, (0, 0, 0));
+    let warm = count / 10;
+    for i in 0..warm + count {
+        if i == warm {
+            before = (resident(), host.gpu().memory_used().0, host.gpu().buffer_count());
+        }
+        let frame = frames[i as usize % 2];
+        host.vulkan.begin(frame).unwrap();
+        let commands = commands_of(frame);
+        let start = ALLOCATIONS.with(Cell::get);
+        view.record(&commands, &camera, f64::from(i % 100) / 100.0, &target).unwrap();
+        allocations += ALLOCATIONS.with(Cell::get) - start;
+        host.vulkan.submit(frame).unwrap();
+        if i == warm {
+            allocations = 0;
+        }
+    }
+    frames.into_iter().for_each(|f| host.vulkan.wait(f).unwrap());
+    let after = (resident(), host.gpu().memory_used().0, host.gpu().buffer_count());
+    println!(
+        "{count} frames: {allocations} allocations in record; resident memory {} -> {} KiB",
+        before.0 >> 10,
+        after.0 >> 10
+    );
+    // What the loader and the driver allocate for commands is theirs; the validation layer's is not counted at all.
+    assert_eq!(allocations, 0);
+    assert_eq!((before.1, before.2), (after.1, after.2), "device memory");
+    if host.vulkan.validates() {
+        println!("resident memory is not judged: the validation layer keeps books");
+    } else {
+        assert!(after.0 <= before.0 + slack, "resident memory grew from {} to {} bytes", before.0, after.0);
+    }
+    drop(view);
+    [color, depth].into_iter().for_each(|p| host.vulkan.destroy(p));
+    frames.into_iter().for_each(|f| host.vulkan.destroy_frame(f));
+}
+
+#[test]
+fn frames_allocate_nothing() {
+    draw_many(200, 4 << 20);
+}
+
+/// `cargo test -p spgs-engine --test embed -- --ignored --nocapture ten_thousand`
+#[test]
+#[ignore = "minutes"]
+fn ten_thousand_frames_keep_memory_flat() {
+    draw_many(10_000, 4 << 20);
+}
+
+/// Median time of an embedded frame against the engine's own on the same device, frames one at a time, alternately. Runs
+/// without validation: `cargo test --release -p spgs-engine --test embed -- --ignored --nocapture costs`
+#[test]
+#[ignore = "a measurement"]
+fn an_embedded_frame_costs_what_the_engines_own_does() {
+    let host = Host::new();
+    let number = |name: &str, default: u32| std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(default);
+    let (size, frames) = ([number("WIDTH", 640), number("HEIGHT", 480)], number("FRAMES", 60));
+    let scene = demo_scene();
+    let camera = demo_camera(0.0, size[0], size[1]);
+    let options = GpuOptions { pipeline_cache: false, breadcrumbs: false, ..GpuOptions::default() };
+    let own = Gpu::new(&options).unwrap();
+    let mut renderer = Renderer::new(&own, &scene, &RenderOptions::default()).unwrap();
+    let handle = SceneHandle::upload(host.gpu(), &scene, &SceneOptions::default()).unwrap();
+    let frame = host.vulkan.frame().unwrap();
+    for format in [PixelFormat::Rgba8, PixelFormat::Rgba16F, PixelFormat::Rgba32F] {
+        let options = ViewOptions { format, in_flight: 1, ..ViewOptions::default() };
+        let mut view = View::new(host.gpu(), &handle, &options).unwrap();
+        view.warm_up(&camera, 0.0).unwrap();
+        let color = host.picture(size, vk_format(format));
+        let target = Target { color: to_read(color), depth: None };
+        let mut times = [Vec::new(), Vec::new()];
+        for i in 0..frames + 5 {
+            let time = f64::from(i) / f64::from(frames);
+            let start = Instant::now();
+            renderer.draw(&camera, time).unwrap();
+            let middle = Instant::now();
+            submit(&host, frame, &mut view, &camera, time, &target);
+            host.vulkan.wait(frame).unwrap();
+            if i >= 5 {
+                times[0].push((middle - start).as_secs_f64() * 1e3);
+                times[1].push(middle.elapsed().as_secs_f64() * 1e3);
+            }
+        }
+        let [own, embedded] = times.map(|mut t| {
+            t.sort_by(f64::total_cmp);
+            t[t.len() / 2]
+        });
+        let percent = 100.0 * (embedded / own - 1.0);
+        println!("{format:?} {}x{}: own {own:.3} ms, embedded {embedded:.3} ms, {percent:+.1} %", size[0], size[1]);
+        drop(view);
+        host.vulkan.destroy(color);
+    }
+    host.vulkan.destroy_frame(frame);
+}

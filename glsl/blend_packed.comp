@@ -1,0 +1,51 @@
+// Blends the splats of each tile front to back into an image in the format of a host's picture; see
+// lib/blend_tile.glsl.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_vote : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+
+layout(local_size_x = 128) in;
+layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
+layout(constant_id = 1) const uint WITH_DEPTH = 0;
+layout(constant_id = 2) const uint STAGE = 1;
+layout(constant_id = 3) const uint PIXELS_PER_LANE = 2; // at most 16
+layout(constant_id = 4) const uint WITH_SLOTS = 0;      // values are slots, as emit_tiles writes them for training
+layout(constant_id = 5) const uint ALPHA_CUT = 0;       // see lib/ellipse.glsl
+layout(constant_id = 6) const uint TRANSMITTANCE_STOP = 0; // see lib/blend.glsl
+layout(constant_id = 7) const uint PACKING = 0;         // see lib/splat.glsl
+layout(constant_id = 8) const uint FORMAT = 0;          // of the pixels: 0 rgba8 unorm, 1 bgra8 unorm, 2 rgba16 float
+const uint TILE_CULL = 0u;                              // subtiles are tested exactly
+
+#include "lib/frame.glsl"
+#include "lib/dispatch.glsl"
+#include "lib/limits.glsl"
+#include "lib/ellipse.glsl"
+#include "lib/blend.glsl"
+#include "lib/splat.glsl"
+
+layout(std430, set = 0, binding = 1) readonly buffer RangesBlock { uint ranges[]; };
+layout(std430, set = 0, binding = 2) readonly buffer ValuesBlock { uint values[]; };
+layout(std430, set = 0, binding = 3) readonly buffer SplatsBlock { uvec4 splats[]; };
+layout(std430, set = 0, binding = 4) writeonly buffer PixelsBlock { uint pixels[]; };
+layout(std430, set = 0, binding = 5) writeonly buffer DepthBlock { float depth[]; };
+layout(std430, set = 0, binding = 6) readonly buffer GaussianOfSlotBlock { uint gaussian_of_slot[]; };
+
+#include "lib/blend_tile.glsl"
+
+// Largest finite half.
+const float HALF_MAX = 65504.0;
+
+void store_pixel(uint at, vec4 value) {
+    uint format = FORMAT;
+    if (format == 2u) {
+        vec4 limited = clamp(value, -HALF_MAX, HALF_MAX);
+        pixels[2u * at] = packHalf2x16(limited.xy);
+        pixels[2u * at + 1u] = packHalf2x16(limited.zw);
+    } else {
+        vec4 ordered = format == 1u ? value.zyxw : value;
+        pixels[at] = packUnorm4x8(clamp(ordered, 0.0, 1.0));
+    }
+}

@@ -1,0 +1,182 @@
+// Blends the splats of each tile front to back: the body of the kernels `blend` and `blend_packed`, which declare the
+// constants and buffers and say how a pixel is stored. One subgroup owns one subtile of pixels and shares nothing with the others,
+// so there are no workgroup barriers and a subtile stops as soon as its own pixels are opaque.
+//
+//   subgroup size    4      8     16     32     64    128
+//   lane columns     4      8      8      8      8     16
+//   pixels per lane  16     8      4      2      1      1    (PIXELS_PER_LANE; these give 8x8, 4x16 or 16x8 px)
+//
+// A lane's pixels lie below one another, (lane rows) apart, so that l11 dx is shared by all of them. The splats of a tile
+// come in batches of SUBGROUP_SIZE, one per lane: each lane tests its splat against the subtile's rectangle, and the
+// survivors are blended in order, with the parameters broadcast according to STAGE:
+//   0 subgroupShuffle: best where it is one instruction on scalar or vector registers (lavapipe, AMD);
+//   1 through a slice of shared memory per subgroup: one 16-byte broadcast read replaces four shuffles, which have a
+//     quarter of the arithmetic rate on NVIDIA;
+//   2 re-read from `splats` at a uniform address (L1 hits).
+#ifndef SPGS_BLEND_TILE
+#define SPGS_BLEND_TILE
+
+// What becomes of a finished pixel: at = row * width + column; value: colour over the background, 1 - transmittance.
+void store_pixel(uint at, vec4 value);
+
+shared vec4 staged[3 * 128];
+
+// A lane's pixels: their transmittance (negative once no more may be blended) and sums.
+float transmittance[16];
+vec3 sum_colour[16];
+float sum_depth[16];
+
+// Blends one splat into the lane's pixels. pixel: centre of the first one; row_step: distance to the next, px.
+void blend(vec4 first, vec4 second, vec3 colour, vec2 pixel, float row_step) {
+    uint with_depth = WITH_DEPTH;
+    float u_x = first.z * (pixel.x - first.x);
+    float dy_0 = pixel.y - first.y;
+    for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
+        float dy = dy_0 + float(j) * row_step;
+        float u = u_x + first.w * dy;
+        float v = second.x * dy;
+        float weight;
+        blend_alpha(second.y - u * u - v * v, transmittance[j], weight);
+        sum_colour[j] += weight * colour;
+        if (with_depth == 1u) {
+            sum_depth[j] += weight * second.z;
+        }
+    }
+}
+
+void main() {
+    uint size = SUBGROUP_SIZE;
+    uint stage = STAGE;
+    uint with_depth = WITH_DEPTH;
+    uint with_slots = WITH_SLOTS;
+    uint stride = splat_stride();
+    uint pixels_per_lane = PIXELS_PER_LANE;
+    uint columns = size >= 128u ? 16u : min(size, 8u);
+    uint lane_rows = size / columns;
+    uint rows = lane_rows * pixels_per_lane;
+    uint across = TILE_SIZE / columns;
+    uint subtiles = across * (TILE_SIZE / rows);
+    uint subtile = workgroup_index() * (128u / size) + gl_SubgroupID;
+    uint tile = subtile / subtiles;
+    if (tile >= frame.limits.y) {
+        return;
+    }
+    uint inside = subtile - tile * subtiles;
+    uvec2 corner = TILE_SIZE * uvec2(tile % frame.size.z, tile / frame.size.z)
+        + uvec2(columns * (inside % across), rows * (inside / across));
+    vec2 low = vec2(corner) + 0.5;
+    vec2 high = low + vec2(columns - 1u, rows - 1u);
+    uint lane = gl_SubgroupInvocationID;
+    uvec2 own = corner + uvec2(lane % columns, lane / columns);
+    vec2 pixel = vec2(own) + 0.5;
+    float row_step = float(lane_rows);
+
+    for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
+        bool in_image = own.x < frame.size.x && own.y + j * lane_rows < frame.size.y;
+        transmittance[j] = in_image ? 1.0 : -1.0;
+        sum_colour[j] = vec3(0.0);
+        sum_depth[j] = 0.0;
+    }
+
+    uint end = ranges[2u * tile + 1u];
+    for (uint base = ranges[2u * tile]; base < end; base += size) {
+        bool hit = false;
+        uint index = 0u;
+        vec4 first = vec4(0.0);
+        vec4 second = vec4(0.0);
+        uvec4 own_a = uvec4(0u);
+        uvec4 own_b = uvec4(0u);
+        if (base + lane < end) {
+            index = values[base + lane];
+            if (with_slots == 1u) {
+                index = gaussian_of_slot[index];
+            }
+            own_a = splats[stride * index];
+            own_b = splats[stride * index + 1u];
+            unpack_splat(own_a, own_b, first, second);
+            vec2 x = ellipse_row_interval(ellipse_of_splat(first, second), low.y, high.y);
+            hit = x.x <= high.x && x.y >= low.x && x.x <= x.y;
+        }
+        uvec4 survivors = subgroupBallot(hit);
+        vec4 third = vec4(0.0);
+        if (hit) {
+            uvec4 own_c = uvec4(0u);
+            if (stride == 3u) {
+                own_c = splats[stride * index + 2u];
+            }
+            third = vec4(unpack_colour(own_b, own_c), 0.0);
+        }
+        if (stage == 1u) {
+            // Compact the survivors into this subgroup's slice.
+            uint slice = gl_SubgroupID * size;
+            uint before = 0u;
+            uint count = 0u;
+            for (uint word = 0u; word < 4u; word++) {
+                uint start = 32u * word;
+                uint below = lane >= start + 32u ? 0xffffffffu : lane > start ? (1u << (lane - start)) - 1u : 0u;
+                before += bitCount(survivors[word] & below);
+                count += bitCount(survivors[word]);
+            }
+            if (hit) {
+                staged[slice + before] = first;
+                staged[128u + slice + before] = second;
+                staged[256u + slice + before] = third;
+            }
+            subgroupMemoryBarrierShared();
+            subgroupBarrier();
+            for (uint k = slice; k < slice + count; k++) {
+                blend(staged[k], staged[128u + k], staged[256u + k].xyz, pixel, row_step);
+            }
+            subgroupMemoryBarrierShared();
+            subgroupBarrier();
+        } else {
+            for (uint word = 0u; word < (size + 31u) / 32u; word++) {
+                uint mask = survivors[word];
+                // A loop that tests at its end: a device that runs both sides of a branch under a mask (lavapipe) does not pay
+                // for a last empty round.
+                if (mask != 0u) {
+                    do {
+                        uint source = 32u * word + uint(findLSB(mask));
+                        mask &= mask - 1u;
+                        if (stage == 0u) {
+                            vec4 a = subgroupShuffle(first, source);
+                            vec3 b = subgroupShuffle(second.xyz, source);
+                            blend(a, vec4(b, 0.0), subgroupShuffle(third.xyz, source), pixel, row_step);
+                        } else {
+                            uint splat = stride * subgroupShuffle(index, source);
+                            uvec4 a = splats[splat];
+                            uvec4 b = splats[splat + 1u];
+                            uvec4 c = uvec4(0u);
+                            if (stride == 3u) {
+                                c = splats[splat + 2u];
+                            }
+                            unpack_splat(a, b, first, second);
+                            blend(first, second, unpack_colour(b, c), pixel, row_step);
+                        }
+                    } while (mask != 0u);
+                }
+            }
+        }
+        bool open = false;
+        for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
+            open = open || transmittance[j] > 0.0;
+        }
+        if (!subgroupAny(open)) {
+            break;
+        }
+    }
+
+    for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
+        uint y = own.y + j * lane_rows;
+        if (own.x < frame.size.x && y < frame.size.y) {
+            uint at = y * frame.size.x + own.x;
+            float rest = abs(transmittance[j]);
+            store_pixel(at, vec4(sum_colour[j] + rest * frame.background.xyz, 1.0 - rest));
+            if (with_depth == 1u) {
+                depth[at] = sum_depth[j];
+            }
+        }
+    }
+}
+
+#endif
