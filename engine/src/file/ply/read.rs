@@ -60,9 +60,7 @@ fn layout(vertex: &Element, path: &Path) -> Result<Layout> {
 /// Says what kind of file it is, where that is known.
 fn missing(vertex: &Element, name: &str, path: &Path, at: &str) -> Error {
     let has = |name: &str| vertex.properties.iter().any(|p| p.name == name);
-    let found = if has("packed_position") {
-        "a compressed PLY (`packed_position`)".to_string()
-    } else if !has("opacity") && !has("f_dc_0") {
+    let found = if !has("opacity") && !has("f_dc_0") {
         format!("no `{name}` (a mesh or a point cloud)")
     } else {
         format!("no property `{name}`")
