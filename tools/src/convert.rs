@@ -7,7 +7,7 @@ mod loss;
 use std::path::{Path, PathBuf};
 
 use engine::error::{Error, Result};
-use engine::file::{self, Output};
+use engine::file::{self, Output, spz};
 use engine::reference::freeze;
 use engine::scene::{Camera, Gaussians, MotionSource, Scene};
 use serde::Serialize;
@@ -51,7 +51,10 @@ pub struct Written {
 
 /// Converts.
 pub fn run(args: &ConvertArgs, global: &Global) -> Result<()> {
-    let kind = Output::of_name(&args.output)?;
+    let mut kind = Output::of_name(&args.output)?;
+    if let (Output::Spz(version), 4) = (&mut kind, args.spz_version) {
+        *version = spz::Version::Four;
+    }
     if args.bake && !kind.holds_motion() {
         return Err(Error::usage(
             "--bake",
@@ -69,19 +72,16 @@ pub fn run(args: &ConvertArgs, global: &Global) -> Result<()> {
     let source = motion_source(args.motion);
     let baked = if args.bake { Some(bake::bake(&mut scene, source, args.bake_error)?) } else { None };
     let times = times(args, &scene);
+    if times.iter().any(Option::is_some) && is_moving(&before) {
+        dropped.push("motion: each file shows one time".into());
+    }
     let bar = progress::bar(times.len() as u64, global.quiet || args.json);
     let mut outputs = Vec::with_capacity(times.len());
     for (i, &time) in times.iter().enumerate() {
         let path = if args.times.is_some() { numbered(&args.output, kind, i) } else { args.output.clone() };
-        let warnings = match time {
-            Some(time) => file::save(&path, &still(freeze(&scene, time, source)?, &scene))?,
-            None => file::save(&path, &scene)?,
-        };
-        dropped.extend(
-            warnings
-                .iter()
-                .filter_map(|w| w.split_once("cannot hold ").map(|(_, what)| what.replace(": left out", ""))),
-        );
+        let frozen = time.map(|time| freeze(&scene, time, source)).transpose()?.map(|g| still(g, &scene));
+        let shown = frozen.as_ref().unwrap_or(&scene);
+        dropped.extend(file::save_as(&path, shown, kind)?);
         let bytes = std::fs::metadata(&path).map_err(|e| Error::io(&path, "read the size", e))?.len();
         outputs.push(Written { file: path, bytes, time });
         bar.inc(1);
@@ -189,7 +189,7 @@ mod tests {
     #[test]
     fn numbers_go_before_the_ending() {
         let name = |p: &str, kind| numbered(Path::new(p), kind, 7).to_string_lossy().into_owned();
-        assert_eq!(name("out/a.spz", Output::Spz), "out/a_00007.spz");
+        assert_eq!(name("out/a.spz", Output::Spz(spz::Version::Three)), "out/a_00007.spz");
         assert_eq!(name("a.compressed.ply", Output::CompressedPly), "a_00007.compressed.ply");
     }
 }

@@ -1,4 +1,4 @@
-//! Output folders of PyTorch training runs: SP-GS, Deformable-3DGS, 4D-GS and plain 3DGS.
+//! Output folders of PyTorch training runs: SP-GS, Deformable-3DGS, 4D-GS, SC-GS and plain 3DGS.
 //!
 //! All keep `point_cloud/iteration_N/point_cloud.ply`, the Gaussians at rest. What moves them differs:
 //!
@@ -8,7 +8,7 @@
 //! | SP-GS before 2025, quaternions added | the same | a table of one pose per Gaussian at the run's own times |
 //! | Deformable-3DGS | `deform/iteration_N/deform.pth` | a table of one pose per Gaussian ([`per_gaussian`]) |
 //! | 4D-GS | `point_cloud/iteration_N/deformation.pth` | the same |
-//! | SC-GS | `deform/iteration_N/deform.pth` | refused, by name |
+//! | SC-GS | `deform/iteration_N/deform.pth` | the same |
 //!
 //! The newest iteration is taken. Weights are read by [`super::torch`], which runs no code.
 
@@ -16,9 +16,8 @@ mod deformable;
 mod four_d;
 mod mlp;
 mod per_gaussian;
+mod sc_gs;
 mod sp_gs;
-#[cfg(test)]
-mod tests;
 
 use std::path::{Path, PathBuf};
 
@@ -112,20 +111,25 @@ pub fn read(path: &Path) -> Read {
     let bytes = map_file(&file)?;
     let weights = Weights::parse(&bytes, &file)?;
     let unsupported = |found: &str| {
-        let expected = "motion of SP-GS, Deformable-3DGS or 4D-GS; its Gaussians alone are in point_cloud.ply";
+        let expected = "motion of SP-GS, Deformable-3DGS, 4D-GS or SC-GS; its Gaussians alone are in point_cloud.ply";
         Error::usage(format!("{}: motion", file.display()), found, expected)
     };
     match Kind::of(&weights) {
         Some(Kind::SpGs) => sp_gs::apply(&mut scene, &weights, &file, &mut warnings)?,
         Some(Kind::Deformable) => {
-            let network = deformable::Network::read(&weights, &file)?;
+            let network = deformable::Network::read(&weights, "", &file)?;
             per_gaussian::apply(&mut scene, &network, None, &file, &mut warnings)?;
         }
         Some(Kind::FourD) => {
             let field = four_d::Field::read(&weights, &file)?;
             per_gaussian::apply(&mut scene, &field, None, &file, &mut warnings)?;
         }
-        Some(kind) => return Err(unsupported(kind.name())),
+        Some(Kind::ScGs) => {
+            let features = ply::numbered(&cloud, "fea_")?;
+            let nodes = sc_gs::Nodes::read(&weights, &scene.gaussians, &features, &file)?;
+            per_gaussian::apply(&mut scene, &nodes, None, &file, &mut warnings)?;
+        }
+        Some(Kind::SpGsFine) => return Err(unsupported(Kind::SpGsFine.name())),
         None => return Err(unsupported("weights of no known method")),
     }
     if let Some((_, fine)) = of_iteration(&path.join("fine_deform"), iteration, "deform.pth") {

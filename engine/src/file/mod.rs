@@ -9,7 +9,7 @@
 //! | `.spz` ([`spz`]) | versions 2, 3, 4 | 3, 4 | Gaussians, 20 to 65 bytes each before gzip or zstd |
 //! | SOG ([`sog`]) | versions 1, 2; folder, zip | 2, zip | Gaussians in lossless pictures |
 //! | glTF ([`gltf`]) | `.glb` | `.glb` | Gaussians in f32, `KHR_gaussian_splatting` |
-//! | training runs of SP-GS, Deformable-3DGS, 4D-GS ([`checkpoint`]), by a reader of PyTorch files ([`torch`]) that runs no code | yes | no | Gaussians and motion |
+//! | training runs of SP-GS, Deformable-3DGS, 4D-GS, SC-GS ([`checkpoint`]), by a reader of PyTorch files ([`torch`]) that runs no code | yes | no | Gaussians and motion |
 
 pub(crate) mod archive;
 pub(crate) mod check;
@@ -43,7 +43,7 @@ use crate::scene::{Rejected, Scene};
 
 pub use describe::{Description, describe};
 pub use format::Format;
-pub use save::{Output, save};
+pub use save::{Output, save, save_as};
 
 /// A model that was read and cleaned.
 #[derive(Debug, Clone, PartialEq)]

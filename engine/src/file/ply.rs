@@ -52,6 +52,15 @@ pub(crate) fn is_compressed(head: &[u8]) -> bool {
     head[..end].windows(name.len()).any(|w| w == name)
 }
 
+/// The values `[N,F]` of the properties of vertices whose names are `prefix` and 0, 1, … F − 1, of a binary file.
+///
+/// # Errors
+/// As [`read`].
+pub(crate) fn numbered(path: &Path, prefix: &str) -> Result<Vec<f32>> {
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    read::numbered(&bytes, &header::parse(&bytes, path)?, prefix, path)
+}
+
 /// Names of the properties of the vertex element, in file order (for `inspect`).
 ///
 /// # Errors

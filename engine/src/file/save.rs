@@ -18,8 +18,8 @@ pub enum Output {
     CompressedPly,
     /// `.splat`.
     Splat,
-    /// `.spz`, version 3.
-    Spz,
+    /// `.spz`; version 3 unless said.
+    Spz(spz::Version),
     /// `.sog`.
     Sog,
     /// `.glb`.
@@ -32,7 +32,7 @@ const ENDINGS: [(&str, Output); 7] = [
     (".ply", Output::Ply),
     (".safetensors", Output::Safetensors),
     (".splat", Output::Splat),
-    (".spz", Output::Spz),
+    (".spz", Output::Spz(spz::Version::Three)),
     (".sog", Output::Sog),
     (".glb", Output::Gltf),
 ];
@@ -56,7 +56,10 @@ impl Output {
 
     /// The file name ending.
     pub fn ending(self) -> &'static str {
-        ENDINGS.iter().find(|(_, output)| *output == self).map_or("", |(ending, _)| ending)
+        ENDINGS
+            .iter()
+            .find(|(_, output)| std::mem::discriminant(output) == std::mem::discriminant(&self))
+            .map_or("", |(ending, _)| ending)
     }
 
     /// Whether everything of a scene is kept, motion included.
@@ -72,18 +75,26 @@ impl Output {
 /// [`Error::Io`].
 pub fn save(path: &Path, scene: &Scene) -> Result<Vec<String>> {
     let output = Output::of_name(path)?;
+    let lost = save_as(path, scene, output)?;
+    let warning = || format!("{}: a {} cannot hold {}: left out", path.display(), output.ending(), lost.join(", "));
+    Ok(if lost.is_empty() { Vec::new() } else { vec![warning()] })
+}
+
+/// Writes a model in a format, durably. Returns what the format cannot hold, one name each.
+///
+/// # Errors
+/// As [`save`].
+pub fn save_as(path: &Path, scene: &Scene, output: Output) -> Result<Vec<String>> {
     match output {
         Output::Safetensors => model::write(path, scene)?,
         Output::Ply => ply::write(path, &scene.gaussians)?,
         Output::CompressedPly => ply::write_compressed(path, &scene.gaussians)?,
         Output::Splat => splat::write(path, &scene.gaussians)?,
-        Output::Spz => spz::write(path, &scene.gaussians, spz::Version::default())?,
+        Output::Spz(version) => spz::write(path, &scene.gaussians, version)?,
         Output::Sog => sog::write(path, &scene.gaussians)?,
         Output::Gltf => gltf::write(path, &scene.gaussians)?,
     }
-    let lost = lost(output, scene);
-    let warning = || format!("{}: a {} cannot hold {}: left out", path.display(), output.ending(), lost.join(", "));
-    Ok(if lost.is_empty() { Vec::new() } else { vec![warning()] })
+    Ok(lost(output, scene))
 }
 
 /// What of a scene a format leaves out.

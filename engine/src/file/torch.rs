@@ -7,8 +7,6 @@
 
 mod pickle;
 mod tensors;
-#[cfg(test)]
-pub(crate) mod tests;
 
 pub use tensors::Weights;
 

@@ -343,12 +343,96 @@ fn four_d_gs_is_where_its_planes_say() {
     }
 }
 
+/// A PLY with further properties `fea_*`.
+fn with_features(path: &Path, g: &Gaussians, features: &[f32], width: usize) {
+    ply::write(path, g).unwrap();
+    let bytes = std::fs::read(path).unwrap();
+    let body = bytes.windows(11).position(|w| w == b"end_header\n").unwrap();
+    let names: String = (0..width).map(|i| format!("property float fea_{i}\n")).collect();
+    let mut out = [&bytes[..body], names.as_bytes(), b"end_header\n"].concat();
+    for (i, row) in bytes[body + 11..].chunks_exact((bytes.len() - body - 11) / g.len()).enumerate() {
+        out.extend(row);
+        out.extend(features[i * width..(i + 1) * width].iter().flat_map(|v| v.to_le_bytes()));
+    }
+    std::fs::write(path, out).unwrap();
+}
+
+#[test]
+fn sc_gs_follows_its_nodes() {
+    for turning in [false, true] {
+        let g = random_gaussians(N, 8, 1);
+        let (m, hyper) = (7, 2);
+        let nodes = many(31, m * (3 + hyper), 1.0);
+        let (radius, weight) = (many(32, m, 0.3), many(33, m, 1.0));
+        let features = many(34, N * (hyper + 1), 1.0);
+        let mut network = deformable(false);
+        if turning {
+            layer("local_rotation", 4, 256, 1.0, &mut network);
+        }
+        let net = Plain(&network);
+        let at = |j: usize, t: f64| {
+            let place: Vec<f64> = nodes[5 * j..5 * j + 3].iter().map(|&v| f64::from(v)).collect();
+            let encoding = [encode(&place, 10), encode(&[t], 10)].concat();
+            let mut h = encoding.clone();
+            for l in 0..8 {
+                if l == 5 {
+                    h = [encoding.clone(), h].concat();
+                }
+                h = relu(net.linear(&format!("linear.{l}"), &h));
+            }
+            let turn = if turning { net.linear("local_rotation", &h) } else { vec![0.0; 4] };
+            (net.linear("gaussian_warp", &h), net.linear("gaussian_rotation", &h), turn)
+        };
+        let sigmoid = |v: f32| 1.0 / (1.0 + (-f64::from(v)).exp());
+        let t = 0.5;
+        let moved: Vec<_> = (0..m).map(|j| at(j, t)).collect();
+        let expected: Vec<(DVec3, DQuat)> = (0..N)
+            .map(|i| {
+                let x = DVec3::from(g.mean[i].map(f64::from));
+                let full = [&g.mean[i][..], &features[3 * i..3 * i + 2]].concat();
+                let squared = |j: usize| (0..5).map(|c| f64::from(full[c] - nodes[5 * j + c]).powi(2)).sum::<f64>();
+                let mut order: Vec<usize> = (0..m).collect();
+                order.sort_by(|&a, &b| squared(a).total_cmp(&squared(b)));
+                let raw = |j: usize| {
+                    sigmoid(weight[j]) * (-squared(j) / (2.0 * f64::from(radius[j]).exp().powi(2))).exp() + 1e-7
+                };
+                let sum: f64 = order[..3].iter().map(|&j| raw(j)).sum();
+                let mask = sigmoid(features[3 * i + 2]);
+                let (mut to, mut dq) = (DVec3::ZERO, [0.0; 4]);
+                for &j in &order[..3] {
+                    let w = raw(j) / sum;
+                    let node =
+                        DVec3::from_slice(&nodes[5 * j..5 * j + 3].iter().map(|&v| f64::from(v)).collect::<Vec<_>>());
+                    let (warp, rotation, turn) = &moved[j];
+                    let r = DQuat::from_xyzw(turn[1], turn[2], turn[3], turn[0] + 1.0).normalize();
+                    to += w * (r * (x - node) + node + DVec3::from_slice(warp));
+                    (0..4).for_each(|c| dq[c] += w * rotation[c]);
+                }
+                let q = g.rotation[i].map(f64::from);
+                let sum = [0, 1, 2, 3].map(|c| q[c] + mask * dq[c]);
+                (x + mask * (to - x), DQuat::from_xyzw(sum[1], sum[2], sum[3], sum[0]))
+            })
+            .collect();
+        let mut state: Vec<(String, Value)> =
+            network.into_iter().map(|(name, value)| (format!("network.{name}"), value)).collect();
+        state.push(("nodes".into(), floats(&[m, 5], nodes.clone())));
+        state.push(("_node_radius".into(), floats(&[m], radius.clone())));
+        state.push(("_node_weight".into(), floats(&[m, 1], weight.clone())));
+        let folder = run_folder(&g, &[("deform/iteration_300/deform.pth", pickle::file(&Value::Dict(state)))]);
+        with_features(&folder.path().join("point_cloud/iteration_300/point_cloud.ply"), &g, &features, 3);
+        let scene = file::load(folder.path()).unwrap().scene;
+        let placed = freeze(&scene, t, MotionSource::Auto).unwrap();
+        for (i, (mean, turn)) in expected.iter().enumerate() {
+            assert!(close(placed.mean[i], *mean, 2e-5), "Gaussian {i}: {:?} {mean}", placed.mean[i]);
+            assert!(same_turn(placed.rotation[i], *turn, 1e-6), "Gaussian {i}");
+        }
+    }
+}
+
 #[test]
 fn what_cannot_be_played_is_named() {
     let g = random_gaussians(5, 1, 0);
     let message = |weights: &[(&str, Vec<u8>)]| file::load(run_folder(&g, weights).path()).unwrap_err().to_string();
-    let nodes = dict(vec![("nodes", floats(&[2, 3], vec![0.0; 6])), ("_node_radius", floats(&[2], vec![0.0; 2]))]);
-    assert!(message(&[("deform/iteration_300/deform.pth", pickle::file(&nodes))]).contains("SC-GS"));
     let other = pickle::file(&dict(vec![("weight", floats(&[1], vec![0.0]))]));
     assert!(message(&[("deform/iteration_300/deform.pth", other)]).contains("no known method"));
     let mut small = deformable(false);

@@ -10,7 +10,7 @@ use crate::args::{MotionArg, finite};
 #[derive(Debug, Args)]
 pub struct ConvertArgs {
     /// Model: .safetensors, 3DGS .ply, compressed .ply, .splat, .spz, SOG (folder, meta.json or .sog), .glb, or the folder of
-    /// a training run of SP-GS, Deformable-3DGS, 4D-GS or 3DGS
+    /// a training run of SP-GS, Deformable-3DGS, 4D-GS, SC-GS or 3DGS
     #[arg(value_name = "IN")]
     pub input: PathBuf,
     /// What to write, by its ending: .safetensors (everything), .ply, .compressed.ply, .splat, .spz, .sog, .glb (these hold
@@ -32,6 +32,9 @@ pub struct ConvertArgs {
     /// Where the motion comes from [default: the key-time table where the model has one]
     #[arg(long, value_enum)]
     pub motion: Option<MotionArg>,
+    /// Version of a .spz: 3, which most viewers read, or 4, which is smaller
+    #[arg(long, value_name = "3|4", default_value_t = 3, value_parser = clap::value_parser!(u32).range(3..=4))]
+    pub spz_version: u32,
     /// Views on which renders before and after are compared; 0: none
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=1000))]
     pub views: u32,

@@ -8,7 +8,7 @@ use engine::render::{RenderOptions, Renderer};
 use engine::scene::{MotionSource, Scene};
 use serde::Serialize;
 
-use super::{Written, cameras, is_moving};
+use super::{Written, cameras};
 use crate::args::Global;
 use crate::gpu_session;
 
@@ -110,8 +110,7 @@ fn of_file(
     let cameras = cameras(shown, SIZE, count as usize, written.time);
     let first: Vec<_> = cameras.iter().map(|c| one.render(c, c.time)).collect::<Result<_>>()?;
     drop(one);
-    let motion = if is_moving(&after) { MotionSource::Auto } else { MotionSource::default() };
-    let mut two = Renderer::new(gpu, &after, &options(motion))?;
+    let mut two = Renderer::new(gpu, &after, &options(MotionSource::Auto))?;
     for (camera, first) in cameras.iter().zip(&first) {
         let psnr = psnr_8bit(first, &two.render(camera, camera.time)?)?;
         views.push(ViewLoss { file: index, time: camera.time, psnr: psnr.is_finite().then_some(psnr) });

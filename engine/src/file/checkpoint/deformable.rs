@@ -36,26 +36,38 @@ pub(super) struct Network {
     warp: Linear,
     rotation: Linear,
     scaling: Linear,
+    /// SC-GS: how a node turns what is around it.
+    local_rotation: Option<Linear>,
+}
+
+/// What the network gives a point.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Offset {
+    pub(super) mean: [f32; 3],
+    /// w,x,y,z.
+    pub(super) rotation: [f32; 4],
+    pub(super) scale: [f32; 3],
+    pub(super) local_rotation: Option<[f32; 4]>,
 }
 
 impl Network {
-    pub(super) fn read(weights: &Weights<'_>, path: &Path) -> Result<Self> {
-        let has_timenet = weights.has("timenet.0.weight");
+    /// Of tensors whose names begin with `prefix`.
+    pub(super) fn read(weights: &Weights<'_>, prefix: &str, path: &Path) -> Result<Self> {
+        let named = |name: &str| format!("{prefix}{name}");
+        let has_timenet = weights.has(&named("timenet.0.weight"));
         let time = if has_timenet { TIME_WIDTH } else { 1 + 2 * TIME_OCTAVES[0] };
         let encoding = POSITION_WIDTH + time;
-        let found = weights.shape("linear.0.weight").unwrap_or_default();
+        let found = weights.shape(&named("linear.0.weight")).unwrap_or_default();
         if found != [WIDTH, encoding] {
-            let expected = format!(
-                "[{WIDTH}, {encoding}]: 10 octaves of the centre, {} of time",
-                if has_timenet { "6" } else { "10" }
-            );
+            let octaves = if has_timenet { "6" } else { "10" };
+            let expected = format!("[{WIDTH}, {encoding}]: 10 octaves of the centre, {octaves} of time");
             return Err(Error::corrupt(path, "tensor `linear.0.weight`", format!("{found:?}"), expected));
         }
-        if weights.has("branch_w.weight") {
+        if weights.has(&named("branch_w.weight")) {
             let expected = "an offset of the centre (`gaussian_warp`)";
             return Err(Error::usage(format!("{}: motion", path.display()), "a screw motion (6-DoF)", expected));
         }
-        let layer = |name: &str, inputs: usize, outputs: usize| linear(weights, name, inputs, outputs, path);
+        let layer = |name: &str, inputs: usize, outputs: usize| linear(weights, &named(name), inputs, outputs, path);
         let inputs = |i: usize| match i {
             0 => encoding,
             SKIP => encoding + WIDTH,
@@ -66,12 +78,14 @@ impl Network {
         } else {
             None
         };
+        let local = weights.has(&named("local_rotation.weight"));
         Ok(Self {
             timenet,
             layers: (0..LAYERS).map(|i| layer(&format!("linear.{i}"), inputs(i), WIDTH)).collect::<Result<_>>()?,
             warp: layer("gaussian_warp", WIDTH, 3)?,
             rotation: layer("gaussian_rotation", WIDTH, 4)?,
             scaling: layer("gaussian_scaling", WIDTH, 3)?,
+            local_rotation: if local { Some(layer("local_rotation", WIDTH, 4)?) } else { None },
         })
     }
 
@@ -84,9 +98,15 @@ impl Network {
         }
     }
 
-    /// Offsets of 16 centres: centre, rotation, scale.
-    fn offsets(&self, means: &[[f32; 3]], time: &[Row]) -> [Vec<Row>; 3] {
-        let mut encoding = encode(&[0, 1, 2].map(|a| row(means, a)), POSITION_OCTAVES);
+    /// Offsets of all points at a time.
+    pub(super) fn offsets_of(&self, points: &[[f32; 3]], time: f64) -> Vec<Offset> {
+        let time = self.time(time);
+        points.par_chunks(LANES).flat_map_iter(|chunk| self.chunk(chunk, &time)).collect()
+    }
+
+    /// Offsets of up to 16 points.
+    fn chunk(&self, points: &[[f32; 3]], time: &[Row]) -> Vec<Offset> {
+        let mut encoding = encode(&[0, 1, 2].map(|a| row(points, a)), POSITION_OCTAVES);
         encoding.extend_from_slice(time);
         let mut h = encoding.clone();
         for (i, layer) in self.layers.iter().enumerate() {
@@ -95,7 +115,15 @@ impl Network {
             }
             h = relu(dense(layer, &h));
         }
-        [dense(&self.warp, &h), dense(&self.rotation, &h), dense(&self.scaling, &h)]
+        let (warp, rotation, scaling) = (dense(&self.warp, &h), dense(&self.rotation, &h), dense(&self.scaling, &h));
+        let local = self.local_rotation.as_ref().map(|l| dense(l, &h));
+        let offset = |lane: usize| Offset {
+            mean: std::array::from_fn(|a| warp[a][lane]),
+            rotation: std::array::from_fn(|c| rotation[c][lane]),
+            scale: std::array::from_fn(|a| scaling[a][lane]),
+            local_rotation: local.as_ref().map(|l| std::array::from_fn(|c| l[c][lane])),
+        };
+        (0..points.len()).map(offset).collect()
     }
 }
 
@@ -104,22 +132,10 @@ const MIN_LOG_SCALE: f32 = -30.0;
 
 impl Deformation for Network {
     fn place(&self, g: &Gaussians, time: f64) -> Vec<Placed> {
-        let encoded = self.time(time);
-        let chunks = g.mean.par_chunks(LANES).enumerate();
-        let placed = |(chunk, means): (usize, &[[f32; 3]])| {
-            let [warp, rotation, scaling] = self.offsets(means, &encoded);
-            let one = |lane: usize| {
-                let i = chunk * LANES + lane;
-                let lane_of = |rows: &[Row]| rows.iter().map(|r| r[lane]).collect::<Vec<f32>>();
-                let log_scale =
-                    |a: usize| (g.log_scale[i][a].exp() + scaling[a][lane]).max(0.0).ln().max(MIN_LOG_SCALE);
-                Placed {
-                    log_scale: std::array::from_fn(log_scale),
-                    ..added(g, i, &lane_of(&warp), &lane_of(&rotation))
-                }
-            };
-            (0..means.len()).map(one).collect::<Vec<_>>()
+        let placed = |(i, o): (usize, &Offset)| {
+            let log_scale = |a: usize| (g.log_scale[i][a].exp() + o.scale[a]).max(0.0).ln().max(MIN_LOG_SCALE);
+            Placed { log_scale: std::array::from_fn(log_scale), ..added(g, i, &o.mean, &o.rotation) }
         };
-        chunks.flat_map_iter(placed).collect()
+        self.offsets_of(&g.mean, time).iter().enumerate().map(placed).collect()
     }
 }

@@ -1,7 +1,7 @@
 //! SP-GS: superpoints, their table, association, networks F and G.
 //!
-//! `deform.pth` is the list of network F's weights and the superpoints': `A` [N,M], `p2sp` [N], `sp_xyz` [M,3],
-//! `sp_delta_r` [T,M,3 or 4], `sp_delta_t` [T,M,3], `train_times` [T].
+//! `deform.pth` is the list of network F's weights and the superpoints': `A` `[N,M]`, `p2sp` `[N]`, `sp_xyz` `[M,3]`,
+//! `sp_delta_r` `[T,M,3]` or `[T,M,4]`, `sp_delta_t` `[T,M,3]`, `train_times` `[T]`.
 
 use std::path::Path;
 

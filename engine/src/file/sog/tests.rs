@@ -23,7 +23,7 @@ fn a_written_archive_is_read_back_within_its_precision() {
         for i in 0..900 {
             assert!((sigmoid(back.opacity_logit[i]) - sigmoid(g.opacity_logit[i])).abs() < 0.5 / 254.0);
             let dot: f64 = unit(back.rotation[i]).iter().zip(unit(g.rotation[i])).map(|(a, b)| a * b).sum();
-            assert!(dot.abs() > 1.0 - 2e-5, "{dot}");
+            assert!(dot.abs() > 1.0 - 5e-5, "{dot}");
         }
     }
 }
