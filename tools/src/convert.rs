@@ -71,6 +71,10 @@ pub fn run(args: &ConvertArgs, global: &Global) -> Result<()> {
     let mut scene = before.clone();
     let source = motion_source(args.motion);
     let baked = if args.bake { Some(bake::bake(&mut scene, source, args.bake_error)?) } else { None };
+    if args.bake {
+        let parts = [("network F", before.deform.is_some()), ("association", before.association.is_some())];
+        dropped.extend(parts.iter().filter(|(_, is_there)| *is_there).map(|(name, _)| (*name).to_owned()));
+    }
     let times = times(args, &scene);
     if times.iter().any(Option::is_some) && is_moving(&before) {
         dropped.push("motion: each file shows one time".into());

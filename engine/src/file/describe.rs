@@ -101,7 +101,7 @@ pub fn describe(path: &Path) -> Result<Description> {
         }
         _ => (Vec::new(), Vec::new()),
     };
-    let bytes = if path.is_dir() { folder_bytes(path) } else { std::fs::metadata(path).map_or(0, |m| m.len()) };
+    let bytes = if path.is_dir() { folder_bytes(path, 2) } else { std::fs::metadata(path).map_or(0, |m| m.len()) };
     let gaussians = scene.gaussians.len();
     let loaded = clean(scene, warnings, path);
     let scene = loaded.scene;
@@ -127,10 +127,14 @@ pub fn describe(path: &Path) -> Result<Description> {
     })
 }
 
-/// Bytes of a folder's own files.
-fn folder_bytes(folder: &Path) -> u64 {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    entries.filter_map(|e| e.metadata().ok()).filter(std::fs::Metadata::is_file).map(|m| m.len()).sum()
+/// Bytes of a folder's files, two folders deep (`point_cloud/iteration_N`).
+fn folder_bytes(folder: &Path, depth: u32) -> u64 {
+    let bytes = |entry: std::fs::DirEntry| match entry.metadata() {
+        Ok(m) if m.is_file() => m.len(),
+        Ok(m) if m.is_dir() && depth > 0 => folder_bytes(&entry.path(), depth - 1),
+        _ => 0,
+    };
+    std::fs::read_dir(folder).into_iter().flatten().flatten().map(bytes).sum()
 }
 
 fn statistics(g: &Gaussians) -> Vec<Statistics> {

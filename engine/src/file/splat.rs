@@ -25,7 +25,7 @@ pub(crate) fn is_plausible(head: &[u8], file_bytes: u64) -> bool {
         let numbers: [f32; 6] = std::array::from_fn(|i| f32_at(row, i));
         numbers.iter().all(|v| v.is_finite() && v.abs() < 1.0e9) && numbers[3..].iter().all(|&s| s >= 0.0)
     };
-    file_bytes > 0 && file_bytes % ROW as u64 == 0 && head.chunks_exact(ROW).all(row)
+    file_bytes > 0 && file_bytes.is_multiple_of(ROW as u64) && head.chunks_exact(ROW).all(row)
 }
 
 /// Reads a `.splat`. Values are not judged here (see [`crate::file::load`]).
@@ -33,7 +33,7 @@ pub(crate) fn is_plausible(head: &[u8], file_bytes: u64) -> bool {
 /// # Errors
 /// [`Error::Corrupt`] when the file does not consist of whole rows.
 pub fn parse(bytes: &[u8], path: &Path) -> Result<Gaussians> {
-    if bytes.len() % ROW != 0 {
+    if !bytes.len().is_multiple_of(ROW) {
         let at = format!("byte {}", bytes.len() - bytes.len() % ROW);
         let found = format!("{} bytes to the end of the file", bytes.len() % ROW);
         return Err(Error::corrupt(path, at, found, format!("rows of {ROW} bytes")));

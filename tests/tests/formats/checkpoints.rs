@@ -478,7 +478,7 @@ fn pickles_that_call_are_refused_by_name() {
         Weights::parse(&bytes, path).err().expect("refused").to_string()
     };
     assert!(message(b"cos\nsystem\nX\x04\0\0\0true\x85R").contains("a call of `os.system`"));
-    assert!(message(b"cbuiltins\neval\nX\x01\0\0\01\x85R").contains("a call of `builtins.eval`"));
+    assert!(message(b"cbuiltins\neval\nX\x01\0\0\x001\x85R").contains("a call of `builtins.eval`"));
     assert!(message(b"\x8c\x05posix\x8c\x06system\x93").contains("a call of `posix.system`"));
     assert!(message(b"ctorch\nload\n").contains("a call of `torch.load`"));
     assert!(message(b"ccollections\nOrderedDict\n(N)\x81").contains("instruction 0x81"));

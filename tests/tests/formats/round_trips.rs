@@ -105,7 +105,7 @@ fn ply_and_model_keep_every_bit() {
         assert_eq!(back.gaussians, scene.gaussians);
         let again = folder.path().join(format!("again.{name}"));
         file::save(&again, &back).unwrap();
-        assert_eq!(std::fs::read(&path).unwrap() == std::fs::read(&again).unwrap(), true, "{name}");
+        assert!(std::fs::read(&path).unwrap() == std::fs::read(&again).unwrap(), "{name}");
         if name == "a.safetensors" {
             assert_eq!(back, scene);
         }

@@ -32,7 +32,7 @@ pub struct ConvertArgs {
     /// Where the motion comes from [default: the key-time table where the model has one]
     #[arg(long, value_enum)]
     pub motion: Option<MotionArg>,
-    /// Version of a .spz: 3, which most viewers read, or 4, which is smaller
+    /// Version of a .spz: 3 (gzip), which most viewers read, or 4 (zstd)
     #[arg(long, value_name = "3|4", default_value_t = 3, value_parser = clap::value_parser!(u32).range(3..=4))]
     pub spz_version: u32,
     /// Views on which renders before and after are compared; 0: none

@@ -112,11 +112,16 @@ pub(super) fn apply(
     Ok(())
 }
 
-/// Radius about the middle that holds 90 % of the centres.
+/// Radius about the median that holds 90 % of the centres.
 fn extent(means: &[[f32; 3]]) -> f64 {
-    let mut radii: Vec<f32> = means.iter().map(|m| m.iter().map(|v| v * v).sum::<f32>().sqrt()).collect();
-    radii.sort_unstable_by(f32::total_cmp);
-    f64::from(radii[(radii.len() - 1) * 9 / 10]).max(1.0e-6)
+    let sorted = |values: &mut dyn Iterator<Item = f32>| {
+        let mut values: Vec<f32> = values.collect();
+        values.sort_unstable_by(f32::total_cmp);
+        values
+    };
+    let middle = [0, 1, 2].map(|a| f64::from(sorted(&mut means.iter().map(|m| m[a]))[means.len() / 2]));
+    let radius = |m: &[f32; 3]| promote(*m).distance(DVec3::from_array(middle)) as f32;
+    f64::from(sorted(&mut means.iter().map(radius))[(means.len() - 1) * 9 / 10]).max(1.0e-6)
 }
 
 /// Twice as many intervals until the middle of each is on the line; `None` when not even three times fit.

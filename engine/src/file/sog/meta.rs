@@ -72,7 +72,7 @@ impl Numbers {
 /// How the bytes of a channel are values.
 pub(super) enum Values {
     /// Version 2.
-    Codebook([f32; 256]),
+    Codebook(Box<[f32; 256]>),
     /// Version 1: lows and highs of 4 channels.
     Between([[f64; 2]; 4]),
 }
@@ -120,7 +120,7 @@ impl Part {
         }
         let book = self.codebook.as_deref().unwrap_or_default();
         match <[f32; 256]>::try_from(book) {
-            Ok(book) => Ok(Values::Codebook(book)),
+            Ok(book) => Ok(Values::Codebook(Box::new(book))),
             Err(_) => Err(corrupt(path, &format!("{name}.codebook"), format!("{} numbers", book.len()), "256")),
         }
     }

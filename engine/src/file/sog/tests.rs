@@ -1,6 +1,8 @@
 //! Round trips, version 1, names that lead elsewhere.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
+use std::f32::consts::FRAC_1_SQRT_2;
+
 use super::*;
 use crate::file::codec::{morton_order, sigmoid, unit};
 use crate::scene::synthetic::random_gaussians;
@@ -29,7 +31,7 @@ fn a_written_archive_is_read_back_within_its_precision() {
 }
 
 /// Version 1, one Gaussian.
-fn version_1(folder: &std::path::Path) {
+fn version_1(folder: &Path) {
     let save = |name: &str, pixel: [u8; 4]| {
         std::fs::write(folder.join(name), picture::encode(folder, pixel.to_vec(), [1, 1]).unwrap()).unwrap();
     };
@@ -53,7 +55,7 @@ fn version_1_uses_ends_instead_of_codebooks() {
     let close = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 2e-3);
     assert!(close(&g.mean[0], &[1.0 - 1.0f32.exp(), 2.0f32.exp() - 1.0, 0.5f32.exp() - 1.0]), "{:?}", g.mean);
     assert!(close(&g.log_scale[0], &[-5.0, -4.0, 0.0]) && close(&g.sh, &[1.0, -1.0, -0.6]));
-    assert!(close(&g.opacity_logit, &[3.0]) && close(&g.rotation[0], &[0.7071, 0.7071, 0.0028, 0.0028]));
+    assert!(close(&g.opacity_logit, &[3.0]) && close(&g.rotation[0], &[FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0028, 0.0028]));
 }
 
 #[test]
