@@ -6,6 +6,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use engine::render::Quality;
 use engine::scene::MotionSource;
 
+use crate::convert::ConvertArgs;
 use crate::paper::Benchmark;
 
 mod render;
@@ -50,6 +51,8 @@ pub enum Command {
     Compare(CompareArgs),
     /// Score a model on the held-out views of a data set, beside the paper's figures
     Eval(EvalArgs),
+    /// Write a model in another format, whole, at a time, or as a sequence over time; say what that cost
+    Convert(ConvertArgs),
     /// Say what is in a model file or a data set
     Inspect(InspectArgs),
     /// List the Vulkan devices and what they lack
@@ -181,7 +184,7 @@ pub fn motion_source(motion: Option<MotionArg>) -> MotionSource {
 /// `spgs bench`.
 #[derive(Debug, Args)]
 pub struct BenchArgs {
-    /// Model: .safetensors or 3DGS .ply [default: a synthetic scene]
+    /// Model: .safetensors, 3DGS .ply, or anything that `spgs convert` reads [default: a synthetic scene]
     #[arg(conflicts_with_all = ["synthetic", "superpoints"])]
     pub model: Option<PathBuf>,
     /// A synthetic scene of N random Gaussians
@@ -290,7 +293,7 @@ pub struct CompareArgs {
 /// `spgs eval`.
 #[derive(Debug, Args)]
 pub struct EvalArgs {
-    /// Model: .safetensors or 3DGS .ply
+    /// Model: .safetensors, 3DGS .ply, or anything that `spgs convert` reads
     pub model: PathBuf,
     /// Data set: a folder as for `spgs train`
     #[arg(long, value_name = "DATA")]
@@ -355,7 +358,7 @@ impl SplitArg {
 /// `spgs inspect`.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// Model (.safetensors or 3DGS .ply) or folder of a data set
+    /// Model (any file or folder that `spgs convert` reads, or PyTorch weights) or folder of a data set
     pub file: PathBuf,
     /// Print it as JSON
     #[arg(long)]
@@ -426,7 +429,7 @@ fn knobs(text: &str) -> Result<String, String> {
 }
 
 /// Parses a number that is neither NaN nor infinite.
-fn finite(text: &str) -> Result<f64, String> {
+pub(crate) fn finite(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(|| "expected a finite number".into())
 }
 
