@@ -6,7 +6,7 @@
 //! |---|---|---|
 //! | SP-GS, so(3) | `deform/iteration_N/deform.pth` | its own superpoints, key-time table, association and network F; network G from `fine_deform/…` |
 //! | SP-GS before 2025, quaternions added | the same | a table of one pose per Gaussian at the run's own times |
-//! | Deformable-3DGS | `deform/iteration_N/deform.pth` | a table of one pose per Gaussian ([`per_gaussian`]) |
+//! | Deformable-3DGS | `deform/iteration_N/deform.pth` | a table of one pose per Gaussian (`per_gaussian`) |
 //! | 4D-GS | `point_cloud/iteration_N/deformation.pth` | the same |
 //! | SC-GS | `deform/iteration_N/deform.pth` | the same |
 //!

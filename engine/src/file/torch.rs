@@ -1,6 +1,6 @@
 //! PyTorch weights (`.pth`, `.pt`): a zip of a pickle and raw arrays, read without ever running code.
 //!
-//! A pickle is a program for a stack machine that can call any function. [`pickle`] understands the few instructions that
+//! A pickle is a program for a stack machine that can call any function. `pickle` understands the few instructions that
 //! weights need, and a call only of `OrderedDict`, `_rebuild_tensor_v2`, `_rebuild_parameter` and `torch.Size`, whose
 //! results are plain data here; anything else is an error that names it. Nothing is imported, and memory is bounded by
 //! the size of the pickle; arrays stay in the file until they are asked for.

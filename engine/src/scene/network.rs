@@ -72,7 +72,7 @@ impl DeformSize {
         if !(1..=Self::MOST_LAYERS).contains(&self.layers) {
             return Err(Error::usage("network_layers", self.layers.to_string(), "1 to 8"));
         }
-        if self.width == 0 || self.width > Self::MOST_WIDTH || self.width % step != 0 {
+        if self.width == 0 || self.width > Self::MOST_WIDTH || !self.width.is_multiple_of(step) {
             let expected = format!("a multiple of {step} up to {}", Self::MOST_WIDTH);
             return Err(Error::usage("network_width", self.width.to_string(), expected));
         }
