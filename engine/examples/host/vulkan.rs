@@ -265,7 +265,8 @@ impl Vulkan {
 
     /// Waits for a submitted frame.
     pub(crate) fn wait(&self, frame: Frame) -> Result<()> {
-        Ok(unsafe { self.device.wait_for_fences(&[frame.fence], true, u64::MAX)? })
+        unsafe { self.device.wait_for_fences(&[frame.fence], true, u64::MAX)? };
+        Ok(())
     }
 
     /// Frees a frame that has finished.
