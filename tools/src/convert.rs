@@ -96,7 +96,7 @@ pub fn run(args: &ConvertArgs, global: &Global) -> Result<()> {
     let loss = loss::measure(&before, kind, &outputs, source, args.views, global)?;
     let summary = Summary {
         input: args.input.clone(),
-        input_bytes: size(&args.input),
+        input_bytes: size(&args.input, 4),
         gaussians: before.gaussians.len(),
         outputs,
         dropped,
@@ -137,13 +137,15 @@ fn numbered(path: &Path, kind: Output, index: usize) -> PathBuf {
     path.with_file_name(format!("{stem}_{index:05}{ending}"))
 }
 
-/// Bytes of a file, or of a folder's own files.
-fn size(path: &Path) -> u64 {
-    if !path.is_dir() {
-        return std::fs::metadata(path).map_or(0, |m| m.len());
+/// Bytes of a file, or of a folder's files, three folders deep.
+fn size(path: &Path, depth: u32) -> u64 {
+    match std::fs::metadata(path) {
+        Ok(m) if m.is_file() => m.len(),
+        Ok(_) if depth > 0 => {
+            std::fs::read_dir(path).into_iter().flatten().flatten().map(|e| size(&e.path(), depth - 1)).sum()
+        }
+        _ => 0,
     }
-    let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
-    entries.filter_map(|e| e.metadata().ok()).map(|m| m.len()).sum()
 }
 
 impl Summary {

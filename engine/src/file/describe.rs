@@ -6,7 +6,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::{Format, checkpoint, clean, model, ply, read};
+use super::{Format, Loaded, checkpoint, clean, model, ply, read};
 use crate::error::Result;
 use crate::gpu::mmap::map_file;
 use crate::scene::{Gaussians, Rejected, Scene};
@@ -103,7 +103,10 @@ pub fn describe(path: &Path) -> Result<Description> {
     };
     let bytes = if path.is_dir() { folder_bytes(path, 2) } else { std::fs::metadata(path).map_or(0, |m| m.len()) };
     let gaussians = scene.gaussians.len();
-    let loaded = clean(scene, warnings, path);
+    let loaded = match format {
+        Format::Torch => Loaded { scene, rejected: Rejected::default(), warnings },
+        _ => clean(scene, warnings, path),
+    };
     let scene = loaded.scene;
     Ok(Description {
         path: path.display().to_string(),
@@ -197,9 +200,21 @@ fn motion(scene: &Scene) -> Option<MotionDescription> {
     })
 }
 
+impl Description {
+    fn tensors_and_warnings(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for t in &self.tensors {
+            writeln!(f, "Tensor          {:<32} {} {:?}, {} bytes", t.name, t.dtype, t.shape, t.bytes)?;
+        }
+        self.warnings.iter().try_for_each(|warning| writeln!(f, "Warning         {warning}"))
+    }
+}
+
 impl fmt::Display for Description {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{}: {}, {} bytes", self.path, self.format, self.bytes)?;
+        if self.format == Format::Torch {
+            return self.tensors_and_warnings(f);
+        }
         writeln!(f, "Gaussians       {} (SH degree {})", self.gaussians, self.sh_degree)?;
         let r = &self.rejected;
         if r.total() > 0 {
@@ -249,12 +264,9 @@ impl fmt::Display for Description {
             let short: String = value.chars().take(80).collect();
             writeln!(f, "Metadata        {key} = {short}{}", if short.len() < value.len() { "…" } else { "" })?;
         }
-        for t in &self.tensors {
-            writeln!(f, "Tensor          {:<32} {} {:?}, {} bytes", t.name, t.dtype, t.shape, t.bytes)?;
-        }
         if !self.properties.is_empty() {
             writeln!(f, "Properties      {}", self.properties.join(" "))?;
         }
-        self.warnings.iter().try_for_each(|warning| writeln!(f, "Warning         {warning}"))
+        self.tensors_and_warnings(f)
     }
 }
