@@ -2,12 +2,13 @@
 //
 // A workgroup owns 8 superpoints; a thread owns one neuron of the current layer and all 8 superpoints, so that each weight
 // is read once per workgroup, in 16-byte loads coalesced over the threads, and used 8 times. Activations live in shared memory,
-// 8 floats (two vec4) per input: first the 76 encoded inputs and 4 zeros, then the 256 hidden ones. Thus layer 0 reads
-// [0, 80), the skip layer [0, 336) and every other [80, 336).
+// 8 floats (two vec4) per input: first the 76 encoded inputs and 4 zeros, then the WIDTH hidden ones. Thus layer 0 reads
+// [0, 80), the skip layer [0, 80 + WIDTH) and every other [80, 80 + WIDTH). In a narrow network the last threads only
+// help with the encoding.
 //
-// `weights`, in words of 16 bytes: for each of the 8 layers the matrix as [inputs / 4][256], four successive inputs of one
-// output per word (FP16_WEIGHTS = 1: [inputs / 8][256], eight halves per word, the first in the lowest bits), the padded
-// inputs 0, then its bias [64]; then the heads [256][2], (r, 0) and (tau, 0), and their bias [2]. Heads and biases are
+// `weights`, in words of 16 bytes: for each layer the matrix as [inputs / 4][WIDTH], four successive inputs of one
+// output per word (FP16_WEIGHTS = 1: [inputs / 8][WIDTH], eight halves per word, the first in the lowest bits), the padded
+// inputs 0, then its bias [WIDTH / 4]; then the heads [WIDTH][2], (r, 0) and (tau, 0), and their bias [2]. Heads and biases are
 // always f32. Accumulation is f32.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -15,6 +16,9 @@
 layout(local_size_x = 256) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 1) const uint FP16_WEIGHTS = 0;
+layout(constant_id = 2) const uint LAYERS = 8;     // 1 to 8
+layout(constant_id = 3) const uint WIDTH = 256;    // a multiple of 32 up to 256
+layout(constant_id = 4) const uint SKIP_LAYER = 5; // LAYERS: none
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
@@ -28,9 +32,7 @@ const uint GROUP_SUPERPOINTS = 8u;
 const uint POSITION_INPUTS = 63u; // 3 + 3 * 2 * 10
 const uint ENCODED = 76u;         // and 1 + 2 * 6 of time
 const uint ENCODING = 80u;        // padded to a multiple of 8
-const uint HIDDEN = 256u;
-const uint LAYERS = 8u;
-const uint SKIP_LAYER = 5u;
+const uint THREADS = 256u;
 const uint SLICES = 32u; // of the hidden activations, for the heads
 
 shared vec4 activations[2 * (80 + 256)];
@@ -67,10 +69,14 @@ void accumulate(uint i, vec4 w, inout vec4 sum_0, inout vec4 sum_1) {
 void main() {
     uint thread = gl_LocalInvocationIndex;
     uint fp16 = FP16_WEIGHTS;
+    uint layers = min(LAYERS, 8u);
+    uint width = min(WIDTH, THREADS);
+    uint skip_layer = SKIP_LAYER;
+    bool has_neuron = thread < width;
     uint count = frame.counts.y;
     uint first_superpoint = workgroup_index() * GROUP_SUPERPOINTS;
 
-    for (uint item = thread; item < ENCODING * GROUP_SUPERPOINTS; item += HIDDEN) {
+    for (uint item = thread; item < ENCODING * GROUP_SUPERPOINTS; item += THREADS) {
         uint e = item / GROUP_SUPERPOINTS;
         uint s = item % GROUP_SUPERPOINTS;
         uint superpoint = first_superpoint + s;
@@ -79,41 +85,49 @@ void main() {
     barrier();
 
     uint base = 0u;
-    for (uint layer = 0u; layer < LAYERS; layer++) {
-        uint first = layer == 0u || layer == SKIP_LAYER ? 0u : ENCODING;
-        uint end = layer == 0u ? ENCODING : ENCODING + HIDDEN;
-        uint words = (end - first) * (fp16 == 1u ? HIDDEN / 8u : HIDDEN / 4u);
-        float bias = uintBitsToFloat(weights[base + words + thread / 4u][thread % 4u]);
-        vec4 sum_0 = vec4(bias);
-        vec4 sum_1 = vec4(bias);
+    for (uint layer = 0u; layer < layers; layer++) {
+        uint first = layer == 0u || layer == skip_layer ? 0u : ENCODING;
+        uint end = layer == 0u ? ENCODING : ENCODING + width;
+        uint words = (end - first) * (fp16 == 1u ? width / 8u : width / 4u);
+        vec4 sum_0 = vec4(0.0);
+        vec4 sum_1 = vec4(0.0);
         uint at = base + thread;
+        if (has_neuron) {
+            float bias = uintBitsToFloat(weights[base + words + thread / 4u][thread % 4u]);
+            sum_0 = vec4(bias);
+            sum_1 = vec4(bias);
+        } else {
+            end = first;
+        }
         if (fp16 == 1u) {
             for (uint i = first; i < end; i += 8u) {
                 uvec4 word = weights[at];
                 accumulate(i, vec4(unpackHalf2x16(word.x), unpackHalf2x16(word.y)), sum_0, sum_1);
                 accumulate(i + 4u, vec4(unpackHalf2x16(word.z), unpackHalf2x16(word.w)), sum_0, sum_1);
-                at += HIDDEN;
+                at += width;
             }
         } else {
             for (uint i = first; i < end; i += 4u) {
                 accumulate(i, uintBitsToFloat(weights[at]), sum_0, sum_1);
-                at += HIDDEN;
+                at += width;
             }
         }
-        base += words + HIDDEN / 4u;
+        base += words + width / 4u;
         barrier();
-        activations[2u * (ENCODING + thread)] = max(sum_0, vec4(0.0));
-        activations[2u * (ENCODING + thread) + 1u] = max(sum_1, vec4(0.0));
+        if (has_neuron) {
+            activations[2u * (ENCODING + thread)] = max(sum_0, vec4(0.0));
+            activations[2u * (ENCODING + thread) + 1u] = max(sum_1, vec4(0.0));
+        }
         barrier();
     }
 
-    // Heads: thread = (slice of 8 inputs, superpoint); the slices are added in order.
+    // Heads: thread = (slice of width / 32 inputs, superpoint); the slices are added in order.
     uint s = thread % GROUP_SUPERPOINTS;
     uint slice = thread / GROUP_SUPERPOINTS;
     vec4 turn = vec4(0.0);
     vec4 move = vec4(0.0);
-    for (uint j = 0u; j < HIDDEN / SLICES; j++) {
-        uint i = slice * (HIDDEN / SLICES) + j;
+    for (uint j = 0u; j < width / SLICES; j++) {
+        uint i = slice * (width / SLICES) + j;
         float h = activations[2u * (ENCODING + i) + s / 4u][s % 4u];
         turn += h * uintBitsToFloat(weights[base + 2u * i]);
         move += h * uintBitsToFloat(weights[base + 2u * i + 1u]);
@@ -124,7 +138,7 @@ void main() {
     if (thread < 2u * GROUP_SUPERPOINTS) {
         // One thread per (r or tau, superpoint).
         uint which = thread / GROUP_SUPERPOINTS;
-        vec4 sum = uintBitsToFloat(weights[base + 2u * HIDDEN + which]);
+        vec4 sum = uintBitsToFloat(weights[base + 2u * width + which]);
         for (uint k = 0u; k < SLICES; k++) {
             sum += partial_heads[2u * (k * GROUP_SUPERPOINTS + s) + which];
         }

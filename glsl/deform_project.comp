@@ -18,6 +18,7 @@ layout(constant_id = 4) const uint ALPHA_CUT = 0; // these two: see lib/ellipse.
 layout(constant_id = 5) const uint TILE_CULL = 0;
 layout(constant_id = 6) const uint PACKING = 0;    // see lib/splat.glsl
 layout(constant_id = 7) const uint SH_STORAGE = 0; // 0 f32, 1 f16, 2 u8 with a range per plane (band 0: f16)
+layout(constant_id = 8) const uint MEAN_STORAGE = 0; // 0 f32, 1 unorm16 with a range per coordinate
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
@@ -28,7 +29,7 @@ layout(constant_id = 7) const uint SH_STORAGE = 0; // 0 f32, 1 f16, 2 u8 with a 
 #include "lib/sh.glsl"
 #include "lib/projection.glsl"
 
-layout(std430, set = 0, binding = 1) readonly buffer MeanBlock { float mean[]; };
+layout(std430, set = 0, binding = 1) readonly buffer MeanBlock { uint mean[]; };
 layout(std430, set = 0, binding = 2) readonly buffer LogScaleBlock { float log_scale[]; };
 layout(std430, set = 0, binding = 3) readonly buffer RotationBlock { vec4 rotation[]; };
 layout(std430, set = 0, binding = 4) readonly buffer OpacityLogitBlock { float opacity_logit[]; };
@@ -124,10 +125,25 @@ bool reaches_image(Ellipse e, float variance_x) {
     return !(e.mean.x + reach + slack < 0.0) && !(e.mean.x - reach - slack > float(frame.size.x));
 }
 
+// Centre of Gaussian g. unorm16: x and y in one word, z in half a word, then low and step of each coordinate; level 65535
+// stands for NaN.
+vec3 read_mean(uint g, uint n) {
+    uint storage = MEAN_STORAGE;
+    if (storage == 0u) {
+        return uintBitsToFloat(uvec3(mean[g], mean[n + g], mean[2u * n + g]));
+    }
+    uint xy = mean[g];
+    uvec3 level = uvec3(xy & 0xffffu, xy >> 16u, mean[n + g / 2u] >> (16u * (g & 1u)) & 0xffffu);
+    uint range = n + (n + 1u) / 2u;
+    vec3 low = uintBitsToFloat(uvec3(mean[range], mean[range + 2u], mean[range + 4u]));
+    vec3 step = uintBitsToFloat(uvec3(mean[range + 1u], mean[range + 3u], mean[range + 5u]));
+    return level.x == 65535u ? vec3(uintBitsToFloat(0x7fc00000u)) : low + vec3(level) * step;
+}
+
 // Processes Gaussian g; the reads come in the order in which the tests need them.
 uint project(uint g, uint n, out uint tiles) {
     tiles = 0u;
-    vec3 canonical = vec3(mean[g], mean[n + g], mean[2u * n + g]);
+    vec3 canonical = read_mean(g, n);
     float logit = opacity_logit[g];
     bool logit_is_nan = (floatBitsToUint(logit) & 0x7fffffffu) > 0x7f800000u;
     if (!within(canonical, MAX_ABS_MEAN) || logit_is_nan) {

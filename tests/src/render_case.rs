@@ -163,7 +163,7 @@ impl RenderInput {
         let motion = u32::from(!self.pose.is_empty());
         KernelCase {
             kernel: &DEFORM_PROJECT,
-            spec: vec![self.degree, motion, u32::from(!self.nonrigid_offset.is_empty()), 0, 0, 0, 0],
+            spec: vec![self.degree, motion, u32::from(!self.nonrigid_offset.is_empty()), 0, 0, 0, 0, 0],
             push: bytemuck::bytes_of(&DeformProjectPush { block_capacity: blocks }).to_vec(),
             buffers: vec![
                 bytemuck::cast_slice(&[*frame]).to_vec(),

@@ -41,13 +41,6 @@ fn trained_models_load_and_round_trip() {
     }
 }
 
-#[test]
-fn a_compressed_ply_is_named_as_such() {
-    let Some(path) = data("splats/guitar_91k.compressed.ply") else { return };
-    let message = file::load(&path).unwrap_err().to_string();
-    assert!(message.contains("a compressed PLY (`packed_position`)"), "{message}");
-}
-
 fn assert_sane(set: &CameraSet, count: usize, size: [u32; 2]) {
     assert_eq!(set.cameras.len(), count, "{}", set.source);
     for camera in &set.cameras {

@@ -284,11 +284,6 @@ fn sums_stay_within_the_instances() {
 }
 
 #[test]
-fn other_subgroup_sizes() {
-    widths::repeat_with_other_widths(&["gradients_match_the_twins", "layers_and_opaque_splats"]);
-}
-
-#[test]
 fn subtiles_cover_the_tile() {
     for size in [4, 8, 16, 32, 64, 128] {
         let all = blend_backward::subtiles_of_tile(size);

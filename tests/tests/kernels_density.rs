@@ -380,8 +380,3 @@ fn the_opacity_reset_lowers_and_forgets() {
         }
     }
 }
-
-#[test]
-fn other_subgroup_sizes() {
-    widths::repeat_with_other_widths(&["passes_equal_the_model", "kernels_equal_twins"]);
-}

@@ -267,11 +267,6 @@ fn runs_are_bit_identical_and_equal_the_parts() {
 }
 
 #[test]
-fn other_subgroup_sizes() {
-    widths::repeat_with_other_widths(&["loss_and_gradient_equal_twins_and_truth"]);
-}
-
-#[test]
 fn independent_automatic_differentiation_agrees() {
     let Some(path) = tests_harness::data("oracle/loss_61x47.npz") else { return };
     let gpu = tests_harness::gpu();

@@ -9,7 +9,7 @@ use engine::render::deform_network::{self, DEFORM_NETWORK};
 use engine::render::deform_project::DEFORM_PROJECT;
 use engine::render::frame::Frame;
 use engine::render::rate::{ARITHMETIC_RATE, ARITHMETIC_RATE_THREADS, ArithmeticRatePush, arithmetic_rate};
-use engine::scene::network::{HIDDEN_LAYERS, HIDDEN_WIDTH};
+use engine::scene::network::DeformSize;
 use engine::scene::{Camera, DeformNetwork, Linear};
 use glam::DVec3;
 use tests_harness::render_case::{Random, RenderInput, test_camera, tile_lists};
@@ -286,7 +286,7 @@ fn images_agree_with_the_reference() {
     }
 }
 
-fn network(seed: u64) -> DeformNetwork {
+fn network(seed: u64, size: DeformSize) -> DeformNetwork {
     let mut r = Random(seed);
     let mut linear = |inputs: usize, outputs: usize| {
         let bound = (6.0 / inputs as f32).sqrt();
@@ -298,17 +298,19 @@ fn network(seed: u64) -> DeformNetwork {
         }
     };
     DeformNetwork {
-        linear: (0..HIDDEN_LAYERS).map(|i| linear(DeformNetwork::layer_inputs(i), HIDDEN_WIDTH)).collect(),
-        translation: linear(HIDDEN_WIDTH, 3),
-        rotation: linear(HIDDEN_WIDTH, 3),
+        linear: (0..size.layers).map(|i| linear(size.layer_inputs(i), size.width)).collect(),
+        translation: linear(size.width, 3),
+        rotation: linear(size.width, 3),
     }
 }
 
 #[test]
 fn deform_network_matches_twin_and_reference() {
     let gpu = tests_harness::gpu();
-    let network = network(11);
-    for count in [1_u32, 7, 8, 9, 33, 300] {
+    let small = |layers, width| DeformSize { layers, width };
+    let narrow = [1, 2, 3, 5].into_iter().zip([32, 64, 128, 224]).map(|(layers, width)| (9, small(layers, width)));
+    for (count, size) in [1_u32, 7, 8, 9, 33, 300].map(|count| (count, DeformSize::PAPER)).into_iter().chain(narrow) {
+        let network = network(11, size);
         for fp16 in [false, true] {
             let mut r = Random(u64::from(count));
             let position: Vec<[f32; 3]> = (0..count).map(|_| std::array::from_fn(|_| r.range(-10.0, 10.0))).collect();
@@ -318,7 +320,7 @@ fn deform_network_matches_twin_and_reference() {
             let weights = deform_network::pack_weights(&network, fp16).unwrap();
             let case = KernelCase {
                 kernel: &DEFORM_NETWORK,
-                spec: vec![u32::from(fp16)],
+                spec: deform_network::spec_constants(size, fp16).to_vec(),
                 push: Vec::new(),
                 buffers: vec![
                     bytemuck::cast_slice(&[frame]).to_vec(),
@@ -329,7 +331,7 @@ fn deform_network_matches_twin_and_reference() {
                 groups: deform_network::groups(count) as u32,
             };
             let result = case.run(&gpu);
-            result.assert_equal(&DEFORM_NETWORK, &format!("M = {count}, fp16 {fp16}"));
+            result.assert_equal(&DEFORM_NETWORK, &format!("M = {count}, {size:?}, fp16 {fp16}"));
             let truth = reference::network_poses(&network, &position, f64::from(0.617_f32));
             let (mut error, mut norm) = (0.0, 0.0);
             for (pose, words) in truth.iter().zip(result.gpu[3].chunks_exact(8)) {
@@ -340,8 +342,8 @@ fn deform_network_matches_twin_and_reference() {
                 }
             }
             let relative = (error / norm).sqrt();
-            println!("network F, M = {count}, fp16 {fp16}: relative L2 error {relative:.2e}");
-            assert!(relative < if fp16 { 5e-3 } else { 5e-6 }, "M = {count}, fp16 {fp16}: {relative:e}");
+            println!("network F, M = {count}, {size:?}, fp16 {fp16}: relative L2 error {relative:.2e}");
+            assert!(relative < if fp16 { 5e-3 } else { 5e-6 }, "M = {count}, {size:?}, fp16 {fp16}: {relative:e}");
         }
     }
 }

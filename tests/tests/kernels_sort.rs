@@ -131,8 +131,3 @@ fn spine_over_many_partitions() {
     assert!(SortPlan::new(keys.len() as u32, 12).unwrap().prescanned);
     sort_and_check(&gpu, &keys, 12, true, true, "many partitions");
 }
-
-#[test]
-fn other_subgroup_sizes() {
-    widths::repeat_with_other_widths(&["sort_every_count", "sort_every_distribution"]);
-}

@@ -262,8 +262,3 @@ fn more_than_one_super_block() {
     let (_, _, ranges) = scene.check(&gpu, 80_000);
     assert_eq!(ranges, [0, 70_001]);
 }
-
-#[test]
-fn other_subgroup_sizes() {
-    widths::repeat_with_other_widths(&["chain_equals_twins", "more_than_one_super_block"]);
-}

@@ -8,6 +8,7 @@ use engine::reference::gradient::network::{LinearGradient, network_gradient, non
 use engine::reference::{self, Pose};
 use engine::render::frame::Frame;
 use engine::render::limits::COUNT_FAILED;
+use engine::scene::network::DeformSize;
 use engine::scene::{DeformNetwork, Linear, NonrigidNetwork};
 use engine::train::linear::{Output, Stage};
 use engine::train::network_f::{self, NetworkF};
@@ -134,8 +135,16 @@ fn network_f_agrees_with_the_reference() {
     let gpu = tests_harness::gpu();
     let mut r = Random(12);
     let time = 0.37_f32;
-    for (seed, count) in [(1, 1), (2, 37), (3, 100)] {
-        let weights = DeformNetwork::init(seed, false);
+    let small = |layers, width| DeformSize { layers, width };
+    for (seed, count, size) in [
+        (1, 1, DeformSize::PAPER),
+        (2, 37, DeformSize::PAPER),
+        (3, 100, DeformSize::PAPER),
+        (4, 33, small(1, 32)),
+        (5, 40, small(2, 64)),
+        (6, 65, small(5, 96)),
+    ] {
+        let weights = DeformNetwork::init(seed, size, false);
         let (position, planes) = (positions(&mut r, count), upstream(&mut r, 6 * count));
         let poses = reference::network_poses(&weights, &position, time.into());
         let vectors = |first: usize| (0..count).map(|m| plane_vector(&planes, first, count, m)).collect::<Vec<_>>();
@@ -381,7 +390,7 @@ fn passes_repeat_bit_for_bit_and_stop_with_the_frame() {
     let mut results = Vec::new();
     for _ in 0..2 {
         let pass = PassF::new(&gpu, 0.6, &position, &planes);
-        let network = NetworkF::new(&gpu, &DeformNetwork::init(4, true), 50).unwrap();
+        let network = NetworkF::new(&gpu, &DeformNetwork::init(4, DeformSize::PAPER, true), 50).unwrap();
         let pass_g = PassG::new(&gpu, &input, &frame, &planes_g);
         let network_g = NetworkG::new(&gpu, &weights_g(), 700).unwrap();
         for _ in 0..3 {
@@ -414,7 +423,7 @@ fn poison_never_reaches_a_weight() {
     };
     for (k, value) in poison.into_iter().enumerate() {
         let (mut position, mut planes) = (positions(&mut r, 20), upstream(&mut r, 120));
-        let network = NetworkF::new(&gpu, &DeformNetwork::init(4, false), 20).unwrap();
+        let network = NetworkF::new(&gpu, &DeformNetwork::init(4, DeformSize::PAPER, false), 20).unwrap();
         planes[37] = value;
         let pass = PassF::new(&gpu, 0.6, &position, &planes);
         pass.run(&gpu, &network, Output::Adam);
@@ -447,12 +456,12 @@ fn poison_never_reaches_a_weight() {
 #[test]
 fn what_does_not_fit_is_refused() {
     let gpu = tests_harness::gpu();
-    let network = NetworkF::new(&gpu, &DeformNetwork::init(1, false), 5).unwrap();
+    let network = NetworkF::new(&gpu, &DeformNetwork::init(1, DeformSize::PAPER, false), 5).unwrap();
     let dummy = |name: &str| -> Buffer { gpu.buffer(name, 1 << 16, Memory::Device).unwrap() };
     let [step, position, pose] = ["step", "superpoint_position", "pose"].map(|name| Slice::from(dummy(name)));
     let mut r = gpu.recorder("too many");
     assert!(network.record_forward(&mut r, network.capacity() + 1, &step, &position, &pose).is_err());
-    let mut wrong = DeformNetwork::init(1, false);
+    let mut wrong = DeformNetwork::init(1, DeformSize::PAPER, false);
     wrong.linear[5].inputs = 256;
     assert!(NetworkF::new(&gpu, &wrong, 5).unwrap_err().to_string().contains("deform.linear.5"));
     assert!(network.upload_moments([&[0.0; 3], &[0.0; 3]]).is_err());
@@ -485,7 +494,7 @@ fn report(what: &str, mut run: impl FnMut() -> Vec<Timing>) {
 fn time_of_a_step() {
     let gpu = tests_harness::gpu();
     let mut r = Random(5);
-    let weights = DeformNetwork::init(1, false);
+    let weights = DeformNetwork::init(1, DeformSize::PAPER, false);
     for count in [100, 300] {
         let pass = PassF::new(&gpu, 0.3, &positions(&mut r, count), &upstream(&mut r, 6 * count));
         let network = NetworkF::new(&gpu, &weights, 300).unwrap();

@@ -6,6 +6,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use engine::render::Quality;
 use engine::scene::MotionSource;
 
+use crate::convert::ConvertArgs;
 use crate::paper::Benchmark;
 
 mod render;
@@ -54,6 +55,8 @@ pub enum Command {
     Compare(CompareArgs),
     /// Score a model on the held-out views of a data set, beside the paper's figures
     Eval(EvalArgs),
+    /// Write a model in another format, whole, at a time, or as a sequence over time; say what that cost
+    Convert(ConvertArgs),
     /// Say what is in a model file or a data set
     Inspect(InspectArgs),
     /// List the Vulkan devices and what they lack
@@ -150,10 +153,10 @@ pub struct ViewArgs {
     #[arg(long, value_enum)]
     pub motion: Option<MotionArg>,
     /// What may be given up for speed: exact; high: nothing that is visible; fast: a few levels of 255 in places
-    #[arg(long, value_name = "exact|high|fast", default_value = "exact", value_parser = preset)]
+    #[arg(long, value_name = "exact|high|fast", default_value = "high", value_parser = preset)]
     pub quality: Quality,
-    /// Single knobs on top of --quality, knob=value,…: cull, alpha_cut, stop, depth_bits, sh_degree, sh, colour, conic,
-    /// table_step, interpolation, network, nonrigid, resolution
+    /// Single knobs on top of --quality, knob=value,…: cull, alpha_cut, stop, depth_bits, position, sh_degree, sh, colour,
+    /// conic, table_step, interpolation, network, nonrigid, resolution
     #[arg(long, value_name = "KNOB=VALUE,…", value_parser = knobs)]
     pub set: Option<String>,
 }
@@ -185,7 +188,7 @@ pub fn motion_source(motion: Option<MotionArg>) -> MotionSource {
 /// `spgs bench`.
 #[derive(Debug, Args)]
 pub struct BenchArgs {
-    /// Model: .safetensors or 3DGS .ply [default: a synthetic scene]
+    /// Model: .safetensors, 3DGS .ply, or anything that `spgs convert` reads [default: a synthetic scene]
     #[arg(conflicts_with_all = ["synthetic", "superpoints"])]
     pub model: Option<PathBuf>,
     /// A synthetic scene of N random Gaussians
@@ -294,7 +297,7 @@ pub struct CompareArgs {
 /// `spgs eval`.
 #[derive(Debug, Args)]
 pub struct EvalArgs {
-    /// Model: .safetensors or 3DGS .ply
+    /// Model: .safetensors, 3DGS .ply, or anything that `spgs convert` reads
     pub model: PathBuf,
     /// Data set: a folder as for `spgs train`
     #[arg(long, value_name = "DATA")]
@@ -359,7 +362,7 @@ impl SplitArg {
 /// `spgs inspect`.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// Model (.safetensors or 3DGS .ply) or folder of a data set
+    /// Model (any file or folder that `spgs convert` reads, or PyTorch weights) or folder of a data set
     pub file: PathBuf,
     /// Print it as JSON
     #[arg(long)]
@@ -430,7 +433,7 @@ fn knobs(text: &str) -> Result<String, String> {
 }
 
 /// Parses a number that is neither NaN nor infinite.
-fn finite(text: &str) -> Result<f64, String> {
+pub(crate) fn finite(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(|| "expected a finite number".into())
 }
 

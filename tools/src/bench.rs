@@ -49,7 +49,7 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     let options = RenderOptions {
         background: args.view.background,
         motion: args.view.motion_source(),
-        quality: args.view.quality(),
+        quality: args.view.quality().for_scene(&scene),
         ..RenderOptions::default()
     };
     let (frames, warmup) = (args.frames.unwrap_or(FRAMES), args.warmup.unwrap_or(WARMUP));

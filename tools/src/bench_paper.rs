@@ -41,7 +41,7 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     let options = RenderOptions {
         background: args.view.background,
         motion: args.view.motion_source(),
-        quality: args.view.quality(),
+        quality: args.view.quality().for_scene(&scene),
         ..RenderOptions::default()
     };
     let budget = Duration::from_secs_f64(args.budget.unwrap_or(BUDGET_S));

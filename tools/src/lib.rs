@@ -6,6 +6,7 @@ pub mod bench_ablation;
 pub mod bench_paper;
 pub mod bench_train;
 pub mod compare;
+pub mod convert;
 pub mod dataset;
 pub mod demo;
 pub mod devices;

@@ -18,7 +18,7 @@ const RECORDINGS: [(&str, &str); 10] = [
         "bench_s50k",
         "bench $SPGS_DATA/bench_s50k/model.ply --cameras $SPGS_DATA/bench_s50k --split train --frames 100 --check",
     ),
-    ("synthetic_120k", "bench --synthetic 120000 --superpoints 300 --width 800 --height 800 --paper-protocol --check"),
+    ("synthetic_120k", "bench --synthetic 120000 --superpoints 300 --width 800 --height 800 --check"),
     ("train_bench_s50k", "bench $SPGS_DATA/bench_s50k/model.ply --train --cameras $SPGS_DATA/bench_s50k"),
     ("hard_cases", "bench --hard-cases"),
     ("paper", "bench --paper --synthetic 120000 --superpoints 300"),
@@ -28,11 +28,11 @@ const RECORDINGS: [(&str, &str); 10] = [
     ),
     (
         "until_psnr_robot_dance",
-        "bench --train --until-psnr 30 --cameras $SPGS_DATA/robot_dance --iterations 4000 --downscale 4",
+        "bench --train --until-psnr 20 --cameras $SPGS_DATA/robot_dance --iterations 2000 --downscale 8",
     ),
     (
         "ablation_robot_dance",
-        "bench --ablation $SPGS_DATA/robot_dance --iterations 1000 --downscale 8 --only superpoints,neighbors,property-loss,warm-up,inference",
+        "bench --ablation $SPGS_DATA/robot_dance --iterations 300 --downscale 8 --only superpoints,neighbors,property-loss,network-size,warm-up,inference",
     ),
     ("sweep_100k", "bench --sweep --synthetic 100000 --superpoints 300"),
     ("train_sweep", "bench --train --sweep"),

@@ -17,7 +17,7 @@ use engine::reference::gradient::splats::Upstream;
 use engine::reference::{
     Deformation, Gaussians64, Parameters, Pose, ReferenceOptions, network_poses, place, render_gaussians,
 };
-use engine::scene::network::{HIDDEN_LAYERS, HIDDEN_WIDTH};
+use engine::scene::network::DeformSize;
 use engine::scene::{Camera, DeformNetwork, Gaussians, Linear, MotionSource, Scene, Superpoints};
 use engine::train::gradient::{GradientOptions, scene_gradients};
 use engine::{Error, Result};
@@ -387,13 +387,14 @@ impl<'a> Archive<'a> {
     }
 
     fn network(&mut self) -> Result<DeformNetwork> {
-        let linear = (0..HIDDEN_LAYERS)
-            .map(|i| self.linear(&format!("deform_linear.{i}"), DeformNetwork::layer_inputs(i), HIDDEN_WIDTH))
+        let size = DeformSize::PAPER;
+        let linear = (0..size.layers)
+            .map(|i| self.linear(&format!("deform_linear.{i}"), size.layer_inputs(i), size.width))
             .collect::<Result<_>>()?;
         Ok(DeformNetwork {
             linear,
-            translation: self.linear("deform_translation", HIDDEN_WIDTH, 3)?,
-            rotation: self.linear("deform_rotation", HIDDEN_WIDTH, 3)?,
+            translation: self.linear("deform_translation", size.width, 3)?,
+            rotation: self.linear("deform_rotation", size.width, 3)?,
         })
     }
 

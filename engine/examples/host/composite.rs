@@ -239,7 +239,7 @@ impl Drop for Compositor {
             device.destroy_sampler(self.sampler, None);
         }
         self.host.destroy_frame(self.frame);
-        [self.scene_color, self.scene_depth, self.output, self.depth].map(|p| self.host.destroy(p));
+        [self.scene_color, self.scene_depth, self.output, self.depth].into_iter().for_each(|p| self.host.destroy(p));
     }
 }
 
@@ -331,7 +331,7 @@ fn pipeline(host: &Vulkan, spirv: [&[u8]; 2], images: u32, over: bool) -> Result
         .layout(layout)
         .push_next(&mut rendering)];
     let made = unsafe { host.device.create_graphics_pipelines(vk::PipelineCache::null(), &create, None) };
-    modules.map(|m| unsafe { host.device.destroy_shader_module(m, None) });
+    modules.into_iter().for_each(|m| unsafe { host.device.destroy_shader_module(m, None) });
     let raw = made.map_err(|(_, code)| code)?[0];
     Ok(Pipeline { raw, layout, set_layout })
 }

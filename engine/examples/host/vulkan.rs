@@ -160,6 +160,11 @@ impl Vulkan {
         self.messenger.is_some()
     }
 
+    /// What the validation layer has said since the last call.
+    pub(crate) fn take_messages(&self) -> Vec<String> {
+        std::mem::take(&mut self.messages.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
     /// What the validation layer has said so far.
     pub(crate) fn messages(&self) -> Vec<String> {
         self.messages.lock().unwrap_or_else(PoisonError::into_inner).clone()
@@ -260,7 +265,8 @@ impl Vulkan {
 
     /// Waits for a submitted frame.
     pub(crate) fn wait(&self, frame: Frame) -> Result<()> {
-        Ok(unsafe { self.device.wait_for_fences(&[frame.fence], true, u64::MAX)? })
+        unsafe { self.device.wait_for_fences(&[frame.fence], true, u64::MAX)? };
+        Ok(())
     }
 
     /// Frees a frame that has finished.

@@ -4,8 +4,7 @@ use std::path::Path;
 
 use crate::error::Error;
 use crate::scene::network::{
-    DeformNetwork, HIDDEN_LAYERS, HIDDEN_WIDTH, Linear, NONRIGID_HEADS, NONRIGID_LAYERS, NONRIGID_WIDTH,
-    NonrigidNetwork,
+    DeformNetwork, DeformSize, Linear, NONRIGID_HEADS, NONRIGID_LAYERS, NONRIGID_WIDTH, NonrigidNetwork,
 };
 use crate::scene::{Association, Gaussians, Motion, Scene, Superpoints, Tensor};
 
@@ -148,12 +147,15 @@ fn association(a: &Association, n: usize, m: usize) -> Check {
 }
 
 fn deform(network: &DeformNetwork) -> Check {
-    length("deform.linear", network.linear.len(), HIDDEN_LAYERS)?;
+    let size = network.size();
+    size.check()
+        .map_err(|e| e.to_string())
+        .or_else(|e| problem("deform.linear", e, "layers that network F can have"))?;
     for (i, layer) in network.linear.iter().enumerate() {
-        linear(&format!("deform.linear.{i}"), layer, DeformNetwork::layer_inputs(i), HIDDEN_WIDTH)?;
+        linear(&format!("deform.linear.{i}"), layer, size.layer_inputs(i), size.width)?;
     }
-    linear("deform.translation", &network.translation, HIDDEN_WIDTH, 3)?;
-    linear("deform.rotation", &network.rotation, HIDDEN_WIDTH, 3)
+    linear("deform.translation", &network.translation, size.width, 3)?;
+    linear("deform.rotation", &network.rotation, size.width, 3)
 }
 
 fn nonrigid(network: &NonrigidNetwork) -> Check {
@@ -203,7 +205,7 @@ fn is_deform(name: &str) -> bool {
     let Some((layer, "weight" | "bias")) = name.strip_prefix("deform.").and_then(|rest| rest.rsplit_once('.')) else {
         return false;
     };
-    let hidden = |i: &str| (0..HIDDEN_LAYERS).any(|layer| layer.to_string() == i);
+    let hidden = |i: &str| (0..DeformSize::MOST_LAYERS).any(|layer| layer.to_string() == i);
     matches!(layer, "translation" | "rotation") || layer.strip_prefix("linear.").is_some_and(hidden)
 }
 

@@ -6,8 +6,8 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::{Format, clean, model, ply};
-use crate::error::{Error, Result};
+use super::{Format, Loaded, checkpoint, clean, model, ply, read};
+use crate::error::Result;
 use crate::gpu::mmap::map_file;
 use crate::scene::{Gaussians, Rejected, Scene};
 
@@ -86,28 +86,32 @@ pub struct Description {
 /// As [`super::load`].
 pub fn describe(path: &Path) -> Result<Description> {
     let format = Format::of_file(path)?;
-    let (scene, warnings, tensors, properties, bytes);
-    match format {
-        Format::Ply => {
-            let content = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-            scene = Scene { gaussians: ply::parse(&content, path)?, ..Scene::default() };
-            (warnings, tensors, properties) = (Vec::new(), Vec::new(), ply::properties(&content, path)?);
-            bytes = content.len();
+    let (scene, mut warnings) = match format {
+        // Weights alone are described too.
+        Format::Torch => (Scene::default(), Vec::new()),
+        _ => read(path, format)?,
+    };
+    let (tensors, properties) = match format {
+        Format::Ply | Format::CompressedPly => (Vec::new(), ply::properties(&map_file(path)?, path)?),
+        Format::Safetensors => (model::tensors(&map_file(path)?, path)?, Vec::new()),
+        Format::Torch => {
+            let (kind, tensors) = checkpoint::describe_weights(path)?;
+            warnings.push(format!("{kind}; to play them, name the folder of the run, which holds the Gaussians"));
+            (tensors, Vec::new())
         }
-        Format::Safetensors => {
-            let content = map_file(path)?;
-            (scene, warnings) = model::parse(&content, path)?;
-            (tensors, properties) = (model::tensors(&content, path)?, Vec::new());
-            bytes = content.len();
-        }
-    }
+        _ => (Vec::new(), Vec::new()),
+    };
+    let bytes = if path.is_dir() { folder_bytes(path, 2) } else { std::fs::metadata(path).map_or(0, |m| m.len()) };
     let gaussians = scene.gaussians.len();
-    let loaded = clean(scene, warnings, path);
+    let loaded = match format {
+        Format::Torch => Loaded { scene, rejected: Rejected::default(), warnings },
+        _ => clean(scene, warnings, path),
+    };
     let scene = loaded.scene;
     Ok(Description {
         path: path.display().to_string(),
         format,
-        bytes: bytes as u64,
+        bytes,
         gaussians,
         sh_degree: scene.gaussians.sh_degree,
         rejected: loaded.rejected,
@@ -124,6 +128,16 @@ pub fn describe(path: &Path) -> Result<Description> {
         properties,
         warnings: loaded.warnings,
     })
+}
+
+/// Bytes of a folder's files, two folders deep (`point_cloud/iteration_N`).
+fn folder_bytes(folder: &Path, depth: u32) -> u64 {
+    let bytes = |entry: std::fs::DirEntry| match entry.metadata() {
+        Ok(m) if m.is_file() => m.len(),
+        Ok(m) if m.is_dir() && depth > 0 => folder_bytes(&entry.path(), depth - 1),
+        _ => 0,
+    };
+    std::fs::read_dir(folder).into_iter().flatten().flatten().map(bytes).sum()
 }
 
 fn statistics(g: &Gaussians) -> Vec<Statistics> {
@@ -186,13 +200,21 @@ fn motion(scene: &Scene) -> Option<MotionDescription> {
     })
 }
 
+impl Description {
+    fn tensors_and_warnings(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for t in &self.tensors {
+            writeln!(f, "Tensor          {:<32} {} {:?}, {} bytes", t.name, t.dtype, t.shape, t.bytes)?;
+        }
+        self.warnings.iter().try_for_each(|warning| writeln!(f, "Warning         {warning}"))
+    }
+}
+
 impl fmt::Display for Description {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let kind = match self.format {
-            Format::Ply => "3DGS .ply",
-            Format::Safetensors => "spgs .safetensors model",
-        };
-        writeln!(f, "{}: {kind}, {} bytes", self.path, self.bytes)?;
+        writeln!(f, "{}: {}, {} bytes", self.path, self.format, self.bytes)?;
+        if self.format == Format::Torch {
+            return self.tensors_and_warnings(f);
+        }
         writeln!(f, "Gaussians       {} (SH degree {})", self.gaussians, self.sh_degree)?;
         let r = &self.rejected;
         if r.total() > 0 {
@@ -242,12 +264,9 @@ impl fmt::Display for Description {
             let short: String = value.chars().take(80).collect();
             writeln!(f, "Metadata        {key} = {short}{}", if short.len() < value.len() { "…" } else { "" })?;
         }
-        for t in &self.tensors {
-            writeln!(f, "Tensor          {:<32} {} {:?}, {} bytes", t.name, t.dtype, t.shape, t.bytes)?;
-        }
         if !self.properties.is_empty() {
             writeln!(f, "Properties      {}", self.properties.join(" "))?;
         }
-        self.warnings.iter().try_for_each(|warning| writeln!(f, "Warning         {warning}"))
+        self.tensors_and_warnings(f)
     }
 }

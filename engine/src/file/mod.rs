@@ -1,25 +1,49 @@
-//! Model files (`.safetensors`, 3DGS `.ply`) and pictures, read strictly and written durably.
+//! Model files and pictures, read strictly and written durably.
+//!
+//! | format | read | written | holds |
+//! |---|---|---|---|
+//! | `.safetensors` ([`model`]) | yes | yes | everything, bit for bit |
+//! | 3DGS `.ply` ([`ply`]) | yes | yes | Gaussians, bit for bit |
+//! | compressed `.ply` ([`ply::write_compressed`]) | yes | yes | Gaussians, 16 bytes each and SH in 8 bits |
+//! | `.splat` ([`splat`]) | yes | yes | Gaussians without view-dependent colour, 32 bytes each |
+//! | `.spz` ([`spz`]) | versions 2, 3, 4 | 3, 4 | Gaussians, 20 to 65 bytes each before gzip or zstd |
+//! | SOG ([`sog`]) | versions 1, 2; folder, zip | 2, zip | Gaussians in lossless pictures |
+//! | glTF ([`gltf`]) | `.glb` | `.glb` | Gaussians in f32, `KHR_gaussian_splatting` |
+//! | training runs of SP-GS, Deformable-3DGS, 4D-GS, SC-GS ([`checkpoint`]), by a reader of PyTorch files ([`torch`]) that runs no code | yes | no | Gaussians and motion |
 
+pub(crate) mod archive;
 pub(crate) mod check;
+pub mod checkpoint;
 mod checksum;
+pub(crate) mod codec;
 pub mod describe;
 pub mod durable;
+mod format;
+pub mod gltf;
 pub mod model;
 pub mod picture;
 pub mod ply;
+mod save;
+pub mod sog;
+pub mod splat;
+pub mod spz;
 pub mod tensors;
 #[cfg(test)]
 mod tests;
+pub mod torch;
 
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
-use crate::error::{Error, Result};
+#[cfg(test)]
+use crate::error::Error;
+use crate::error::Result;
+use crate::gpu::mmap::map_file;
 use crate::scene::gaussians::retain_chunks;
 use crate::scene::{Rejected, Scene};
 
 pub use describe::{Description, describe};
+pub use format::Format;
+pub use save::{Output, save, save_as};
 
 /// A model that was read and cleaned.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,78 +56,37 @@ pub struct Loaded {
     pub warnings: Vec<String>,
 }
 
-/// Kinds of model files.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Format {
-    /// 3DGS `.ply`: static.
-    Ply,
-    /// The engine's own model.
-    Safetensors,
-}
-
-impl Format {
-    /// By the file's first bytes; the extension does not matter.
-    fn of_file(path: &Path) -> Result<Self> {
-        let mut head = Vec::new();
-        let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-        file.take(9).read_to_end(&mut head).map_err(|e| Error::io(path, "read", e))?;
-        if head.starts_with(b"ply\n") || head.starts_with(b"ply\r") {
-            return Ok(Self::Ply);
-        }
-        // A safetensors file begins with the header's length (u64, below 100 MB) and an opening brace.
-        let is_named = |extension: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
-        if (head.len() == 9 && head[4..8] == [0; 4] && head[8] == b'{') || is_named("safetensors") {
-            return Ok(Self::Safetensors);
-        }
-        let found = format!("{:?}", head.escape_ascii().to_string());
-        Err(Error::corrupt(path, "byte 0", found, "a .safetensors model or a 3DGS .ply"))
-    }
-}
-
-/// Loads a model of either format, told apart by content. Gaussians that cannot be rendered (NaN, zero quaternion, absurd
+/// Loads a model of any [`Format`], told apart by content. Gaussians that cannot be rendered (NaN, zero quaternion, absurd
 /// scale: [`crate::scene::Gaussians::is_valid`]) are dropped from every per-Gaussian array, counted and warned of.
 ///
 /// # Errors
-/// [`Error::Corrupt`] naming the place, [`Error::Io`], [`Error::Usage`].
+/// [`crate::Error::Corrupt`] naming the place, [`crate::Error::Limit`] for what would unpack to more than a file of its size can hold,
+/// [`crate::Error::Io`], [`crate::Error::Usage`].
 pub fn load(path: &Path) -> Result<Loaded> {
-    let (scene, warnings) = match Format::of_file(path)? {
-        Format::Ply => (Scene { gaussians: ply::read(path)?, ..Scene::default() }, Vec::new()),
-        Format::Safetensors => model::read(path)?,
-    };
+    let (scene, warnings) = read(path, Format::of_file(path)?)?;
     Ok(clean(scene, warnings, path))
 }
 
-/// Writes a model in the format of the extension, durably. Returns warnings: what the format cannot hold.
-///
-/// # Errors
-/// [`Error::Usage`] for another extension or an inconsistent scene; [`Error::Io`].
-pub fn save(path: &Path, scene: &Scene) -> Result<Vec<String>> {
-    let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
-    match extension.as_deref() {
-        Some("safetensors") => model::write(path, scene).map(|()| Vec::new()),
-        Some("ply") => {
-            ply::write(path, &scene.gaussians)?;
-            let lost: Vec<&str> = [
-                ("superpoints", scene.superpoints.is_some()),
-                ("motion", scene.motion.is_some()),
-                ("association", scene.association.is_some()),
-                ("network F", scene.deform.is_some()),
-                ("network G", scene.nonrigid.is_some()),
-                ("further tensors", !scene.extra.is_empty()),
-                ("metadata", !scene.metadata.is_empty()),
-            ]
-            .into_iter()
-            .filter_map(|(name, is_there)| is_there.then_some(name))
-            .collect();
-            let warning = || format!("{}: a .ply cannot hold {}: left out", path.display(), lost.join(", "));
-            Ok(if lost.is_empty() { Vec::new() } else { vec![warning()] })
+/// Reads a model whose kind is known; nothing is judged or dropped.
+fn read(path: &Path, format: Format) -> Result<(Scene, Vec<String>)> {
+    let gaussians = match format {
+        Format::Safetensors => return model::read(path),
+        Format::Checkpoint => return checkpoint::read(path),
+        Format::Torch => return checkpoint::read_weights(path),
+        Format::Spz => {
+            let (gaussians, warnings) = spz::parse(&map_file(path)?, path)?;
+            return Ok((Scene { gaussians, ..Scene::default() }, warnings));
         }
-        other => {
-            let found = other.map_or("no extension".into(), |e| format!(".{e}"));
-            Err(Error::usage(format!("model file {}", path.display()), found, ".safetensors or .ply"))
+        Format::Ply | Format::CompressedPly => ply::read(path)?,
+        Format::Splat => splat::parse(&map_file(path)?, path)?,
+        Format::Gltf => gltf::parse(&map_file(path)?, path)?,
+        Format::Sog if path.is_dir() => sog::read_folder(path)?,
+        Format::Sog if path.file_name().is_some_and(|n| n == sog::META) => {
+            sog::read_folder(path.parent().unwrap_or(Path::new(".")))?
         }
-    }
+        Format::Sog => sog::parse(&map_file(path)?, path)?,
+    };
+    Ok((Scene { gaussians, ..Scene::default() }, Vec::new()))
 }
 
 /// Drops what cannot be rendered.

@@ -7,6 +7,8 @@
 //! Why a parser of our own: the PLY crates that exist (`ply-rs` and its successors) build a hash map per element, about a
 //! hundred times slower than the disk, and their errors cannot name the byte. The format is small.
 
+mod compressed;
+mod compressed_write;
 mod header;
 mod read;
 #[cfg(test)]
@@ -18,10 +20,11 @@ use std::path::Path;
 use crate::error::{Error, Result};
 use crate::scene::Gaussians;
 
+pub use compressed_write::write_compressed;
 pub use write::write;
 
 /// Reads a 3DGS `.ply`: ascii, binary little- or big-endian, any property order and types, SH degree 0–3 by the number of
-/// `f_rest_*`, further properties and elements skipped. Values are not judged here (see [`crate::file::load`]).
+/// `f_rest_*`, further properties and elements skipped; or a compressed one, as PlayCanvas and SuperSplat write it. Values are not judged here (see [`crate::file::load`]).
 ///
 /// # Errors
 /// [`Error::Corrupt`] naming the byte (ascii: the line), what was found and what was expected; [`Error::Io`].
@@ -36,7 +39,26 @@ pub fn read(path: &Path) -> Result<Gaussians> {
 /// As [`read`].
 pub fn parse(bytes: &[u8], path: &Path) -> Result<Gaussians> {
     let header = header::parse(bytes, path)?;
+    if compressed::is_compressed(&header) {
+        return compressed::body(bytes, &header, path);
+    }
     read::body(bytes, &header, path)
+}
+
+/// Whether the beginning of a file is that of a compressed `.ply`.
+pub(crate) fn is_compressed(head: &[u8]) -> bool {
+    let end = head.windows(10).position(|w| w == b"end_header").unwrap_or(head.len());
+    let name = compressed::PACKED[0].as_bytes();
+    head[..end].windows(name.len()).any(|w| w == name)
+}
+
+/// The values `[N,F]` of the properties of vertices whose names are `prefix` and 0, 1, … F − 1, of a binary file.
+///
+/// # Errors
+/// As [`read`].
+pub(crate) fn numbered(path: &Path, prefix: &str) -> Result<Vec<f32>> {
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    read::numbered(&bytes, &header::parse(&bytes, path)?, prefix, path)
 }
 
 /// Names of the properties of the vertex element, in file order (for `inspect`).

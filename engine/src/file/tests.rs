@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use super::*;
-use crate::scene::network::{HIDDEN_LAYERS, HIDDEN_WIDTH};
+use crate::scene::network::DeformSize;
 use crate::scene::{Association, DeformNetwork, Gaussians, Linear, Motion, NonrigidNetwork, Superpoints, Tensor};
 
 /// A small deterministic generator (a 64-bit LCG's high bits): values over several magnitudes.
@@ -44,10 +44,11 @@ pub(crate) fn full_scene(n: usize, m: usize, t: usize) -> Scene {
         weight: v.floats(inputs * outputs),
         bias: v.floats(outputs),
     };
+    let size = DeformSize { layers: 3, width: 64 };
     let deform = DeformNetwork {
-        linear: (0..HIDDEN_LAYERS).map(|i| layer(DeformNetwork::layer_inputs(i), HIDDEN_WIDTH)).collect(),
-        translation: layer(HIDDEN_WIDTH, 3),
-        rotation: layer(HIDDEN_WIDTH, 3),
+        linear: (0..size.layers).map(|i| layer(size.layer_inputs(i), size.width)).collect(),
+        translation: layer(size.width, 3),
+        rotation: layer(size.width, 3),
     };
     let mut scene = moving_scene(n, m, t);
     scene.deform = Some(deform);

@@ -217,7 +217,8 @@ impl Gpu {
         })
     }
 
-    /// Waits for a submission.
+    /// Waits for a submission. The time-out of [`super::GpuOptions`] counts from the last submission that finished, so a long
+    /// queue may take as long as it needs.
     pub fn wait(&self, submission: Submission) -> Result<()> {
         if submission.0 == 0 {
             return Ok(());
@@ -226,18 +227,27 @@ impl Gpu {
         let values = [submission.0];
         let wait = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
         let timeout = (self.0.options.timeout_s.clamp(0.001, 1e6) * 1e9) as u64;
-        // SAFETY: the semaphore is live.
-        match unsafe { self.0.device.wait_semaphores(&wait, timeout) } {
-            Ok(()) => Ok(()),
-            Err(code) => Err(self.vulkan_error("vkWaitSemaphores", code)),
+        let mut finished = self.finished()?;
+        loop {
+            // SAFETY: the semaphore is live.
+            match unsafe { self.0.device.wait_semaphores(&wait, timeout) } {
+                Ok(()) => return Ok(()),
+                Err(vk::Result::TIMEOUT) if self.finished()? > finished => finished = self.finished()?,
+                Err(code) => return Err(self.vulkan_error("vkWaitSemaphores", code)),
+            }
         }
+    }
+
+    /// Number of the last submission that has finished.
+    fn finished(&self) -> Result<u64> {
+        // SAFETY: the semaphore is live.
+        let value = unsafe { self.0.device.get_semaphore_counter_value(self.0.timeline) };
+        value.map_err(|code| self.vulkan_error("vkGetSemaphoreCounterValue", code))
     }
 
     /// Whether a submission has finished.
     pub fn is_finished(&self, submission: Submission) -> Result<bool> {
-        // SAFETY: the semaphore is live.
-        let value = unsafe { self.0.device.get_semaphore_counter_value(self.0.timeline) };
-        value.map(|v| v >= submission.0).map_err(|code| self.vulkan_error("vkGetSemaphoreCounterValue", code))
+        Ok(self.finished()? >= submission.0)
     }
 
     /// Turns a result code into an error; device loss is remembered.

@@ -9,6 +9,8 @@ mod color;
 mod feature;
 mod sensitivity;
 
+use multiversion::multiversion;
+use multiversion::target::target_cfg_f;
 use rayon::prelude::*;
 
 use super::planes::{Planes, Weights, same_size, weights_fit};
@@ -62,8 +64,8 @@ pub fn flip(reference: &Planes, test: &Planes, pixels_per_degree: f64) -> Result
     let mut error = vec![0.0; reference[0].len()];
     error.par_chunks_exact_mut(width).enumerate().for_each_init(RowPair::default, |rows, (y, errors)| {
         for (i, planes) in [&reference, &test].into_iter().enumerate() {
-            sensitivity.row(planes, width, y, &mut rows.colour[i]);
-            features.row(&planes[0], width, y, &mut rows.feature[i]);
+            let out = (&mut rows.colour[i], &mut rows.feature[i]);
+            row_of_picture(planes, width, y, (&sensitivity, &features), out);
         }
         errors.iter_mut().enumerate().for_each(|(x, e)| *e = rows.error(x, largest));
     });
@@ -87,6 +89,24 @@ struct RowPair {
     colour: [Vec<[f32; 3]>; 2],
     /// Edge and point.
     feature: [Vec<[f32; 2]>; 2],
+}
+
+/// Row `y` of a picture as the eye sees it, and its features.
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn row_of_picture(
+    planes: &[Vec<f32>; 3],
+    width: usize,
+    y: usize,
+    (sensitivity, features): (&Sensitivity, &Features),
+    (colour, feature): (&mut Vec<[f32; 3]>, &mut Vec<[f32; 2]>),
+) {
+    if target_cfg_f!(target_feature = "fma") {
+        sensitivity.row::<true>(planes, width, y, colour);
+        features.row::<true>(&planes[0], width, y, feature);
+    } else {
+        sensitivity.row::<false>(planes, width, y, colour);
+        features.row::<false>(&planes[0], width, y, feature);
+    }
 }
 
 impl RowPair {

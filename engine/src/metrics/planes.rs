@@ -1,5 +1,7 @@
 //! Pictures as metrics read them: one plane per channel, values in [0, 1].
 
+use rayon::prelude::*;
+
 use crate::error::{Error, Result};
 use crate::file::picture::to_u8;
 use crate::image::Image;
@@ -38,7 +40,7 @@ impl Planes {
         Self::convert(image, |v| f64::from(to_u8(v)) / 255.0)
     }
 
-    fn convert(image: &Image, value: impl Fn(f32) -> f64) -> Result<Self> {
+    fn convert(image: &Image, value: impl Fn(f32) -> f64 + Sync) -> Result<Self> {
         let (width, height) = (image.width as usize, image.height as usize);
         if width * height == 0 || image.rgba.len() != 4 * width * height {
             let found = format!("{width} x {height} pixels with {} values", image.rgba.len());
@@ -48,8 +50,15 @@ impl Planes {
             let value = image.rgba[index].to_string();
             return Err(Error::NonFinite { what: "image value".into(), index, value });
         }
-        let plane = |c: usize| image.rgba.chunks_exact(4).map(|p| value(p[c])).collect();
-        Ok(Self { width, height, rgb: [plane(0), plane(1), plane(2)] })
+        let mut rgb: [Vec<f64>; 3] = std::array::from_fn(|_| vec![0.0; width * height]);
+        let [r, g, b] = rgb.each_mut().map(|plane| plane.par_chunks_mut(width));
+        let rows = image.rgba.par_chunks_exact(4 * width);
+        rows.zip(r.zip(g).zip(b)).for_each(|(row, ((r, g), b))| {
+            for (i, pixel) in row.as_chunks::<4>().0.iter().enumerate() {
+                (r[i], g[i], b[i]) = (value(pixel[0]), value(pixel[1]), value(pixel[2]));
+            }
+        });
+        Ok(Self { width, height, rgb })
     }
 
     /// Number of pixels.

@@ -13,6 +13,7 @@
 //! - image = Σ c·α·T + T·background; A = 1 − T; Z = Σ z·α·T.
 
 mod blend;
+mod freeze;
 pub mod gradient;
 mod motion;
 mod network;
@@ -23,6 +24,7 @@ mod tests;
 
 use rayon::prelude::*;
 
+pub use freeze::freeze;
 pub use motion::{
     Deformation, Offset, Placed, Pose, SCALE_MIN, exp, exp_quaternion, place, place_deformed, poses,
     rotation_of_quaternion, table_poses,

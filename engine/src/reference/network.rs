@@ -4,7 +4,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::motion::{Offset, Pose};
-use crate::scene::network::{NONRIGID_FREQUENCIES, POSITION_FREQUENCIES, SKIP_LAYER, TIME_FREQUENCIES};
+use crate::scene::network::{NONRIGID_FREQUENCIES, POSITION_FREQUENCIES, TIME_FREQUENCIES};
 use crate::scene::{DeformNetwork, Linear, NonrigidNetwork};
 
 /// Poses of all superpoints at `time`; `position` are the canonical centres `[M,3]`.
@@ -101,7 +101,7 @@ impl Perceptron {
     pub(super) fn of_deform(network: &DeformNetwork) -> Self {
         let mut layers: Vec<Dense> = network.linear.iter().map(|l| Dense::joined(&[l])).collect();
         layers.push(Dense::joined(&[&network.rotation, &network.translation]));
-        Self { layers, skip: Some(SKIP_LAYER) }
+        Self { layers, skip: network.size().skip_layer() }
     }
 
     /// Network G; its outputs are dx, dq, ds.

@@ -227,7 +227,7 @@ fn blend_splat(pixel: &mut Pixel, [first, second, third]: Splat, limits: &Limits
 }
 
 fn blend_twin(call: &mut TwinCall<'_>) {
-    blend_tiles(call, |target, at, value| set_vec4(target, at, value));
+    blend_tiles(call, set_vec4);
 }
 
 fn blend_packed_twin(call: &mut TwinCall<'_>) {

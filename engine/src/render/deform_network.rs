@@ -2,7 +2,7 @@
 //!
 //! Reads the frame's time, `superpoint_position float[M][3]` (world units) and `weights` ([`pack_weights`]); writes
 //! `pose vec4[M][2]`: (r, 0) radians and (τ, 0) world units, a one-key table for `deform_project`. Source: SP-GS appendix
-//! (8 layers of 256, skip before layer 5, encodings of 10 and 6 octaves). Sines of up to 2⁹ x are reduced accurately.
+//! (8 layers of 256 or smaller, see [`DeformSize`]; encodings of 10 and 6 octaves). Sines of up to 2⁹ x are reduced accurately.
 
 use super::angle::sin_cos;
 use super::frame::Frame;
@@ -10,7 +10,7 @@ use super::half;
 use super::twin::{f32_at, group_count, set_vec4, spec, struct_at};
 use crate::error::{Error, Result};
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
-use crate::scene::network::{ENCODING_WIDTH, HIDDEN_LAYERS, HIDDEN_WIDTH, POSITION_FREQUENCIES, SKIP_LAYER};
+use crate::scene::network::{DeformSize, ENCODING_WIDTH, POSITION_FREQUENCIES};
 use crate::scene::{DeformNetwork, Linear};
 
 /// Superpoints per workgroup.
@@ -26,8 +26,8 @@ const POSITION_INPUTS: usize = 3 + 6 * POSITION_FREQUENCIES;
 pub static DEFORM_NETWORK: Kernel = Kernel {
     name: "deform_network",
     doc: "network F: superpoint centre and time to so(3) vector and translation",
-    local_size: HIDDEN_WIDTH as u32,
-    spec: &["SUBGROUP_SIZE", "FP16_WEIGHTS"],
+    local_size: DeformSize::MOST_WIDTH as u32,
+    spec: &["SUBGROUP_SIZE", "FP16_WEIGHTS", "LAYERS", "WIDTH", "SKIP_LAYER"],
     push: &[],
     bindings: &[
         Binding::of_struct("frame", Access::Read, Frame::FIELDS),
@@ -44,7 +44,7 @@ pub static DEFORM_NETWORK: Kernel = Kernel {
 
 /// The weights once, each centre and pose once.
 fn deform_network_bytes(work: &Workload) -> u64 {
-    4 * weight_words(work.get("fp16_weights") > 0) as u64 + work.get("superpoints") * (12 + 32)
+    work.get("network_bytes") + work.get("superpoints") * (12 + 32)
 }
 
 /// Workgroups for that many superpoints.
@@ -52,29 +52,37 @@ pub fn groups(superpoints: u32) -> u64 {
     superpoints.div_ceil(DEFORM_NETWORK_SUPERPOINTS).into()
 }
 
+/// Specialisation constants from id 1.
+pub fn spec_constants(size: DeformSize, fp16: bool) -> [u32; 4] {
+    let skip = size.skip_layer().unwrap_or(size.layers);
+    [u32::from(fp16), size.layers as u32, size.width as u32, skip as u32]
+}
+
 /// Inputs of hidden layer `i`, padded.
-fn padded_inputs(i: usize) -> usize {
-    DeformNetwork::layer_inputs(i).next_multiple_of(8)
+fn padded_inputs(size: DeformSize, i: usize) -> usize {
+    size.layer_inputs(i).next_multiple_of(8)
 }
 
 /// 32-bit words of the packed weights.
-pub fn weight_words(fp16: bool) -> usize {
-    let layer = |i: usize| padded_inputs(i) * HIDDEN_WIDTH / if fp16 { 2 } else { 1 } + HIDDEN_WIDTH;
-    (0..HIDDEN_LAYERS).map(layer).sum::<usize>() + 8 * (HIDDEN_WIDTH + 1)
+pub fn weight_words(size: DeformSize, fp16: bool) -> usize {
+    let layer = |i: usize| padded_inputs(size, i) * size.width / if fp16 { 2 } else { 1 } + size.width;
+    (0..size.layers).map(layer).sum::<usize>() + 8 * (size.width + 1)
 }
 
-/// The `weights` buffer, in words of 16 bytes: for each hidden layer the matrix `[inputs/4][256]`, a word holding four
-/// successive inputs of one output (with `fp16` `[inputs/8][256]`, eight halves, rounded to nearest even, the first in the
-/// lowest bits), and its bias `[64]`; then the heads `[256][2]`, (r, 0) and (τ, 0), and their bias `[2]`. The encoding's 76
+/// The `weights` buffer, in words of 16 bytes: for each hidden layer the matrix `[inputs/4][width]`, a word holding four
+/// successive inputs of one output (with `fp16` `[inputs/8][width]`, eight halves, rounded to nearest even, the first in the
+/// lowest bits), and its bias `[width/4]`; then the heads `[width][2]`, (r, 0) and (τ, 0), and their bias `[2]`. The encoding's 76
 /// inputs are padded to 80 with zeros. Heads and biases stay f32.
 pub fn pack_weights(network: &DeformNetwork, fp16: bool) -> Result<Vec<u32>> {
-    check_shapes(network)?;
-    let mut words = Vec::with_capacity(weight_words(fp16));
+    network.check_shapes()?;
+    check_finite(network)?;
+    let size = network.size();
+    let mut words = Vec::with_capacity(weight_words(size, fp16));
     for (i, layer) in network.linear.iter().enumerate() {
         let at = |input: usize, output: usize| padded_weight(layer, input, output);
         let per_word = if fp16 { 8 } else { 4 };
-        for first in (0..padded_inputs(i)).step_by(per_word) {
-            for output in 0..HIDDEN_WIDTH {
+        for first in (0..padded_inputs(size, i)).step_by(per_word) {
+            for output in 0..size.width {
                 if fp16 {
                     for input in (first..first + 8).step_by(2) {
                         let (a, b) = (weight_half(at(input, output), i)?, weight_half(at(input + 1, output), i)?);
@@ -88,9 +96,9 @@ pub fn pack_weights(network: &DeformNetwork, fp16: bool) -> Result<Vec<u32>> {
         words.extend(layer.bias.iter().map(|b| b.to_bits()));
     }
     let heads = [&network.rotation, &network.translation];
-    for input in 0..HIDDEN_WIDTH {
+    for input in 0..size.width {
         for head in heads {
-            words.extend((0..3).map(|o| head.weight[o * HIDDEN_WIDTH + input].to_bits()));
+            words.extend((0..3).map(|o| head.weight[o * size.width + input].to_bits()));
             words.push(0);
         }
     }
@@ -103,7 +111,7 @@ pub fn pack_weights(network: &DeformNetwork, fp16: bool) -> Result<Vec<u32>> {
 
 /// Weight from padded input `input` to `output`; the encoding (and its padding) comes before the hidden inputs.
 fn padded_weight(layer: &Linear, input: usize, output: usize) -> f32 {
-    let encoded = layer.inputs != HIDDEN_WIDTH;
+    let encoded = layer.inputs != layer.outputs;
     let column = match input {
         _ if !encoded => input,
         0..ENCODING_WIDTH => input,
@@ -113,33 +121,10 @@ fn padded_weight(layer: &Linear, input: usize, output: usize) -> f32 {
     layer.weight[output * layer.inputs + column]
 }
 
-fn check_shapes(network: &DeformNetwork) -> Result<()> {
-    if network.linear.len() != HIDDEN_LAYERS {
-        return Err(Error::usage(
-            "network F, hidden layers",
-            network.linear.len().to_string(),
-            HIDDEN_LAYERS.to_string(),
-        ));
-    }
-    let hidden = network
-        .linear
-        .iter()
-        .enumerate()
-        .map(|(i, l)| (format!("deform.linear.{i}"), l, DeformNetwork::layer_inputs(i), HIDDEN_WIDTH));
-    let heads = [("deform.translation", &network.translation), ("deform.rotation", &network.rotation)];
-    for (name, layer, inputs, outputs) in
-        hidden.chain(heads.map(|(name, layer)| (name.to_owned(), layer, HIDDEN_WIDTH, 3)))
-    {
-        let Linear { weight, bias, .. } = layer;
-        let found = [layer.outputs, layer.inputs, weight.len(), bias.len()];
-        if found != [outputs, inputs, outputs * inputs, outputs] {
-            let expected = format!("{outputs} x {inputs}, {} weights, {outputs} biases", outputs * inputs);
-            let [o, i, w, b] = found;
-            return Err(Error::usage(name, format!("{o} x {i}, {w} weights, {b} biases"), expected));
-        }
-        if let Some(index) = weight.iter().chain(bias).position(|w| !w.is_finite()) {
-            let value = weight.iter().chain(bias).nth(index).map(f32::to_string).unwrap_or_default();
-            return Err(Error::NonFinite { what: name, index, value });
+fn check_finite(network: &DeformNetwork) -> Result<()> {
+    for (name, layer) in network.named_layers() {
+        if let Some((index, value)) = layer.weight.iter().chain(&layer.bias).enumerate().find(|(_, w)| !w.is_finite()) {
+            return Err(Error::NonFinite { what: name, index, value: value.to_string() });
         }
     }
     Ok(())
@@ -167,52 +152,54 @@ fn encoded_input(position: [f32; 3], time: f32, e: usize) -> f32 {
 }
 
 /// Weight from padded input `offset` to output `o`, of a matrix that starts at 32-bit word `at`.
-fn packed_weight(words: &[u32], at: usize, fp16: bool, offset: usize, o: usize) -> f32 {
+fn packed_weight(words: &[u32], at: usize, width: usize, fp16: bool, offset: usize, o: usize) -> f32 {
     if fp16 {
-        let word = words[at + 4 * (offset / 8 * HIDDEN_WIDTH + o) + offset % 8 / 2];
+        let word = words[at + 4 * (offset / 8 * width + o) + offset % 8 / 2];
         half::to_f32(word >> (16 * (offset % 2)) & 0xFFFF)
     } else {
-        f32_at(words, at + 4 * (offset / 4 * HIDDEN_WIDTH + o) + offset % 4)
+        f32_at(words, at + 4 * (offset / 4 * width + o) + offset % 4)
     }
 }
 
 /// (r, τ) of one superpoint.
-fn evaluate(weights: &[u32], fp16: bool, position: [f32; 3], time: f32) -> [f32; 6] {
-    let mut activations = [0.0_f32; ENCODING + HIDDEN_WIDTH];
+fn evaluate(weights: &[u32], size: DeformSize, fp16: bool, position: [f32; 3], time: f32) -> [f32; 6] {
+    let width = size.width;
+    let mut activations = [0.0_f32; ENCODING + DeformSize::MOST_WIDTH];
     for e in 0..ENCODING_WIDTH {
         activations[e] = encoded_input(position, time, e);
     }
     let mut base = 0;
-    for layer in 0..HIDDEN_LAYERS {
-        let first = if layer == 0 || layer == SKIP_LAYER { 0 } else { ENCODING };
-        let end = if layer == 0 { ENCODING } else { ENCODING + HIDDEN_WIDTH };
-        let words = (end - first) * HIDDEN_WIDTH / if fp16 { 2 } else { 1 };
-        let mut sums: [f32; HIDDEN_WIDTH] = std::array::from_fn(|o| f32_at(weights, base + words + o));
+    for layer in 0..size.layers {
+        let first = if layer == 0 || size.skip_layer() == Some(layer) { 0 } else { ENCODING };
+        let end = if layer == 0 { ENCODING } else { ENCODING + width };
+        let words = (end - first) * width / if fp16 { 2 } else { 1 };
+        let mut sums: Vec<f32> = (0..width).map(|o| f32_at(weights, base + words + o)).collect();
         for i in first..end {
             for (o, sum) in sums.iter_mut().enumerate() {
-                *sum += packed_weight(weights, base, fp16, i - first, o) * activations[i];
+                *sum += packed_weight(weights, base, width, fp16, i - first, o) * activations[i];
             }
         }
-        base += words + HIDDEN_WIDTH;
-        (0..HIDDEN_WIDTH).for_each(|o| activations[ENCODING + o] = sums[o].max(0.0));
+        base += words + width;
+        (0..width).for_each(|o| activations[ENCODING + o] = sums[o].max(0.0));
     }
     std::array::from_fn(|o| {
         let column = |i: usize| f32_at(weights, base + 8 * i + o / 3 * 4 + o % 3);
         let slice = |k: usize| {
-            (k * HIDDEN_WIDTH / SLICES..(k + 1) * HIDDEN_WIDTH / SLICES)
+            (k * width / SLICES..(k + 1) * width / SLICES)
                 .fold(0.0, |sum, i| sum + activations[ENCODING + i] * column(i))
         };
-        (0..SLICES).fold(column(HIDDEN_WIDTH), |total, k| total + slice(k))
+        (0..SLICES).fold(column(width), |total, k| total + slice(k))
     })
 }
 
 fn deform_network_twin(call: &mut TwinCall<'_>) {
     let frame: Frame = struct_at(&call.buffers[0], 0);
     let fp16 = spec(call, 1) == 1;
+    let size = DeformSize { layers: spec(call, 2) as usize, width: spec(call, 3) as usize };
     let reached = group_count(call) * DEFORM_NETWORK_SUPERPOINTS;
     for m in 0..frame.counts[1].min(reached) as usize {
         let position = std::array::from_fn(|c| f32_at(&call.buffers[1], 3 * m + c));
-        let [r0, r1, r2, t0, t1, t2] = evaluate(&call.buffers[2], fp16, position, frame.background[3]);
+        let [r0, r1, r2, t0, t1, t2] = evaluate(&call.buffers[2], size, fp16, position, frame.background[3]);
         set_vec4(&mut call.buffers[3], 2 * m, [r0, r1, r2, 0.0]);
         set_vec4(&mut call.buffers[3], 2 * m + 1, [t0, t1, t2, 0.0]);
     }
@@ -237,14 +224,12 @@ mod tests {
         }
     }
 
-    fn network() -> DeformNetwork {
+    fn network(size: DeformSize) -> DeformNetwork {
         let mut seed = 7;
         DeformNetwork {
-            linear: (0..HIDDEN_LAYERS)
-                .map(|i| linear(DeformNetwork::layer_inputs(i), HIDDEN_WIDTH, &mut seed))
-                .collect(),
-            translation: linear(HIDDEN_WIDTH, 3, &mut seed),
-            rotation: linear(HIDDEN_WIDTH, 3, &mut seed),
+            linear: (0..size.layers).map(|i| linear(size.layer_inputs(i), size.width, &mut seed)).collect(),
+            translation: linear(size.width, 3, &mut seed),
+            rotation: linear(size.width, 3, &mut seed),
         }
     }
 
@@ -270,7 +255,7 @@ mod tests {
         };
         let mut h = encoding.clone();
         for (i, layer) in network.linear.iter().enumerate() {
-            if i == SKIP_LAYER {
+            if network.size().skip_layer() == Some(i) {
                 h = [encoding.clone(), h].concat();
             }
             h = apply(layer, &h).into_iter().map(|v| v.max(0.0)).collect();
@@ -280,16 +265,22 @@ mod tests {
 
     #[test]
     fn twin_agrees_with_f64() {
-        let network = network();
+        for size in [DeformSize::PAPER, DeformSize { layers: 3, width: 96 }, DeformSize { layers: 1, width: 32 }] {
+            check_twin(size);
+        }
+    }
+
+    fn check_twin(size: DeformSize) {
+        let network = network(size);
         let weights = pack_weights(&network, false).unwrap();
-        assert_eq!(weights.len(), weight_words(false));
+        assert_eq!(weights.len(), weight_words(size, false));
         let half_weights = pack_weights(&network, true).unwrap();
-        assert_eq!(half_weights.len(), weight_words(true));
+        assert_eq!(half_weights.len(), weight_words(size, true));
         for (position, time) in [([0.1, -0.7, 1.3], 0.0), ([9.7, -8.1, 3.3], 0.613), ([0.0; 3], 1.0)] {
             let truth = truth(&network, position, time);
             let norm: f64 = truth.iter().map(|v| v * v).sum::<f64>().sqrt();
             for (words, fp16, bound) in [(&weights, false, 5e-6), (&half_weights, true, 5e-3)] {
-                let ours = evaluate(words, fp16, position, time);
+                let ours = evaluate(words, size, fp16, position, time);
                 let error = ours.iter().zip(truth).map(|(&a, b)| (f64::from(a) - b).powi(2)).sum::<f64>().sqrt();
                 assert!(error <= bound * norm, "fp16 {fp16}: {error:e} of {norm}");
             }
@@ -320,10 +311,10 @@ mod tests {
 
     #[test]
     fn wrong_shapes_and_values_are_named() {
-        let mut n = network();
+        let mut n = network(DeformSize::PAPER);
         n.linear[5].inputs = 256;
         assert!(pack_weights(&n, false).unwrap_err().to_string().contains("deform.linear.5"));
-        let mut n = network();
+        let mut n = network(DeformSize::PAPER);
         n.rotation.weight[9] = f32::NAN;
         assert!(pack_weights(&n, false).unwrap_err().to_string().contains("deform.rotation"));
         n.linear.pop();

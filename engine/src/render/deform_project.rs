@@ -15,6 +15,7 @@
 use super::ellipse::Ellipse;
 use super::frame::Frame;
 use super::limits::{COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE, SCAN_SUPER};
+use super::mean_storage;
 use super::quaternion::{self, dot};
 use super::sh_storage;
 use super::splat::{pack_splat, round_conic, splat_words};
@@ -41,11 +42,21 @@ pub static DEFORM_PROJECT: Kernel = Kernel {
     name: "deform_project",
     doc: "motion, projection, culling, SH colour and exact tile count of each Gaussian",
     local_size: DEFORM_PROJECT_THREADS,
-    spec: &["SUBGROUP_SIZE", "SH_DEGREE", "MOTION", "NONRIGID", "ALPHA_CUT", "TILE_CULL", "PACKING", "SH_STORAGE"],
+    spec: &[
+        "SUBGROUP_SIZE",
+        "SH_DEGREE",
+        "MOTION",
+        "NONRIGID",
+        "ALPHA_CUT",
+        "TILE_CULL",
+        "PACKING",
+        "SH_STORAGE",
+        "MEAN_STORAGE",
+    ],
     push: DeformProjectPush::FIELDS,
     bindings: &[
         Binding::of_struct("frame", Access::Read, Frame::FIELDS),
-        Binding::new("mean", Access::Read, Element::F32),
+        Binding::new("mean", Access::Read, Element::U32),
         Binding::new("log_scale", Access::Read, Element::F32),
         Binding::new("rotation", Access::Read, Element::F32),
         Binding::new("opacity_logit", Access::Read, Element::F32),
@@ -73,7 +84,7 @@ pub static DEFORM_PROJECT: Kernel = Kernel {
 fn deform_project_bytes(work: &Workload) -> u64 {
     let moving = if work.get("superpoints") > 0 { 4 } else { 0 };
     let keys = work.get("superpoints") * 64;
-    work.get("gaussians") * (12 + 4 + 4 + moving)
+    work.get("gaussians") * (work.get("mean_bytes") + 4 + 4 + moving)
         + work.get("visible") * (12 + 16 + work.get("sh_bytes") + work.get("splat_bytes"))
         + keys
 }
@@ -132,6 +143,7 @@ struct Constants {
     tile_cull: u32,
     packing: u32,
     sh_storage: u32,
+    mean_storage: u32,
 }
 
 /// What became of a Gaussian.
@@ -260,7 +272,7 @@ fn dot4(a: [f32; 4], b: [f32; 4]) -> f32 {
 fn project(buffers: &[Vec<u32>], frame: &Frame, constants: &Constants, g: usize) -> Outcome {
     let Constants { motion, nonrigid, packing, .. } = *constants;
     let n = frame.counts[0] as usize;
-    let canonical = planes(&buffers[1], 0, n, g);
+    let canonical = mean_storage::centre(&buffers[1], constants.mean_storage, n, g);
     let logit = f32_at(&buffers[4], g);
     if !within(canonical, MAX_ABS_MEAN) || logit.is_nan() {
         return Outcome::Rejected;
@@ -334,6 +346,7 @@ fn deform_project_twin(call: &mut TwinCall<'_>) {
         tile_cull: spec(call, 5),
         packing: spec(call, 6),
         sh_storage: spec(call, 7),
+        mean_storage: spec(call, 8),
     };
     let words = splat_words(constants.packing);
     for group in 0..group_count(call) as usize {

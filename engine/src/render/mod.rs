@@ -9,6 +9,9 @@
 //! of each view is written by the host. Nothing is read back inside a frame; the counters are looked at after it, and a
 //! frame that needed more tile instances than the buffers hold is run again with larger ones.
 //!
+//! What may be given up for speed is in [`Quality`]: a list of knobs and three presets. The default, [`Quality::EXACT`], is
+//! the definition of the image; programs that show images want [`Quality::HIGH`], which differs from it invisibly.
+//!
 //! [`View`] records the same frame into another program's command buffer and image; [`embed`] says how.
 
 pub mod angle;
@@ -24,6 +27,7 @@ pub mod embed;
 pub mod frame;
 pub mod half;
 pub mod limits;
+pub mod mean_storage;
 pub mod nonrigid_network;
 pub(crate) mod pipeline;
 pub(crate) mod pose_table;

@@ -8,9 +8,10 @@ use super::blend::{self, BLEND, BLEND_PACKED, PixelFormat};
 use super::compact::{
     COMPACT, COMPACT_GAUSSIANS, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT, INDIRECT_RANGES, INDIRECT_TILE_SORT,
 };
-use super::deform_network::{DEFORM_NETWORK, DEFORM_NETWORK_SUPERPOINTS};
+use super::deform_network::{self, DEFORM_NETWORK, DEFORM_NETWORK_SUPERPOINTS};
 use super::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectPush, MOTION_STATIC, MOTION_TABLE};
 use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
+use super::mean_storage;
 use super::nonrigid_network;
 use super::quality::Quality;
 use super::radix_sort::{SORT_SCATTER, SORT_SPINE, SPINE_GROUPS, rank_by_ballot};
@@ -77,10 +78,11 @@ pub(crate) fn record_forward(
     shape: &Shape,
 ) -> Result<()> {
     r.fill(&work.zeroed, 0)?;
-    if let Poses::Network { weights, superpoint_position } = &scene.poses {
+    if let Poses::Network { weights, superpoint_position, size } = &scene.poses {
         let buffers = slices(&[&frame.frame, superpoint_position, weights, &scene.pose]);
         let groups = u64::from(scene.superpoints.div_ceil(DEFORM_NETWORK_SUPERPOINTS));
-        r.dispatch(&DEFORM_NETWORK, &[u32::from(scene.fp16_weights)], &[], &buffers, Groups::Direct(groups))?;
+        let spec = deform_network::spec_constants(*size, scene.fp16_weights);
+        r.dispatch(&DEFORM_NETWORK, &spec, &[], &buffers, Groups::Direct(groups))?;
     }
     let offset = nonrigid_network(gpu, r, scene, frame, shape)?;
     deform_project(r, scene, work, frame, offset, &shape.quality)?;
@@ -157,6 +159,7 @@ fn deform_project(
         quality.cull_constant(),
         quality.packing_constant(),
         scene.sh_storage.constant(),
+        mean_storage::constant(quality.position),
     ];
     r.dispatch(&DEFORM_PROJECT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
 }

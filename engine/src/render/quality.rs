@@ -4,8 +4,9 @@
 //! |---|---|---|---|
 //! | `cull` | exact, box | `box`: a count without a loop over tile rows, for more tile instances | none |
 //! | `alpha_cut` | 1/255 … 1/32 | tile instances and pixels of a splat's rim | a splat loses at most the cut per pixel |
-//! | `stop` | 1e-4 … 1e-2 | what lies behind nearly opaque pixels | at most the stop times the largest colour |
+//! | `stop` | 1e-4 … 1e-2 | what lies behind nearly opaque pixels | the splat that would cross the stop and what is behind it: the stop over 1 − its α, at most |
 //! | `depth_bits` | 12 … 32 | one sort pass of four per 8 bits | order of splats closer than a step of the depth range |
+//! | `position` | f32, unorm16 | 6 of 12 bytes of every Gaussian's centre; not with network G, which reads it too | half of 1/65534 of the scene's extent |
 //! | `sh_degree` | 0 … 3 | 36, 60 and 84 bytes per visible Gaussian | what the higher bands say |
 //! | `sh` | f32, f16, u8 | half or three quarters of the SH bytes | half a step of 2⁻¹¹, of 1/255 of a coefficient's range |
 //! | `colour` | f32, f16, unorm8 | with `conic` = f16, 16 of 48 bytes per splat and tile instance | 2⁻¹¹ relative; 1/510 below 1, clamped above |
@@ -17,13 +18,20 @@
 //! | `resolution` | 0.25 … 1 | pixels; the picture is enlarged bilinearly when it is read | detail |
 //!
 //! Screen positions stay f32 in every packing: the 32-byte record has room for them, and half precision would be off by
-//! half a pixel at 1,000 px. Training always runs with [`Quality::EXACT`].
+//! half a pixel at 1,000 px. Half precision of `sh` and `conic` is for colours like a picture's: see [`Quality::for_scene`].
+//! Training always runs with [`Quality::EXACT`].
 
 mod knobs;
 
 pub use knobs::{KNOBS, Knob};
 
 use crate::error::{Error, Result};
+use crate::scene::Scene;
+
+/// SH coefficients up to here have a half-precision error below 1/1000, a quarter of a level of 255.
+const HALF_LIMIT: f32 = 4.0;
+/// One Gaussian in so many may have larger ones.
+const BRIGHT_SHARE: usize = 1000;
 
 /// How the tiles of a splat are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,6 +49,8 @@ pub enum Storage {
     F32,
     /// 16-bit float.
     F16,
+    /// 16 bits of each coordinate's own range.
+    Unorm16,
     /// 8 bits: of [0, 1] for colours; of each coefficient's own range for SH, whose band 0 then is 16-bit float.
     Bits8,
 }
@@ -65,6 +75,8 @@ pub struct Quality {
     pub stop: f32,
     /// Bits of the depth key, 8 to 32.
     pub depth_bits: u32,
+    /// Storage of the centres: F32 or Unorm16.
+    pub position: Storage,
     /// Highest SH degree that is used.
     pub sh_degree: u32,
     /// Storage of SH coefficients.
@@ -92,6 +104,7 @@ impl Quality {
         alpha_cut: 1.0 / 255.0,
         stop: 1e-4,
         depth_bits: 32,
+        position: Storage::F32,
         sh_degree: 3,
         sh: Storage::F32,
         colour: Storage::F32,
@@ -103,9 +116,9 @@ impl Quality {
         resolution: 1.0,
     };
 
-    /// No visible error: 99.99 % of all values within 1/255 of the definition.
-    pub const HIGH: Self =
-        Self { depth_bits: 24, sh: Storage::F16, colour: Storage::F16, conic: Storage::F16, ..Self::EXACT };
+    /// No visible error: 99.99 % of all values within 1/255 of the definition. Colours stay f32: beside an f16 conic they fit
+    /// into the 32-byte record.
+    pub const HIGH: Self = Self { depth_bits: 24, sh: Storage::F16, conic: Storage::F16, ..Self::EXACT };
 
     /// Errors of a few levels of 255 in places, for slow devices.
     pub const FAST: Self = Self {
@@ -120,6 +133,24 @@ impl Quality {
 
     /// Names of the presets, and what they are.
     pub const PRESETS: [(&'static str, Self); 3] = [("exact", Self::EXACT), ("high", Self::HIGH), ("fast", Self::FAST)];
+
+    /// These knobs for a scene: its colours decide whether half precision is enough. Where more than one Gaussian in 1,000 has
+    /// an SH coefficient beyond ±4 (colours far outside a picture's, which multiply each error of α), `sh` and `conic` are f32
+    /// instead of f16. Network G reads the centres too, as f32.
+    pub fn for_scene(mut self, scene: &Scene) -> Self {
+        let gaussians = &scene.gaussians;
+        if scene.nonrigid.is_some() && self.nonrigid {
+            self.position = Storage::F32;
+        }
+        let rows = gaussians.sh.chunks_exact(3 * gaussians.sh_coefficients());
+        let bright = rows.filter(|row| row.iter().any(|c| c.is_finite() && c.abs() > HALF_LIMIT)).count();
+        if bright * BRIGHT_SHARE > gaussians.len() {
+            for storage in [&mut self.sh, &mut self.conic] {
+                *storage = if *storage == Storage::F16 { Storage::F32 } else { *storage };
+            }
+        }
+        self
+    }
 
     /// A preset by name.
     ///
@@ -206,7 +237,7 @@ impl Storage {
     pub const fn constant(self) -> u32 {
         match self {
             Self::F32 => 0,
-            Self::F16 => 1,
+            Self::F16 | Self::Unorm16 => 1,
             Self::Bits8 => 2,
         }
     }
@@ -234,6 +265,21 @@ mod tests {
                 assert_eq!(q == Quality::EXACT, *value == knob.values[0], "{} = {value}", knob.name);
             }
         }
+    }
+
+    #[test]
+    fn bright_scenes_keep_full_precision() {
+        let mut scene = Scene::default();
+        (scene.gaussians.mean, scene.gaussians.sh) = (vec![[0.0; 3]; 2000], vec![0.5; 3 * 2000]);
+        scene.gaussians.sh[7] = 9.0;
+        scene.gaussians.sh[3001] = -9.0;
+        scene.gaussians.sh[5000] = f32::NAN;
+        assert_eq!(Quality::HIGH.for_scene(&scene), Quality::HIGH);
+        scene.gaussians.sh[4000] = 4.1;
+        let kept = Quality::HIGH.for_scene(&scene);
+        assert_eq!(kept, Quality { sh: Storage::F32, conic: Storage::F32, ..Quality::HIGH });
+        assert_eq!(Quality::FAST.for_scene(&scene).sh, Storage::Bits8);
+        assert_eq!(Quality::HIGH.for_scene(&Scene::default()), Quality::HIGH);
     }
 
     #[test]

@@ -13,6 +13,7 @@ use crate::scene::{Camera, MotionSource, Rejected, Scene};
 use super::capacity;
 use super::frame::{Frame, FrameOptions};
 use super::limits::TILE_SIZE;
+use super::mean_storage;
 use super::pipeline::{self, FrameBuffers, Shape};
 use super::quality::Quality;
 use super::scene_buffers::{Poses, SceneBuffers};
@@ -127,10 +128,16 @@ impl Renderer {
     /// # Errors
     /// `Usage` for an inconsistent scene or a motion source that it lacks, `Limit` and `OutOfMemory` when it does not fit.
     pub fn new(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<Self> {
+        let options = RenderOptions { quality: options.quality.for_scene(scene), ..options.clone() };
         let scene = SceneBuffers::new(gpu, scene, options.motion, &options.quality)?;
         let capacity = capacity::first(scene.gaussians).min(capacity::limit(gpu, options.max_instances));
-        let (gpu, options) = (gpu.clone(), options.clone());
+        let gpu = gpu.clone();
         Ok(Self { gpu, options, scene, targets: None, capacity, frames: 0, host_pose: Vec::new(), generation: 0 })
+    }
+
+    /// The knobs in use: those asked for, as the scene bears them ([`Quality::for_scene`]).
+    pub fn quality(&self) -> &Quality {
+        &self.options.quality
     }
 
     /// Gaussians refused on upload, by reason.
@@ -264,8 +271,10 @@ impl Renderer {
                 ("sh_coefficients", u64::from((self.scene.sh_degree + 1) * (self.scene.sh_degree + 1))),
                 ("moving", u64::from(self.scene.moves())),
                 ("depth", u64::from(self.options.depth)),
-                ("fp16_weights", u64::from(self.scene.fp16_weights)),
+                ("network_bytes", self.scene.network_bytes()),
+                ("network_products", self.scene.network_products()),
                 ("splat_bytes", 4 * splat_words(self.options.quality.packing_constant()) as u64),
+                ("mean_bytes", mean_storage::bytes(self.options.quality.position)),
                 ("sh_bytes", self.scene.sh_bytes()),
             ]
             .into_iter()

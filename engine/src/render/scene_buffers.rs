@@ -4,11 +4,14 @@ use glam::DVec3;
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Memory};
-use crate::scene::{Camera, Gaussians, KeyInterval, Motion, MotionSource, NonrigidNetwork, Rejected, Scene};
+use crate::scene::{
+    Camera, DeformSize, Gaussians, KeyInterval, Motion, MotionSource, NonrigidNetwork, Rejected, Scene,
+};
 
 use super::bounds::Bounds;
 use super::deform_network::pack_weights;
 use super::frame::{Frame, FrameOptions};
+use super::mean_storage;
 use super::nonrigid_network::{NONRIGID_PLANES, pack_parameters};
 use super::pose_table;
 use super::quality::{Interpolation, Quality, Storage};
@@ -36,6 +39,8 @@ pub(crate) enum Poses {
         weights: Buffer,
         /// `[M,3]` canonical centres.
         superpoint_position: Buffer,
+        /// Layers and width.
+        size: DeformSize,
     },
 }
 
@@ -137,7 +142,7 @@ impl SceneBuffers {
             bounds,
             rejected,
             nonrigid: nonrigid.map(|n| NonrigidBuffers::new(gpu, n, g.len())).transpose()?,
-            mean: gpu.buffer_with("mean", bytemuck::cast_slice(&planes(&mean)))?,
+            mean: gpu.buffer_with("mean", bytemuck::cast_slice(&mean_storage::encode(quality.position, &mean)))?,
             log_scale: gpu.buffer_with("log_scale", bytemuck::cast_slice(&planes(&g.log_scale)))?,
             rotation: gpu.buffer_with("rotation", bytemuck::cast_slice(&g.rotation))?,
             opacity_logit: gpu.buffer_with("opacity_logit", bytemuck::cast_slice(&g.opacity_logit))?,
@@ -183,6 +188,16 @@ impl SceneBuffers {
     pub(crate) fn sh_bytes(&self) -> u64 {
         let words = self.sh.iter().take(self.sh_degree as usize + 1).map(Buffer::bytes).sum::<u64>();
         words / u64::from(self.gaussians.max(1))
+    }
+
+    /// Bytes of network F's packed weights, where it is live.
+    pub(crate) fn network_bytes(&self) -> u64 {
+        if let Poses::Network { weights, .. } = &self.poses { weights.bytes() } else { 0 }
+    }
+
+    /// Products of one evaluation of network F, where it is live.
+    pub(crate) fn network_products(&self) -> u64 {
+        if let Poses::Network { size, .. } = &self.poses { size.products() as u64 } else { 0 }
     }
 
     /// Bytes of the model on the device.
@@ -285,7 +300,10 @@ fn upload_motion(
             )?;
             let superpoint_position =
                 gpu.buffer_with("superpoint_position", bytemuck::cast_slice(&superpoints.position))?;
-            Ok((gpu.buffer("pose", m * 32, Memory::Device)?, Poses::Network { weights, superpoint_position }))
+            Ok((
+                gpu.buffer("pose", m * 32, Memory::Device)?,
+                Poses::Network { weights, superpoint_position, size: network.size() },
+            ))
         }
         _ => Ok((gpu.buffer("pose", 32, Memory::Device)?, Poses::Static)),
     }

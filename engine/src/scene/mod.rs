@@ -14,7 +14,7 @@ use crate::error::{Error, Result};
 pub use camera::Camera;
 pub use gaussians::{Gaussians, Rejected};
 pub use motion::{Association, KeyInterval, Motion, MotionSource, Superpoints};
-pub use network::{DeformNetwork, Linear, NonrigidNetwork};
+pub use network::{DeformNetwork, DeformSize, Linear, NonrigidNetwork};
 pub use path::CameraPath;
 
 /// A named tensor that the engine carries but does not interpret: shape and f32 data.

@@ -23,45 +23,92 @@ pub const POSITION_FREQUENCIES: usize = 10;
 pub const TIME_FREQUENCIES: usize = 6;
 /// 63 + 13 inputs.
 pub const ENCODING_WIDTH: usize = 3 + 6 * POSITION_FREQUENCIES + 1 + 2 * TIME_FREQUENCIES;
-/// Width of each hidden layer.
-pub const HIDDEN_WIDTH: usize = 256;
-/// Number of hidden layers.
-pub const HIDDEN_LAYERS: usize = 8;
-/// This layer's input is `[encoding, h]`.
-pub const SKIP_LAYER: usize = 5;
+
+/// How large network F is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+pub struct DeformSize {
+    /// Hidden layers, 1 to [`DeformSize::MOST_LAYERS`].
+    pub layers: usize,
+    /// Outputs of each: a multiple of [`DeformSize::WIDTH_STEP`] up to [`DeformSize::MOST_WIDTH`].
+    pub width: usize,
+}
+
+impl DeformSize {
+    /// That of the paper: 8 layers of 256.
+    pub const PAPER: Self = Self { layers: 8, width: 256 };
+    /// Most hidden layers.
+    pub const MOST_LAYERS: usize = 8;
+    /// Widest hidden layer.
+    pub const MOST_WIDTH: usize = 256;
+    /// Widths are multiples of this.
+    pub const WIDTH_STEP: usize = 32;
+
+    /// The layer whose input is `[encoding, h]`: after half of the layers and one (SP-GS code, `skips = [D // 2]`); none in
+    /// networks of one or two layers.
+    pub fn skip_layer(self) -> Option<usize> {
+        Some(self.layers / 2 + 1).filter(|&i| i < self.layers)
+    }
+
+    /// Inputs of hidden layer `i`.
+    pub fn layer_inputs(self, i: usize) -> usize {
+        match i {
+            0 => ENCODING_WIDTH,
+            _ if self.skip_layer() == Some(i) => ENCODING_WIDTH + self.width,
+            _ => self.width,
+        }
+    }
+
+    /// Products of one evaluation.
+    pub fn products(self) -> usize {
+        (0..self.layers).map(|i| self.layer_inputs(i) * self.width).sum::<usize>() + 6 * self.width
+    }
+
+    /// Refuses sizes that the kernels do not have.
+    ///
+    /// # Errors
+    /// `Usage` naming what was found and what is possible.
+    pub fn check(self) -> Result<()> {
+        let step = Self::WIDTH_STEP;
+        if !(1..=Self::MOST_LAYERS).contains(&self.layers) {
+            return Err(Error::usage("network_layers", self.layers.to_string(), "1 to 8"));
+        }
+        if self.width == 0 || self.width > Self::MOST_WIDTH || !self.width.is_multiple_of(step) {
+            let expected = format!("a multiple of {step} up to {}", Self::MOST_WIDTH);
+            return Err(Error::usage("network_width", self.width.to_string(), expected));
+        }
+        Ok(())
+    }
+}
 
 /// Weights of F. Encoding: `[x, sin(2^k x), cos(2^k x), …]` for the centre, then the same for time, no π, k-major;
-/// ReLU after each of the 8 layers; two linear heads.
+/// ReLU after each hidden layer; two linear heads. Its size follows from the layers: see [`DeformSize`].
 ///
-/// Tensors in the model file: `deform.linear.{0..7}.weight`, `deform.linear.{0..7}.bias`, `deform.translation.weight`,
-/// `deform.translation.bias`, `deform.rotation.weight`, `deform.rotation.bias`; weights are `[outputs, inputs]`.
+/// Tensors in the model file: `deform.linear.{i}.weight`, `deform.linear.{i}.bias` (i from 0, 8 layers of 256 in the paper),
+/// `deform.translation.weight`, `deform.translation.bias`, `deform.rotation.weight`, `deform.rotation.bias`; weights are
+/// `[outputs, inputs]`.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DeformNetwork {
-    /// The 8 hidden layers.
+    /// The hidden layers.
     pub linear: Vec<Linear>,
-    /// 256 → 3, translation τ, world units.
+    /// Width → 3, translation τ, world units.
     pub translation: Linear,
-    /// 256 → 3, so(3) vector r, radians.
+    /// Width → 3, so(3) vector r, radians.
     pub rotation: Linear,
 }
 
 impl DeformNetwork {
-    /// Inputs of hidden layer `i`.
-    pub fn layer_inputs(i: usize) -> usize {
-        match i {
-            0 => ENCODING_WIDTH,
-            SKIP_LAYER => ENCODING_WIDTH + HIDDEN_WIDTH,
-            _ => HIDDEN_WIDTH,
-        }
+    /// Hidden layers and their width, as the layers say.
+    pub fn size(&self) -> DeformSize {
+        DeformSize { layers: self.linear.len(), width: self.linear.first().map_or(0, |l| l.outputs) }
     }
 
     /// A new network by PyTorch's rule for `Linear`: weights and biases uniform in ±1/√inputs. With `zero_heads` both heads
     /// start at 0, so that nothing moves at first (SP-GS, section 3.3).
-    pub fn init(seed: u64, zero_heads: bool) -> Self {
+    pub fn init(seed: u64, size: DeformSize, zero_heads: bool) -> Self {
         let mut random = Random::new(seed);
         let mut linear = |inputs, outputs| Linear::uniform(inputs, outputs, &mut random);
-        let hidden = (0..HIDDEN_LAYERS).map(|i| linear(Self::layer_inputs(i), HIDDEN_WIDTH)).collect();
-        let (translation, rotation) = (linear(HIDDEN_WIDTH, 3), linear(HIDDEN_WIDTH, 3));
+        let hidden = (0..size.layers).map(|i| linear(size.layer_inputs(i), size.width)).collect();
+        let (translation, rotation) = (linear(size.width, 3), linear(size.width, 3));
         let head = |layer: Linear| if zero_heads { layer.zeroed() } else { layer };
         Self { linear: hidden, translation: head(translation), rotation: head(rotation) }
     }
@@ -73,30 +120,25 @@ impl DeformNetwork {
         hidden.chain(heads.map(|(name, l)| (name.to_owned(), l))).collect()
     }
 
-    /// All weights and biases in one array: layers 0–7, translation, rotation; of each the weights, then the bias.
+    /// All weights and biases in one array: hidden layers, translation, rotation; of each the weights, then the bias.
     pub fn flatten(&self) -> Vec<f32> {
         self.named_layers().iter().flat_map(|(_, l)| l.weight.iter().chain(&l.bias).copied()).collect()
     }
 
     /// Inverse of [`DeformNetwork::flatten`].
-    pub fn from_flat(values: &[f32]) -> Result<Self> {
-        let mut made = Self::init(0, true);
+    pub fn from_flat(values: &[f32], size: DeformSize) -> Result<Self> {
+        let mut made = Self::init(0, size, true);
         let heads = [&mut made.translation, &mut made.rotation];
         fill_layers(made.linear.iter_mut().chain(heads), values, "network F")?;
         Ok(made)
     }
 
-    /// Refuses layers of other shapes than network F's.
+    /// Refuses layers whose shapes are not those of a network of one width.
     pub fn check_shapes(&self) -> Result<()> {
+        let size = self.size();
+        size.check()?;
         let layers = self.named_layers();
-        let expected = |i: usize| match i {
-            0..HIDDEN_LAYERS => (Self::layer_inputs(i), HIDDEN_WIDTH),
-            _ => (HIDDEN_WIDTH, 3),
-        };
-        if layers.len() != HIDDEN_LAYERS + 2 {
-            let found = self.linear.len().to_string();
-            return Err(Error::usage("network F, hidden layers", found, HIDDEN_LAYERS.to_string()));
-        }
+        let expected = |i: usize| if i < size.layers { (size.layer_inputs(i), size.width) } else { (size.width, 3) };
         layers.iter().enumerate().try_for_each(|(i, (name, l))| l.check_shape(name, expected(i)))
     }
 }

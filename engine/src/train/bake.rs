@@ -155,16 +155,14 @@ impl<'a> Baker<'a> {
         let mut moving = vec![false; self.count];
         for k in 1..self.motion.times.len() {
             let now = self.exact(k);
-            for (j, moves) in moving.iter_mut().enumerate().filter(|(_, m)| !**m) {
-                *moves = self.probes.iter().filter(|p| p.superpoint == j).any(|p| {
-                    let one = |x: DVec3| (first[j].0 * x + first[j].1, now[j].0 * x + now[j].1);
-                    let far = |x: DVec3, c: &&Camera| {
-                        let (x1, x2) = one(x);
-                        pixel_distance(c, x1, x2, self.near) > tolerance
-                    };
-                    p.points.iter().any(|&x| self.views[k].iter().any(|c| far(x, c)))
-                });
-            }
+            let moves = |p: &&Probe| {
+                let ((m1, t1), (m2, t2)) = (first[p.superpoint], now[p.superpoint]);
+                let far = |x: DVec3, c: &&Camera| pixel_distance(c, m1 * x + t1, m2 * x + t2, self.near) > tolerance;
+                p.points.iter().any(|&x| self.views[k].iter().any(|c| far(x, c)))
+            };
+            let resting = self.probes.par_iter().filter(|p| !moving[p.superpoint]);
+            let found: Vec<usize> = resting.filter(moves).map(|p| p.superpoint).collect();
+            found.into_iter().for_each(|j| moving[j] = true);
         }
         moving
     }

@@ -12,7 +12,7 @@ use super::parameters::ParameterState;
 use super::schedule::Stage;
 use crate::error::{Error, Result};
 use crate::file::tensors::{self, NamedTensor, StoredTensor, floats, indices};
-use crate::scene::{Association, DeformNetwork, Gaussians, NonrigidNetwork};
+use crate::scene::{Association, DeformNetwork, DeformSize, Gaussians, NonrigidNetwork};
 
 /// Value of the metadata entry `format`.
 const FORMAT: [&str; 2] = ["spgs-checkpoint", "1"];
@@ -215,8 +215,8 @@ impl NetworkState {
     ///
     /// # Errors
     /// [`Error::Usage`] for another number of weights.
-    pub fn deform(&self) -> Result<DeformNetwork> {
-        DeformNetwork::from_flat(&self.weights)
+    pub fn deform(&self, size: DeformSize) -> Result<DeformNetwork> {
+        DeformNetwork::from_flat(&self.weights, size)
     }
 
     /// Network G with these weights.

@@ -1,6 +1,7 @@
 //! Network F in training: forward with kept activations, backward, Adam.
 //!
-//! `encode_superpoints` writes the encodings `[M, 76]`, nine `linear_forward` the activations `[M, 256]` ×8 and the pose.
+//! With the paper's 8 layers of 256: `encode_superpoints` writes the encodings `[M, 76]`, nine `linear_forward` the
+//! activations `[M, 256]` ×8 and the pose.
 //! Both heads are one layer of 8 outputs (r, 0, τ, 0): its output *is* `pose`, `vec4[M][2]`; the two rows of zeros get
 //! no gradient and stay zero. Backward: `gather_gradient`, eight `linear_backward_input` down the layers, nine independent
 //! `linear_backward_weight`, one `linear_update` for all weights. Device memory: 16 bytes per weight and
@@ -15,7 +16,7 @@ use crate::error::{Error, Result};
 use crate::gpu::kernel::Kernel;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
 use crate::scene::DeformNetwork;
-use crate::scene::network::{ENCODING_WIDTH, HIDDEN_LAYERS, HIDDEN_WIDTH, Linear, SKIP_LAYER};
+use crate::scene::network::{DeformSize, ENCODING_WIDTH, Linear};
 
 pub use encode::{ENCODE_SUPERPOINTS, EncodePush};
 
@@ -45,6 +46,7 @@ pub struct Backward<'a> {
 pub struct NetworkF {
     gpu: Gpu,
     capacity: u32,
+    size: DeformSize,
     stage: Stage,
     parameters: Parameters,
     /// Encoding, then the hidden layers' outputs.
@@ -57,12 +59,12 @@ pub struct NetworkF {
     unused: Slice,
 }
 
-/// Shapes of the eight hidden layers and of the heads.
-fn shapes() -> Vec<Shape> {
-    let (width, encoding) = (HIDDEN_WIDTH as u32, ENCODING_WIDTH as u32);
-    let hidden = (0..HIDDEN_LAYERS).map(|i| match i {
+/// Shapes of the hidden layers and of the heads.
+fn shapes(size: DeformSize) -> Vec<Shape> {
+    let (width, encoding) = (size.width as u32, ENCODING_WIDTH as u32);
+    let hidden = (0..size.layers).map(|i| match i {
         0 => Shape { inputs_0: encoding, inputs_1: 0, outputs: width },
-        SKIP_LAYER => Shape { inputs_0: encoding, inputs_1: width, outputs: width },
+        _ if size.skip_layer() == Some(i) => Shape { inputs_0: encoding, inputs_1: width, outputs: width },
         _ => Shape { inputs_0: width, inputs_1: 0, outputs: width },
     });
     hidden.chain([Shape { inputs_0: width, inputs_1: 0, outputs: HEADS }]).collect()
@@ -71,14 +73,17 @@ fn shapes() -> Vec<Shape> {
 impl NetworkF {
     /// For up to `capacity` superpoints; the moments start at 0.
     pub fn new(gpu: &Gpu, network: &DeformNetwork, capacity: u32) -> Result<Self> {
-        let parameters = Parameters::new(gpu, "network_f", &shapes(), &layers(network)?)?;
+        let size = network.size();
+        let layers = layers(network)?;
+        let parameters = Parameters::new(gpu, "network_f", &shapes(size), &layers)?;
         let capacity = capacity.max(1).next_multiple_of(64);
         let bytes = |columns: usize| u64::from(capacity) * columns as u64 * 4;
-        let hidden = HIDDEN_LAYERS * HIDDEN_WIDTH;
+        let hidden = size.layers * size.width;
         let buffer = |name: &str, bytes| gpu.buffer(&format!("network_f.{name}"), bytes, Memory::Device);
         Ok(Self {
             gpu: gpu.clone(),
             capacity,
+            size,
             stage: Stage::of(gpu),
             activation: buffer("activation", bytes(ENCODING_WIDTH + hidden))?,
             activation_gradient: buffer("activation_gradient", bytes(hidden + HEADS as usize))?,
@@ -121,7 +126,7 @@ impl NetworkF {
         }
         self.check_count(superpoints)?;
         encode::record(r, superpoints, [step, superpoint_position, &self.activation(None, superpoints)])?;
-        (0..=HIDDEN_LAYERS).try_for_each(|i| self.layer(i, superpoints, Some(pose)).forward(r))
+        (0..=self.size.layers).try_for_each(|i| self.layer(i, superpoints, Some(pose)).forward(r))
     }
 
     /// Records, after the forward pass of the same step: gradients of all weights from those of the poses, given to Adam or
@@ -144,9 +149,9 @@ impl NetworkF {
             counters: from.counters.clone(),
             status: from.status.clone(),
         };
-        let layers: Vec<Layer> = (0..=HIDDEN_LAYERS).map(|i| self.layer(i, superpoints, None)).collect();
+        let layers: Vec<Layer> = (0..=self.size.layers).map(|i| self.layer(i, superpoints, None)).collect();
         let push = GatherPush { rows: superpoints, first_row: 0, plane_stride: from.plane_stride, columns: HEADS };
-        pass.gather(r, push, from.superpoint_gradient, &self.activation_gradient(HIDDEN_LAYERS, superpoints))?;
+        pass.gather(r, push, from.superpoint_gradient, &self.activation_gradient(self.size.layers, superpoints))?;
         for pair in layers.windows(2).rev() {
             pair[1].backward_input(r, &pair[0])?;
         }
@@ -166,28 +171,35 @@ impl NetworkF {
 
     /// The weights.
     pub fn download(&self) -> Result<DeformNetwork> {
-        Ok(network(&self.parameters.download()?))
+        Ok(network(&self.parameters.download()?, self.size))
     }
 
     /// Replaces the weights.
+    ///
+    /// # Errors
+    /// `Usage` for a network of another size.
     pub fn upload(&self, network: &DeformNetwork) -> Result<()> {
+        if network.size() != self.size {
+            let say = |s: DeformSize| format!("{} layers of {}", s.layers, s.width);
+            return Err(Error::usage("network F", say(network.size()), say(self.size)));
+        }
         self.parameters.upload(&layers(network)?)
     }
 
     /// The gradients that [`Output::Gradient`] left, in the network's shape.
     pub fn download_gradient(&self) -> Result<DeformNetwork> {
         let words: Vec<f32> = bytemuck::pod_collect_to_vec(&self.gpu.download(&self.gradient)?);
-        Ok(network(&self.parameters.split(&words)))
+        Ok(network(&self.parameters.split(&words), self.size))
     }
 
     /// First and second moments, each flat in the order of [`DeformNetwork::flatten`].
     pub fn download_moments(&self) -> Result<[Vec<f32>; 2]> {
-        Ok(self.parameters.download_moments()?.map(|layers| network(&layers).flatten()))
+        Ok(self.parameters.download_moments()?.map(|layers| network(&layers, self.size).flatten()))
     }
 
     /// Replaces the moments.
     pub fn upload_moments(&self, moments: [&[f32]; 2]) -> Result<()> {
-        let unpack = |flat| layers(&DeformNetwork::from_flat(flat)?);
+        let unpack = |flat| layers(&DeformNetwork::from_flat(flat, self.size)?);
         self.parameters.upload_moments([&unpack(moments[0])?, &unpack(moments[1])?])
     }
 
@@ -203,7 +215,7 @@ impl NetworkF {
         let shape = self.parameters.shapes()[layer];
         let (inputs, weights) = (shape.inputs(), shape.inputs() * shape.outputs);
         let (output, input) = if at < weights { (at / inputs, Some(at % inputs)) } else { (at - weights, None) };
-        let (name, output) = match (layer < HIDDEN_LAYERS, output) {
+        let (name, output) = match (layer < self.size.layers, output) {
             (true, o) => (format!("deform.linear.{layer}"), o),
             (false, o @ 0..4) => ("deform.rotation".to_owned(), o),
             (false, o) => ("deform.translation".to_owned(), o - 4),
@@ -225,22 +237,23 @@ impl NetworkF {
     /// Layer `i`; `pose` is where the heads' output goes (only needed forward).
     fn layer(&self, i: usize, superpoints: u32, pose: Option<&Slice>) -> Layer {
         let shape = self.parameters.shapes()[i];
-        let from = if i == 0 || i == SKIP_LAYER { None } else { Some(i - 1) };
+        let skip = self.size.skip_layer() == Some(i);
+        let from = if i == 0 || skip { None } else { Some(i - 1) };
         let mut input = self.activation(from, superpoints);
         let mut input_1_at = 0;
-        if i == SKIP_LAYER {
+        if skip {
             let second = self.activation(Some(i - 1), superpoints);
             input_1_at = (second.start / 4) as u32;
             input = self.activation.slice(0, second.start + second.bytes);
         }
         let output = match pose {
-            Some(pose) if i == HIDDEN_LAYERS => pose.buffer.slice(pose.start, u64::from(superpoints * HEADS) * 4),
-            _ => self.activation(Some(i.min(HIDDEN_LAYERS - 1)), superpoints),
+            Some(pose) if i == self.size.layers => pose.buffer.slice(pose.start, u64::from(superpoints * HEADS) * 4),
+            _ => self.activation(Some(i.min(self.size.layers - 1)), superpoints),
         };
         Layer {
             stage: self.stage,
             shape,
-            relu: i < HIDDEN_LAYERS,
+            relu: i < self.size.layers,
             rows: superpoints,
             input,
             input_1_at,
@@ -252,17 +265,17 @@ impl NetworkF {
 
     /// The encoding (`None`) or the output of a hidden layer.
     fn activation(&self, layer: Option<usize>, superpoints: u32) -> Slice {
-        let (before, columns) =
-            layer.map_or((0, ENCODING_WIDTH), |i| (ENCODING_WIDTH + i * HIDDEN_WIDTH, HIDDEN_WIDTH));
+        let width = self.size.width;
+        let (before, columns) = layer.map_or((0, ENCODING_WIDTH), |i| (ENCODING_WIDTH + i * width, width));
         let bytes = |rows: u32, columns: usize| u64::from(rows) * columns as u64 * 4;
         self.activation.slice(bytes(self.capacity, before), bytes(superpoints, columns))
     }
 
     /// Gradient before the ReLU of layer `i`.
     fn activation_gradient(&self, i: usize, superpoints: u32) -> Slice {
-        let columns = if i < HIDDEN_LAYERS { HIDDEN_WIDTH } else { HEADS as usize };
+        let columns = if i < self.size.layers { self.size.width } else { HEADS as usize };
         let bytes = |rows: u32, columns: usize| u64::from(rows) * columns as u64 * 4;
-        self.activation_gradient.slice(bytes(self.capacity, i * HIDDEN_WIDTH), bytes(superpoints, columns))
+        self.activation_gradient.slice(bytes(self.capacity, i * self.size.width), bytes(superpoints, columns))
     }
 }
 
@@ -273,26 +286,27 @@ fn layers(network: &DeformNetwork) -> Result<Vec<Vec<f32>>> {
     let mut all: Vec<Vec<f32>> = network.linear.iter().map(joined).collect();
     let heads = [&network.rotation, &network.translation];
     let mut head = Vec::new();
-    heads.iter().for_each(|l| head.extend(l.weight.iter().copied().chain([0.0; HIDDEN_WIDTH])));
+    let zeros = vec![0.0; network.size().width];
+    heads.iter().for_each(|l| head.extend(l.weight.iter().chain(&zeros)));
     heads.iter().for_each(|l| head.extend(l.bias.iter().copied().chain([0.0])));
     all.push(head);
     Ok(all)
 }
 
 /// Inverse of [`layers`].
-fn network(layers: &[Vec<f32>]) -> DeformNetwork {
-    let shapes = shapes();
+fn network(layers: &[Vec<f32>], size: DeformSize) -> DeformNetwork {
+    let shapes = shapes(size);
     let hidden = |i: usize| {
         let (inputs, outputs) = (shapes[i].inputs() as usize, shapes[i].outputs as usize);
         let (weight, bias) = layers[i].split_at(inputs * outputs);
         Linear { inputs, outputs, weight: weight.to_vec(), bias: bias.to_vec() }
     };
-    let all = hidden(HIDDEN_LAYERS);
+    let all = hidden(size.layers);
     let head = |first: usize| Linear {
-        inputs: HIDDEN_WIDTH,
+        inputs: size.width,
         outputs: 3,
-        weight: all.weight[first * HIDDEN_WIDTH..(first + 3) * HIDDEN_WIDTH].to_vec(),
+        weight: all.weight[first * size.width..(first + 3) * size.width].to_vec(),
         bias: all.bias[first..first + 3].to_vec(),
     };
-    DeformNetwork { linear: (0..HIDDEN_LAYERS).map(hidden).collect(), rotation: head(0), translation: head(4) }
+    DeformNetwork { linear: (0..size.layers).map(hidden).collect(), rotation: head(0), translation: head(4) }
 }

@@ -259,7 +259,8 @@ impl Trainer {
             self.parameters.count(),
             options,
         )?;
-        let weights = DeformNetwork::init(self.config.seed, self.config.motion.zero_heads);
+        let weights =
+            DeformNetwork::init(self.config.seed, self.config.motion.network_size(), self.config.motion.zero_heads);
         let network = NetworkF::new(&self.gpu, &weights, superpoints.superpoints())?;
         self.set_motion(superpoints, network)
     }

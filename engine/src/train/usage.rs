@@ -56,6 +56,7 @@ impl Trainer {
                 ("sh_degree", degree),
                 ("sh_coefficients", (degree + 1) * (degree + 1)),
                 ("sh_bytes", 12 * (degree + 1) * (degree + 1)),
+                ("mean_bytes", 12),
                 ("splat_bytes", 48),
                 ("moving", u64::from(self.moving.is_some())),
                 ("nonrigid", u64::from(self.nonrigid.is_some())),

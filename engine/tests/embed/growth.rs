@@ -26,7 +26,7 @@ fn a_frame_that_does_not_fit_is_reported_and_the_next_ones_do() {
         overflowed.extend(recorded.finished.map(|f| f.overflowed));
     }
     assert_eq!(overflowed, [true, true, true, false, false]);
-    frames.map(|f| host.vulkan.wait(f).unwrap());
+    frames.into_iter().for_each(|f| host.vulkan.wait(f).unwrap());
     let truth = expected(host.gpu(), &scene, &camera, 0.0, [0.0; 3]);
     for picture in pictures {
         assert_stored(&host.vulkan.read(picture, 4).unwrap(), PixelFormat::Rgba8, &truth, "after growth");
@@ -40,8 +40,8 @@ fn a_frame_that_does_not_fit_is_reported_and_the_next_ones_do() {
     let error = small.warm_up(&camera, 0.0).unwrap_err();
     assert_eq!(error.exit_code(), 4, "{error}");
     drop((view, small));
-    pictures.map(|p| host.vulkan.destroy(p));
-    frames.map(|f| host.vulkan.destroy_frame(f));
+    pictures.into_iter().for_each(|p| host.vulkan.destroy(p));
+    frames.into_iter().for_each(|f| host.vulkan.destroy_frame(f));
 }
 
 #[test]
@@ -78,14 +78,14 @@ fn sizes_change_while_frames_are_in_flight() {
         let target = Target { color: to_read(pictures[i]), depth: None };
         submit(&host, frames[i % 2], &mut view, &cameras[i], 0.4, &target);
     }
-    frames.map(|f| host.vulkan.wait(f).unwrap());
+    frames.into_iter().for_each(|f| host.vulkan.wait(f).unwrap());
     for (picture, camera) in pictures.iter().zip(&cameras) {
         let truth = expected(host.gpu(), &scene, camera, 0.4, [0.0; 3]);
         assert_stored(&host.vulkan.read(*picture, 4).unwrap(), PixelFormat::Rgba8, &truth, &camera.width.to_string());
     }
     drop(view);
-    pictures.map(|p| host.vulkan.destroy(p));
-    frames.map(|f| host.vulkan.destroy_frame(f));
+    pictures.into_iter().for_each(|p| host.vulkan.destroy(p));
+    frames.into_iter().for_each(|f| host.vulkan.destroy_frame(f));
 }
 
 #[test]

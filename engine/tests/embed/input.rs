@@ -80,3 +80,26 @@ fn views_and_targets_without_sense_are_refused() {
     host.vulkan.destroy(picture);
     host.vulkan.destroy_frame(frame);
 }
+
+/// The proof that silence means something: a host that lies about its image's layout is noticed.
+#[test]
+fn a_host_that_breaks_the_contract_is_noticed() {
+    let mut host = Host::new();
+    if !host.vulkan.validates() {
+        println!("not looked at: SPGS_VALIDATION is off");
+        return;
+    }
+    let handle = SceneHandle::upload(host.gpu(), &demo_scene(), &SceneOptions::default()).unwrap();
+    let mut view = View::new(host.gpu(), &handle, &ViewOptions::default()).unwrap();
+    let picture = host.picture([32, 32], vk::Format::R8G8B8A8_UNORM);
+    let frame = host.vulkan.frame().unwrap();
+    let before = ImageUse::COLOR_ATTACHMENT;
+    let color = unsafe { HostImage::from_raw(picture.image.as_raw(), before, ImageUse::TRANSFER_SOURCE) };
+    submit(&host, frame, &mut view, &demo_camera(0.0, 32, 32), 0.0, &Target { color, depth: None });
+    host.vulkan.wait(frame).unwrap();
+    assert!(host.vulkan.take_messages().iter().any(|m| m.contains("VK_IMAGE_LAYOUT")), "nothing was said");
+    drop((view, handle));
+    host.gpu = None;
+    host.vulkan.destroy(picture);
+    host.vulkan.destroy_frame(frame);
+}

@@ -1,6 +1,6 @@
 //! The engine inside another program: its device, its command buffers, its images; several scenes and views; memory; threads.
 //! The host follows the documentation, and the validation layer has nothing to say.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "tests")]
 #![allow(clippy::undocumented_unsafe_blocks, reason = "nearly every line is a raw Vulkan call")]
 
 #[path = "../../examples/host/composite.rs"]

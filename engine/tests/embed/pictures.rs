@@ -55,7 +55,7 @@ fn every_format_holds_the_engines_own_image() {
         let depths: Vec<f32> = words(&host.vulkan.read(depth, 4).unwrap()).into_iter().map(f32::from_bits).collect();
         assert_eq!(depths, truth.depth, "{format:?}");
         drop(view);
-        [color, depth].map(|p| host.vulkan.destroy(p));
+        [color, depth].into_iter().for_each(|p| host.vulkan.destroy(p));
     }
     host.vulkan.destroy_frame(frame);
 }

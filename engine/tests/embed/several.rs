@@ -44,7 +44,7 @@ fn two_scenes_in_one_command_buffer() {
     let truth = expected(host.gpu(), &scenes[1], &camera, 0.2, [0.0; 3]);
     assert_stored(&host.vulkan.read(pictures[0], 4).unwrap(), PixelFormat::Rgba8, &truth, "changed scene");
     drop(views);
-    pictures.map(|p| host.vulkan.destroy(p));
+    pictures.into_iter().for_each(|p| host.vulkan.destroy(p));
     host.vulkan.destroy_frame(frame);
 }
 

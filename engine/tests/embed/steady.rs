@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use engine::gpu::GpuOptions;
 use engine::render::{PixelFormat, RenderOptions, Renderer, SceneHandle, SceneOptions, Target, View, ViewOptions};
-use engine::scene::synthetic::{demo_camera, demo_scene};
+use engine::scene::synthetic::{demo_camera, demo_scene, moving_scene};
 
 use super::*;
 
@@ -36,12 +36,23 @@ fn resident() -> u64 {
     text.split_whitespace().nth(1).and_then(|n| n.parse::<u64>().ok()).unwrap_or(0) * 4096
 }
 
+/// Processor time of all threads of this process, ms: the steadier measure where the device is the CPU and others use it.
+fn processor_ms() -> f64 {
+    let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // After the name in parentheses: utime and stime are the 12th and 13th field, in 1/100 s.
+    let fields: Vec<&str> = text.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+    let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(0.0);
+    10.0 * (ticks(11) + ticks(12))
+}
+
 /// Draws `count` frames after some of warming up. The engine allocates nothing in them; resident memory grows by at most
 /// `slack` bytes.
 fn draw_many(count: u32, slack: u64) {
     let host = Host::new();
     let camera = demo_camera(0.0, 64, 48);
-    let handle = SceneHandle::upload(host.gpu(), &demo_scene(), &SceneOptions::default()).unwrap();
+    // Small, so that many frames take little time; it moves.
+    let scene = moving_scene(500, 8, 5, 3, false);
+    let handle = SceneHandle::upload(host.gpu(), &scene, &SceneOptions::default()).unwrap();
     let mut view = View::new(host.gpu(), &handle, &ViewOptions { depth: true, ..ViewOptions::default() }).unwrap();
     view.warm_up(&camera, 0.0).unwrap();
     let color = host.picture([64, 48], vk::Format::R8G8B8A8_UNORM);
@@ -65,7 +76,7 @@ fn draw_many(count: u32, slack: u64) {
             allocations = 0;
         }
     }
-    frames.map(|f| host.vulkan.wait(f).unwrap());
+    frames.into_iter().for_each(|f| host.vulkan.wait(f).unwrap());
     let after = (resident(), host.gpu().memory_used().0, host.gpu().buffer_count());
     println!(
         "{count} frames: {allocations} allocations in record; resident memory {} -> {} KiB",
@@ -81,8 +92,8 @@ fn draw_many(count: u32, slack: u64) {
         assert!(after.0 <= before.0 + slack, "resident memory grew from {} to {} bytes", before.0, after.0);
     }
     drop(view);
-    [color, depth].map(|p| host.vulkan.destroy(p));
-    frames.map(|f| host.vulkan.destroy_frame(f));
+    [color, depth].into_iter().for_each(|p| host.vulkan.destroy(p));
+    frames.into_iter().for_each(|f| host.vulkan.destroy_frame(f));
 }
 
 #[test]
@@ -97,8 +108,8 @@ fn ten_thousand_frames_keep_memory_flat() {
     draw_many(10_000, 4 << 20);
 }
 
-/// Median time of an embedded frame against the engine's own on the same device, frames one at a time, alternately. Runs
-/// without validation: `cargo test --release -p spgs-engine --test embed -- --ignored --nocapture costs`
+/// Median time of an embedded frame against the engine's own on the same device, frames one at a time, alternately, and the
+/// mean processor time of both. Runs without validation: `cargo test --release -p spgs-engine --test embed -- --ignored --nocapture costs`
 #[test]
 #[ignore = "a measurement"]
 fn an_embedded_frame_costs_what_the_engines_own_does() {
@@ -118,25 +129,33 @@ fn an_embedded_frame_costs_what_the_engines_own_does() {
         view.warm_up(&camera, 0.0).unwrap();
         let color = host.picture(size, vk_format(format));
         let target = Target { color: to_read(color), depth: None };
-        let mut times = [Vec::new(), Vec::new()];
+        let (mut times, mut processor) = ([Vec::new(), Vec::new()], [0.0; 2]);
         for i in 0..frames + 5 {
             let time = f64::from(i) / f64::from(frames);
-            let start = Instant::now();
+            let (start, busy) = (Instant::now(), processor_ms());
             renderer.draw(&camera, time).unwrap();
-            let middle = Instant::now();
+            let (middle, busy_middle) = (Instant::now(), processor_ms());
             submit(&host, frame, &mut view, &camera, time, &target);
             host.vulkan.wait(frame).unwrap();
             if i >= 5 {
                 times[0].push((middle - start).as_secs_f64() * 1e3);
                 times[1].push(middle.elapsed().as_secs_f64() * 1e3);
+                processor[0] += (busy_middle - busy) / f64::from(frames);
+                processor[1] += (processor_ms() - busy_middle) / f64::from(frames);
             }
         }
         let [own, embedded] = times.map(|mut t| {
             t.sort_by(f64::total_cmp);
             t[t.len() / 2]
         });
-        let percent = 100.0 * (embedded / own - 1.0);
-        println!("{format:?} {}x{}: own {own:.3} ms, embedded {embedded:.3} ms, {percent:+.1} %", size[0], size[1]);
+        let percent = |own: f64, embedded: f64| 100.0 * (embedded / own.max(1e-9) - 1.0);
+        println!(
+            "{format:?} {}x{}: own {own:.3} ms, embedded {embedded:.3} ms, {:+.1} %; processor {:+.1} %",
+            size[0],
+            size[1],
+            percent(own, embedded),
+            percent(processor[0], processor[1]),
+        );
         drop(view);
         host.vulkan.destroy(color);
     }

@@ -16,7 +16,8 @@ use serde_json::Value;
 pub use tests_harness::posed::{Posed, PosedOptions};
 use tools::args::{Cli, Command as Subcommand};
 
-/// A short run of every part of the method: superpoints from iteration 20, density control every 10 iterations.
+/// A short run of every part of the method: superpoints from iteration 20, density control every 10 iterations. Network F
+/// is small; what is about time or quality gives it the paper's size.
 pub const SHORT: &str = "
 iterations = 40
 deterministic = true
@@ -31,6 +32,8 @@ random_points = 120
 superpoints = 8
 neighbors = 3
 association_slots = 4
+network_layers = 3
+network_width = 64
 [density]
 from = 5
 until = 35

@@ -17,6 +17,9 @@ interval = 20
 opacity_reset_interval = 90
 gradient_threshold = 1e-4
 min_opacity = 0.02
+[motion]
+network_layers = 8
+network_width = 256
 [log]
 checkpoint_interval = 0
 ";

@@ -65,7 +65,7 @@ fn table_error(scene: &Scene, cameras: &[Camera]) -> (f64, f64) {
 
 #[test]
 fn the_key_time_table_is_within_its_bound() {
-    let (gpu, checkpoint, data, cameras, _posed) = trained("");
+    let (gpu, checkpoint, data, cameras, _posed) = trained("[motion]\nnetwork_layers = 8\nnetwork_width = 256");
     let mut keys = Vec::new();
     for bound in [0.01, 0.5] {
         let mut kept = checkpoint.clone();

@@ -31,6 +31,9 @@ enabled = false
 mean_iterations = 320
 deform = 2e-3
 deform_iterations = 320
+[motion]
+network_layers = 8
+network_width = 256
 ";
 
 #[test]

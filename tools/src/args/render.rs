@@ -9,7 +9,7 @@ use super::{Format, ViewArgs, finite, seconds};
 /// `spgs render`.
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// Model: .safetensors or 3DGS .ply
+    /// Model: .safetensors, 3DGS .ply, or anything that `spgs convert` reads
     pub model: PathBuf,
     /// Camera file (transforms*.json), COLMAP folder or data set [with --path turntable and time: a view of the whole scene]
     #[arg(long, value_name = "FILE|DATA", required_unless_present = "path")]

@@ -55,7 +55,7 @@ pub(super) fn plans() -> Vec<Plan> {
         weights("weight-position", [1.0, 0.1, 0.01, 1e-3, 1e-4, 0.0], |c, w| c.loss.lambda_position = w),
         weights("weight-translation", [10.0, 1.0, 0.1, 0.01, 1e-3, 0.0], |c, w| c.loss.lambda_translation = w),
         weights("weight-rotation", [10.0, 1.0, 0.1, 0.01, 1e-3, 0.0], |c, w| c.loss.lambda_rotation = w),
-        left_out("network-size", "network F is 8 layers of 256, fixed in the kernels"),
+        plan("network-size", NETWORK_SIZES.into_iter().enumerate().map(network_size).collect()),
         plan(
             "warm-up",
             vec![variant("without", 0, |c| c.schedule.warm_up = 0), variant("with (3,000 of 40,000)", 1, |_| ())],
@@ -68,6 +68,16 @@ pub(super) fn plans() -> Vec<Plan> {
             ],
         ),
     ]
+}
+
+/// Width and depth of network F, in the order of the paper's rows.
+const NETWORK_SIZES: [(u32, u32); 10] =
+    [(64, 1), (64, 2), (64, 3), (64, 4), (64, 5), (64, 6), (64, 7), (64, 8), (128, 8), (256, 8)];
+
+fn network_size((row, (width, layers)): (usize, (u32, u32))) -> Variant {
+    variant(format!("{layers} layers of {width}"), row, move |c| {
+        (c.motion.network_width, c.motion.network_layers) = (width, layers);
+    })
 }
 
 fn weights(id: &'static str, values: [f32; 6], set: fn(&mut Config, f32)) -> Plan {

@@ -9,8 +9,7 @@ use engine::reference::gradient::image::visible_splats;
 use engine::reference::{self, ALPHA_MIN, Deformation, ReferenceOptions, Splat};
 use engine::render::RenderOptions;
 use engine::render::rate::arithmetic_rate;
-use engine::scene::network::{HIDDEN_LAYERS, HIDDEN_WIDTH};
-use engine::scene::{Camera, DeformNetwork, Scene};
+use engine::scene::{Camera, Scene};
 use serde::Serialize;
 
 use crate::hard_cases::in_f64;
@@ -88,10 +87,7 @@ fn flops(kernel: &str, work: &BTreeMap<&'static str, u64>, pairs: f64) -> f64 {
     match kernel {
         "deform_project" => PROJECT_FLOPS * of("gaussians"),
         "blend" => BLEND_FLOPS * pairs,
-        "deform_network" => {
-            let hidden: usize = (0..HIDDEN_LAYERS).map(|i| DeformNetwork::layer_inputs(i) * HIDDEN_WIDTH).sum();
-            2.0 * (hidden + 6 * HIDDEN_WIDTH) as f64 * of("superpoints")
-        }
+        "deform_network" => 2.0 * of("network_products") * of("superpoints"),
         _ => 0.0,
     }
 }

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use engine::error::Result;
 use tools::args::{Cli, Command};
-use tools::{bench, compare, demo, devices, eval, hard_cases, inspect, output, render, train, viewer};
+use tools::{bench, compare, convert, demo, devices, eval, hard_cases, inspect, output, render, train, viewer};
 
 fn main() -> ExitCode {
     match output::parse::<Cli>("spgs") {
@@ -23,6 +23,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Bench(args) => bench::run(args, &cli.global),
         Command::Compare(args) => compare::run(args, &cli.global),
         Command::Eval(args) => eval::run(args, &cli.global),
+        Command::Convert(args) => convert::run(args, &cli.global),
         Command::Inspect(args) => inspect::run(args),
         Command::Devices(args) => devices::run(args),
     };

@@ -10,8 +10,7 @@ use crate::error::{Error, Result};
 use crate::file::tensors::{check_format, own_metadata, parse_header};
 use crate::file::{check, checksum};
 use crate::scene::network::{
-    DeformNetwork, HIDDEN_LAYERS, HIDDEN_WIDTH, Linear, NONRIGID_HEADS, NONRIGID_LAYERS, NONRIGID_WIDTH,
-    NonrigidNetwork,
+    DeformNetwork, DeformSize, Linear, NONRIGID_HEADS, NONRIGID_LAYERS, NONRIGID_WIDTH, NonrigidNetwork,
 };
 use crate::scene::{Association, Gaussians, Motion, Scene, Superpoints, Tensor};
 
@@ -88,6 +87,18 @@ impl Tensors<'_> {
     fn u32s(&mut self, name: &str, shape: Shape<'_>) -> Result<(Vec<usize>, Vec<u32>)> {
         let (shape, bytes) = self.take(name, Dtype::U32, shape)?;
         Ok((shape, words(bytes).collect()))
+    }
+
+    /// Size of network F, by the tensors that are there.
+    fn deform_size(&self) -> Result<DeformSize> {
+        let named = |i: usize| self.map.get(&format!("deform.linear.{i}.weight"));
+        let layers = (0..DeformSize::MOST_LAYERS).rev().find(|&i| named(i).is_some()).map_or(1, |i| i + 1);
+        let width = named(0).and_then(|view| view.shape().first().copied()).unwrap_or(DeformSize::PAPER.width);
+        let size = DeformSize { layers, width };
+        size.check().map(|()| size).map_err(|_| {
+            let expected = format!("a multiple of {} up to {} rows", DeformSize::WIDTH_STEP, DeformSize::MOST_WIDTH);
+            Error::corrupt(self.path, "deform.linear.0.weight", format!("{width} rows"), expected)
+        })
     }
 
     fn linear(&mut self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
@@ -181,12 +192,13 @@ fn deform(tensors: &mut Tensors<'_>) -> Result<Option<DeformNetwork>> {
     if !tensors.map.keys().any(|name| name.starts_with("deform.")) {
         return Ok(None);
     }
+    let size = tensors.deform_size()?;
     let mut layer = |name: &str, inputs, outputs| tensors.linear(name, inputs, outputs);
-    let linear = (0..HIDDEN_LAYERS)
-        .map(|i| layer(&format!("deform.linear.{i}"), DeformNetwork::layer_inputs(i), HIDDEN_WIDTH))
+    let linear = (0..size.layers)
+        .map(|i| layer(&format!("deform.linear.{i}"), size.layer_inputs(i), size.width))
         .collect::<Result<_>>()?;
-    let translation = layer("deform.translation", HIDDEN_WIDTH, 3)?;
-    let rotation = layer("deform.rotation", HIDDEN_WIDTH, 3)?;
+    let translation = layer("deform.translation", size.width, 3)?;
+    let rotation = layer("deform.rotation", size.width, 3)?;
     Ok(Some(DeformNetwork { linear, translation, rotation }))
 }
 

@@ -60,9 +60,7 @@ fn layout(vertex: &Element, path: &Path) -> Result<Layout> {
 /// Says what kind of file it is, where that is known.
 fn missing(vertex: &Element, name: &str, path: &Path, at: &str) -> Error {
     let has = |name: &str| vertex.properties.iter().any(|p| p.name == name);
-    let found = if has("packed_position") {
-        "a compressed PLY (`packed_position`)".to_string()
-    } else if !has("opacity") && !has("f_dc_0") {
+    let found = if !has("opacity") && !has("f_dc_0") {
         format!("no `{name}` (a mesh or a point cloud)")
     } else {
         format!("no property `{name}`")
@@ -223,6 +221,26 @@ fn gather<const BIG: bool>(rows: &[u8], stride: usize, element: &Element, layout
                 }
             }
         });
+}
+
+/// Further properties of the vertices (see [`super::numbered`]).
+pub(super) fn numbered(bytes: &[u8], header: &Header, prefix: &str, path: &Path) -> Result<Vec<f32>> {
+    let vertex = &header.elements[header.vertex];
+    let at = || "header, element `vertex`";
+    let (Some(stride), 0, Encoding::Little | Encoding::Big) = (vertex.stride(), header.vertex, header.encoding) else {
+        return Err(Error::corrupt(path, at(), "lists, text or another element first", "a binary file of vertices"));
+    };
+    let column = |i: usize| vertex.properties.iter().position(|p| p.name == format!("{prefix}{i}"));
+    let columns: Vec<(usize, Number)> = (0..)
+        .map_while(column)
+        .map(|c| (vertex.properties[..c].iter().map(|p| p.number.size()).sum(), vertex.properties[c].number))
+        .collect();
+    let big = header.encoding == Encoding::Big;
+    let value = |row: &[u8], (offset, kind): (usize, Number)| {
+        if big { float::<true>(kind, &row[offset..]) } else { float::<false>(kind, &row[offset..]) }
+    };
+    let rows = bytes[header.body..].chunks_exact(stride.max(1)).take(vertex.count as usize);
+    Ok(rows.flat_map(|row| columns.iter().map(move |&c| value(row, c))).collect())
 }
 
 /// Walks rows that hold lists, from byte `at`; `row` gets the row's index and the byte of each property. Returns the byte

@@ -37,6 +37,9 @@ fn linear(srgb: f64) -> f64 {
     if srgb <= 0.04045 { srgb / 12.92 } else { ((srgb + 0.055) / 1.055).powf(2.4) }
 }
 
+/// Pixels that a thread converts at once.
+const PIXELS_AT_ONCE: usize = 4096;
+
 /// YCxCz planes of a picture that is read as sRGB: achromatic, red-green, blue-yellow.
 pub(super) fn opponent(planes: &Planes) -> [Vec<f32>; 3] {
     // Values of 8-bit pictures come from a table.
@@ -46,16 +49,15 @@ pub(super) fn opponent(planes: &Planes) -> [Vec<f32>; 3] {
         _ => linear(v),
     };
     let [r, g, b] = &planes.rgb;
-    let values: Vec<[f32; 3]> = (0..planes.pixels())
-        .into_par_iter()
-        .with_min_len(4096)
-        .map(|i| {
-            let [y, cx, cz] = ycxcz([decode(r[i]), decode(g[i]), decode(b[i])]);
-            [y as f32, cx as f32, cz as f32]
-        })
-        .collect();
-    let plane = |c: usize| values.iter().map(|v| v[c]).collect();
-    [plane(0), plane(1), plane(2)]
+    let mut out: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; planes.pixels()]);
+    let [y, cx, cz] = out.each_mut().map(|plane| plane.par_chunks_mut(PIXELS_AT_ONCE));
+    y.zip(cx).zip(cz).enumerate().for_each(|(chunk, ((y, cx), cz))| {
+        for k in 0..y.len() {
+            let i = chunk * PIXELS_AT_ONCE + k;
+            [y[k], cx[k], cz[k]] = ycxcz([decode(r[i]), decode(g[i]), decode(b[i])]).map(|v| v as f32);
+        }
+    });
+    out
 }
 
 fn ycxcz([r, g, b]: [f64; 3]) -> [f64; 3] {
@@ -65,6 +67,7 @@ fn ycxcz([r, g, b]: [f64; 3]) -> [f64; 3] {
 }
 
 /// Filtered YCxCz → linear RGB clamped to [0, 1] → L*a*b* with Hunt's effect.
+#[inline(always)]
 pub(super) fn adapted([y, cx, cz]: [f32; 3]) -> [f32; 3] {
     let y = (y + 16.0) / 116.0;
     let (x, z) = ((y + cx / 500.0) * WHITE_F32[0], (y - cz / 200.0) * WHITE_F32[2]);
@@ -75,6 +78,7 @@ pub(super) fn adapted([y, cx, cz]: [f32; 3]) -> [f32; 3] {
     hunt(lab([row(0), row(1), row(2)]))
 }
 
+#[inline(always)]
 fn lab([r, g, b]: [f32; 3]) -> [f32; 3] {
     let f = |v: f32| {
         const DELTA: f32 = 6.0 / 29.0;
@@ -90,6 +94,7 @@ fn lab([r, g, b]: [f32; 3]) -> [f32; 3] {
 
 /// Cube root of a number from 0.001 to 2, to f32's precision: a guess by the exponent, then two steps of Halley's method
 /// (several times as fast as the library's, which FLIP would spend half its time in).
+#[inline(always)]
 fn cube_root(v: f32) -> f32 {
     let guess = f32::from_bits(v.to_bits() / 3 + 0x2A51_19F2);
     let step = |r: f32| {
@@ -100,6 +105,7 @@ fn cube_root(v: f32) -> f32 {
 }
 
 /// Colours of bright pixels look stronger.
+#[inline(always)]
 fn hunt([l, a, b]: [f32; 3]) -> [f32; 3] {
     [l, 0.01 * l * a, 0.01 * l * b]
 }

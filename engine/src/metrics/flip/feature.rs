@@ -34,25 +34,30 @@ impl Features {
     }
 
     /// Strength of the edge and of the point at each pixel of row `y`, from the first plane of YCxCz, into `out`.
-    pub(super) fn row(&self, luminance: &[f32], width: usize, y: usize, out: &mut Vec<[f32; 2]>) {
+    #[inline(always)]
+    pub(super) fn row<const FMA: bool>(&self, luminance: &[f32], width: usize, y: usize, out: &mut Vec<[f32; 2]>) {
         let radius = self.smooth.len() / 2;
-        let down = [&self.smooth, &self.edge, &self.point].map(|taps| {
-            let mut padded = vec![0.0; width + 2 * radius];
-            vertical(luminance, width, y, taps, &mut padded[radius..radius + width]);
-            replicate_ends(&mut padded, radius);
-            padded
-        });
-        let across = |down: &[f32], taps: &[f32]| {
-            let mut row = vec![0.0; width];
-            horizontal(down, taps, &mut row);
-            row
-        };
-        let (edge_x, edge_y) = (across(&down[0], &self.edge), across(&down[1], &self.smooth));
-        let (point_x, point_y) = (across(&down[0], &self.point), across(&down[2], &self.smooth));
+        // Plain loops: a closure that is not inlined would lose the caller's vector width.
+        let mut down = [const { Vec::new() }; 3];
+        for (padded, taps) in down.iter_mut().zip([&self.smooth, &self.edge, &self.point]) {
+            padded.resize(width + 2 * radius, 0.0);
+            vertical::<FMA, f32>(luminance, width, y, taps, &mut padded[radius..radius + width]);
+            replicate_ends(padded, radius);
+        }
+        let across = [(0, &self.edge), (1, &self.smooth), (0, &self.point), (2, &self.smooth)];
+        let mut rows = [const { Vec::new() }; 4];
+        for (row, (from, taps)) in rows.iter_mut().zip(across) {
+            row.resize(width, 0.0);
+            horizontal::<FMA, f32>(&down[from], taps, row);
+        }
         // Luminance is (Y + 16) / 116; the constant drops out of both derivatives.
-        let length = |a: f32, b: f32| (a * a + b * b).sqrt() / 116.0;
-        out.clear();
-        out.extend((0..width).map(|x| [length(edge_x[x], edge_y[x]), length(point_x[x], point_y[x])]));
+        let [edge_x, edge_y, point_x, point_y] = &rows;
+        out.resize(width, [0.0; 2]);
+        for x in 0..width {
+            let edge = (edge_x[x] * edge_x[x] + edge_y[x] * edge_y[x]).sqrt() / 116.0;
+            let point = (point_x[x] * point_x[x] + point_y[x] * point_y[x]).sqrt() / 116.0;
+            out[x] = [edge, point];
+        }
     }
 }
 
@@ -72,10 +77,10 @@ mod tests {
         let features = Features::new(super::super::PIXELS_PER_DEGREE);
         assert_eq!(features.smooth.len(), 19);
         let mut out = Vec::new();
-        features.row(&[50.0; 400], 20, 7, &mut out);
+        features.row::<false>(&[50.0; 400], 20, 7, &mut out);
         assert!(out.iter().all(|f| f[0] < 1e-5 && f[1] < 1e-5));
         let step: Vec<f32> = (0..400).map(|i| if i % 20 < 10 { 0.0 } else { 116.0 }).collect();
-        features.row(&step, 20, 7, &mut out);
+        features.row::<false>(&step, 20, 7, &mut out);
         assert!(out[9][0] > 0.9 && out[9][0] <= 1.0 + 1e-5 && out[0][0] < 0.1, "{out:?}");
     }
 }

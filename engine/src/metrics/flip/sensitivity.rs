@@ -36,13 +36,18 @@ impl Sensitivity {
     }
 
     /// Row `y` of a YCxCz picture, filtered and adapted: L*a*b* with Hunt's effect, into `out`.
-    pub(super) fn row(&self, planes: &[Vec<f32>; 3], width: usize, y: usize, out: &mut Vec<[f32; 3]>) {
-        let filtered =
-            |plane: usize, term: usize| filtered_row(&planes[plane], width, y, &self.taps[term], &self.taps[term]);
-        let (lightness, red_green) = (filtered(0, 0), filtered(1, 1));
-        let blue_yellow = [filtered(2, 2), filtered(2, 3)];
-        let mixed = |x: usize| self.share[0] * blue_yellow[0][x] + self.share[1] * blue_yellow[1][x];
-        out.clear();
-        out.extend((0..width).map(|x| adapted([lightness[x], red_green[x], mixed(x)])));
+    #[inline(always)]
+    pub(super) fn row<const FMA: bool>(&self, planes: &[Vec<f32>; 3], width: usize, y: usize, out: &mut Vec<[f32; 3]>) {
+        // Plain loops: a closure that is not inlined would lose the caller's vector width.
+        let [lightness, red_green, wide, narrow] = &self.taps;
+        let lightness = filtered_row::<FMA, f32>(&planes[0], width, y, lightness, lightness);
+        let red_green = filtered_row::<FMA, f32>(&planes[1], width, y, red_green, red_green);
+        let wide = filtered_row::<FMA, f32>(&planes[2], width, y, wide, wide);
+        let narrow = filtered_row::<FMA, f32>(&planes[2], width, y, narrow, narrow);
+        out.resize(width, [0.0; 3]);
+        for x in 0..width {
+            let blue_yellow = self.share[0] * wide[x] + self.share[1] * narrow[x];
+            out[x] = adapted([lightness[x], red_green[x], blue_yellow]);
+        }
     }
 }

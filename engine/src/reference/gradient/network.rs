@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use crate::reference::network::{Dense, Perceptron, deform_encoding, nonrigid_encoding};
-use crate::scene::network::{HIDDEN_LAYERS, NONRIGID_LAYERS};
+use crate::scene::network::NONRIGID_LAYERS;
 use crate::scene::{DeformNetwork, NonrigidNetwork};
 
 /// Gradient of a dense layer.
@@ -48,6 +48,7 @@ pub fn network_gradient(
     d_rotation: &[DVec3],
     d_translation: &[DVec3],
 ) -> DeformNetworkGradient {
+    let layers = network.linear.len();
     let network = Perceptron::of_deform(network);
     let mut sum = zero(&network);
     for ((position, r), t) in positions.iter().zip(d_rotation).zip(d_translation) {
@@ -56,7 +57,7 @@ pub fn network_gradient(
     }
     let heads = split(sum.pop(), &[3, 3]);
     let [rotation, translation] = heads.try_into().unwrap_or_default();
-    sum.truncate(HIDDEN_LAYERS);
+    sum.truncate(layers);
     DeformNetworkGradient { linear: sum, translation, rotation }
 }
 
@@ -127,6 +128,7 @@ fn accumulate(network: &Perceptron, encoding: &[f64], upstream: &[f64], sum: &mu
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "tests")]
     use super::*;
+    use crate::scene::DeformSize;
     use crate::scene::synthetic::Random;
 
     /// Σ upstream · output over the rows, and which neurons are on.
@@ -190,8 +192,10 @@ mod tests {
 
     #[test]
     fn network_f_agrees_with_central_differences() {
-        let network = Perceptron::of_deform(&DeformNetwork::init(3, false));
-        check(network, &rows(2, 6, |p| deform_encoding(p.to_array(), 0.3)), 500);
+        for size in [DeformSize::PAPER, DeformSize { layers: 4, width: 64 }, DeformSize { layers: 1, width: 32 }] {
+            let network = Perceptron::of_deform(&DeformNetwork::init(3, size, false));
+            check(network, &rows(2, 6, |p| deform_encoding(p.to_array(), 0.3)), 500);
+        }
     }
 
     #[test]
@@ -206,7 +210,7 @@ mod tests {
 
     #[test]
     fn heads_are_told_apart() {
-        let network = DeformNetwork::init(3, false);
+        let network = DeformNetwork::init(3, DeformSize::PAPER, false);
         let d = [DVec3::new(1.0, 2.0, 3.0)];
         let g = network_gradient(&network, &[[0.1, 0.2, 0.3]], 0.5, &d, &[DVec3::ZERO]);
         assert_eq!((g.linear.len(), g.rotation.bias.as_slice()), (8, [1.0, 2.0, 3.0].as_slice()));

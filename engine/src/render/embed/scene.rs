@@ -31,7 +31,7 @@ impl SceneHandle {
     /// # Errors
     /// `Usage` for an inconsistent scene or a motion source that it lacks, `Limit` and `OutOfMemory` when it does not fit.
     pub fn upload(gpu: &Gpu, scene: &Scene, options: &SceneOptions) -> Result<Self> {
-        let quality = options.quality;
+        let quality = options.quality.for_scene(scene);
         if quality.resolution < 1.0 {
             let expected = "1: give the view a smaller camera and enlarge the image";
             return Err(Error::usage("quality, resolution", quality.resolution.to_string(), expected));

@@ -76,6 +76,17 @@ pub static KNOBS: &[Knob] = &[
         },
     },
     Knob {
+        name: "position",
+        doc: "storage of the Gaussians' centres",
+        takes: "f32 or unorm16",
+        values: &["f32", "unorm16"],
+        get: |q| storage_name(q.position, "u8"),
+        set: |q, v| {
+            q.position = pick(v, &[("f32", Storage::F32), ("unorm16", Storage::Unorm16)])?;
+            Some(())
+        },
+    },
+    Knob {
         name: "sh_degree",
         doc: "highest SH degree that is used",
         takes: "0 to 3",
@@ -192,6 +203,7 @@ fn storage_name(storage: Storage, bits8: &str) -> String {
     match storage {
         Storage::F32 => "f32",
         Storage::F16 => "f16",
+        Storage::Unorm16 => "unorm16",
         Storage::Bits8 => bits8,
     }
     .to_owned()

@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3};
 
 use super::Random;
-use crate::scene::network::{HIDDEN_LAYERS, HIDDEN_WIDTH};
+use crate::scene::network::DeformSize;
 use crate::scene::{DeformNetwork, Gaussians, Linear, Motion, Scene, Superpoints};
 
 /// Number of Gaussians at which the standard deviations below cover the shells as a trained model would.
@@ -95,18 +95,19 @@ fn rocking(centers: &[DVec3], t: usize, random: &mut Random) -> Motion {
 /// (a trained F is as smooth).
 pub fn random_network(seed: u64) -> DeformNetwork {
     let mut random = Random::new(seed ^ 0xf);
-    let linear = (0..HIDDEN_LAYERS)
+    let size = DeformSize::PAPER;
+    let linear = (0..size.layers)
         .map(|i| {
-            let inputs = DeformNetwork::layer_inputs(i);
-            let encoded = inputs % HIDDEN_WIDTH;
-            layer(inputs, HIDDEN_WIDTH, (2.0 / inputs as f64).sqrt(), encoded, &mut random)
+            let inputs = size.layer_inputs(i);
+            let encoded = inputs % size.width;
+            layer(inputs, size.width, (2.0 / inputs as f64).sqrt(), encoded, &mut random)
         })
         .collect();
-    let head = 0.05 / (HIDDEN_WIDTH as f64).sqrt();
+    let head = 0.05 / (size.width as f64).sqrt();
     DeformNetwork {
         linear,
-        translation: layer(HIDDEN_WIDTH, 3, head, 0, &mut random),
-        rotation: layer(HIDDEN_WIDTH, 3, head, 0, &mut random),
+        translation: layer(size.width, 3, head, 0, &mut random),
+        rotation: layer(size.width, 3, head, 0, &mut random),
     }
 }
 
@@ -156,7 +157,7 @@ mod tests {
         assert!(motion.times.windows(2).all(|w| w[0] < w[1]));
         let network = scene.deform.unwrap();
         for (i, layer) in network.linear.iter().enumerate() {
-            assert_eq!(layer.inputs, DeformNetwork::layer_inputs(i));
+            assert_eq!(layer.inputs, DeformSize::PAPER.layer_inputs(i));
             assert_eq!((layer.weight.len(), layer.bias.len()), (layer.inputs * 256, 256));
         }
         assert_eq!(octave(ENCODING_WIDTH - 1), 5);

@@ -117,6 +117,8 @@ impl Default for MotionConfig {
             association_slots: 8,
             association_init: Form::Code,
             zero_heads: true,
+            network_layers: 8,
+            network_width: 256,
             time_noise: false,
             time_noise_scale: 0.1,
         }

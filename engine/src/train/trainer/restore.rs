@@ -66,7 +66,8 @@ impl Trainer {
             let [first, second] = &m.association_moments;
             let options = self.association_options();
             let superpoints = SuperpointState::from_parts(&gpu, &m.position, &m.association, [first, second], options)?;
-            let network = NetworkF::new(&gpu, &m.network.deform()?, m.position.len() as u32)?;
+            let network =
+                NetworkF::new(&gpu, &m.network.deform(self.config.motion.network_size())?, m.position.len() as u32)?;
             network.upload_moments([&m.network.moment_1, &m.network.moment_2])?;
             self.set_motion(superpoints, network)?;
         }
