@@ -68,15 +68,15 @@ fn sizes_change_while_frames_are_in_flight() {
     let host = Host::new();
     let scene = demo_scene();
     let handle = SceneHandle::upload(host.gpu(), &scene, &SceneOptions::default()).unwrap();
-    let mut view = View::new(host.gpu(), &handle, &ViewOptions::default()).unwrap();
+    let mut view = View::new(host.gpu(), &handle, &ViewOptions { in_flight: 3, ..ViewOptions::default() }).unwrap();
     let sizes = [[40, 30], [64, 48], [1, 1], [33, 70], [64, 48], [16, 16]];
     let pictures = sizes.map(|size| host.picture(size, vk::Format::R8G8B8A8_UNORM));
-    let frames = [(); 2].map(|()| host.vulkan.frame().unwrap());
+    let frames = [(); 3].map(|()| host.vulkan.frame().unwrap());
     let cameras = sizes.map(|[w, h]| demo_camera(0.4, w, h));
     view.warm_up(&cameras[1], 0.4).unwrap();
     for i in 0..sizes.len() {
         let target = Target { color: to_read(pictures[i]), depth: None };
-        submit(&host, frames[i % 2], &mut view, &cameras[i], 0.4, &target);
+        submit(&host, frames[i % 3], &mut view, &cameras[i], 0.4, &target);
     }
     frames.into_iter().for_each(|f| host.vulkan.wait(f).unwrap());
     for (picture, camera) in pictures.iter().zip(&cameras) {
