@@ -219,7 +219,7 @@ fn display_twin(call: &mut TwinCall<'_>) {
     for index in 0..d.target[0] * d.target[1] {
         let shown = shown(call.buffers, &d, [index % d.target[0], index / d.target[0]]);
         // `max` gives 0 for NaN.
-        let mut level = shown.map(|v| (v.max(0.0).min(1.0) * 255.0 + 0.5) as u32);
+        let mut level = shown.map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u32);
         if d.target[2] == 1 {
             level.reverse();
         }
@@ -234,7 +234,7 @@ fn shown(buffers: &[Vec<u32>], d: &Display, at: [u32; 2]) -> [f32; 3] {
     });
     let from = (nearest[1] * d.source[0] + nearest[0]) as usize;
     let [r, g, b, alpha] = vec4_at(&buffers[1], from);
-    let palette = |x: f32| vec4_at(&buffers[5], (x.max(0.0).min(1.0) * 255.0 + 0.5) as usize);
+    let palette = |x: f32| vec4_at(&buffers[5], (x.clamp(0.0, 1.0) * 255.0 + 0.5) as usize);
     match d.source[3] {
         0 if d.source[..2] == d.target[..2] => [r, g, b],
         0 => enlarged(d, &buffers[1], at),

@@ -99,7 +99,7 @@ fn open_checkpoint(folder: &Path, file: &Path) -> Result<Opened> {
     let checkpoint = Checkpoint::load(file)?;
     let mut scene = Scene { gaussians: checkpoint.parameters.gaussians, ..Scene::default() };
     if let Some(motion) = checkpoint.motion {
-        scene.deform = Some(motion.network.deform()?);
+        scene.deform = Some(motion.network.deform(checkpoint.config.motion.network_size())?);
         let of_gaussian = checkpoint.parameters.superpoint_of_gaussian;
         scene.superpoints = Some(Superpoints { of_gaussian, position: motion.position });
     }

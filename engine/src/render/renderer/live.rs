@@ -127,7 +127,7 @@ fn heaviest(splats: impl Iterator<Item = (u32, Splat)>, [x, y]: [f32; 2], log2_c
         let (dx, dy) = (x - first[0], y - first[1]);
         let (u, v) = (first[2] * dx + first[3] * dy, second[0] * dy);
         let log2_alpha = second[1] - u * u - v * v;
-        if !(log2_alpha >= -log2_cut) {
+        if log2_alpha.is_nan() || log2_alpha < -log2_cut {
             continue;
         }
         let weight = log2_alpha.exp2().min(MAX_ALPHA) * transmittance;
