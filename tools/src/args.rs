@@ -119,6 +119,9 @@ pub struct TrainArgs {
     /// Seed of every random choice
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
+    /// Watch: opens `spgs view` on DIR, which shows the scene anew with every checkpoint
+    #[arg(long)]
+    pub view: bool,
     /// Print the result as JSON
     #[arg(long)]
     pub json: bool,

@@ -6,6 +6,7 @@ pub mod log;
 pub mod report;
 
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -117,7 +118,7 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     let smooth = [f64::NAN; 2];
     let mut run =
         Run { gpu: &gpu, out: out.clone(), data: &data, held_out, trainer, log, bar, quiet: !say, smooth, rate };
-    let finished = run.iterate()?;
+    let finished = run.iterate(args.view)?;
     run.bar.finish_and_clear();
     gpu_session::report_validation(&gpu);
     if !finished {
@@ -147,7 +148,7 @@ fn load(path: &Path, options: &DatasetOptions, args: &TrainArgs) -> Result<Datas
 
 impl Run<'_> {
     /// Runs to the end (true) or until interrupted (false).
-    fn iterate(&mut self) -> Result<bool> {
+    fn iterate(&mut self, watch: bool) -> Result<bool> {
         let stop = Arc::new(AtomicBool::new(false));
         let flag = Arc::clone(&stop);
         // The second Ctrl-C, and one after the last iteration, waits for nothing: every file is there whole or not at all.
@@ -162,6 +163,9 @@ impl Run<'_> {
         // A run that is cut off before its first interval is resumed from here.
         if self.trainer.iteration() == 0 && self.trainer.schedule().stage() != Stage::Nonrigid {
             self.save()?;
+        }
+        if watch {
+            open_viewer(&self.out);
         }
         while !self.trainer.is_done() {
             let step = self.trainer.step()?;
@@ -248,6 +252,16 @@ impl Run<'_> {
 
     fn save(&self) -> Result<()> {
         self.trainer.checkpoint()?.save(&self.out.join("checkpoints")).map(|_| ())
+    }
+}
+
+/// Starts `spgs view` on the run's folder. It stays open when the run ends; without a display the run goes on alone.
+fn open_viewer(out: &Path) {
+    let started = std::env::current_exe().and_then(|program| {
+        Command::new(program).arg("view").arg(out).stdin(Stdio::null()).stdout(Stdio::null()).spawn()
+    });
+    if let Err(e) = started {
+        ::log::warn!("no viewer: {e}");
     }
 }
 

@@ -6,8 +6,8 @@
 //!                    Renderer ──► display ──► Presenter ──► window     (all on the device: gui.rs)
 //! ```
 //!
-//! Camera, time, statistics and input are plain code without window or device ([`navigator`], [`timeline`], [`statistics`],
-//! [`input`]). Frames are drawn while something moves; a still picture costs nothing.
+//! Camera, time, statistics and input are plain code without window or device (`navigator`, `timeline`, `statistics`,
+//! `input`). Frames are drawn while something moves; a still picture costs nothing.
 
 mod actions;
 mod gui;
