@@ -243,9 +243,9 @@ impl Presenter {
 /// Records the copy of a picture to an image, which is then in the layout for it.
 fn record_copy(device: &ash::Device, commands: vk::CommandBuffer, picture: &Buffer, image: vk::Image, size: [u32; 2]) {
     let transfer = vk::PipelineStageFlags::TRANSFER;
-    let written = [vk::MemoryBarrier::default()
-        .src_access_mask(vk::AccessFlags::SHADER_WRITE)
-        .dst_access_mask(vk::AccessFlags::TRANSFER_READ)];
+    let written = [vk::MemoryBarrier::default().src_access_mask(vk::AccessFlags::SHADER_WRITE).dst_access_mask(
+        vk::AccessFlags::TRANSFER_READ | vk::AccessFlags::VERTEX_ATTRIBUTE_READ | vk::AccessFlags::INDEX_READ,
+    )];
     let layout = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
     let opened = [vk::ImageMemoryBarrier::default()
         .image(image)
@@ -261,10 +261,12 @@ fn record_copy(device: &ash::Device, commands: vk::CommandBuffer, picture: &Buff
         depth: 1,
     });
     let compute = vk::PipelineStageFlags::COMPUTE_SHADER;
+    // The overlay's vertices may lie where a buffer that is gone was written.
+    let read = transfer | vk::PipelineStageFlags::VERTEX_INPUT;
     // SAFETY: recording. The submission waits for the image in the transfer stage, from which the barrier goes on.
     unsafe {
         let flags = vk::DependencyFlags::empty();
-        device.cmd_pipeline_barrier(commands, compute | transfer, transfer, flags, &written, &[], &opened);
+        device.cmd_pipeline_barrier(commands, compute | transfer, read, flags, &written, &[], &opened);
         device.cmd_copy_buffer_to_image(commands, picture.raw(), image, layout, &[region]);
     }
 }

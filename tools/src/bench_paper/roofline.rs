@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn kernels_that_calculate_are_kernels_of_the_engine() {
-        let work: BTreeMap<&'static str, u64> = [("gaussians", 10), ("superpoints", 2)].into();
+        let work: BTreeMap<&'static str, u64> = [("gaussians", 10), ("superpoints", 2), ("network_products", 7)].into();
         let counted = ["deform_project", "blend", "deform_network"];
         for name in counted {
             assert!(engine::kernels().any(|k| k.name == name) && flops(name, &work, 3.0) > 0.0, "{name}");
