@@ -29,6 +29,11 @@ layout(std430, set = 0, binding = 4) readonly buffer CountersBlock { uint counte
 layout(std430, set = 0, binding = 5) readonly buffer PaletteBlock { vec4 palette[]; };
 layout(std430, set = 0, binding = 6) writeonly buffer ScreenBlock { uint screen[]; };
 
+// Clamped to 0 to 1; NaN becomes 0, as in the pictures that are written.
+vec3 unit(vec3 v) {
+    return mix(vec3(0.0), clamp(v, 0.0, 1.0), equal(v, v));
+}
+
 vec3 from_palette(float x) {
     return palette[min(uint(clamp(x, 0.0, 1.0) * 255.0 + 0.5), 255u)].xyz;
 }
@@ -72,15 +77,12 @@ void main() {
         uvec2 tile = nearest / TILE_SIZE;
         uint of_tile = tile.y * display.source.z + tile.x;
         float count = float(ranges[2u * of_tile + 1u] - ranges[2u * of_tile]);
-        vec4 c = color[from];
-        float grey = dot(clamp(c.xyz, 0.0, 1.0), vec3(0.25, 0.5, 0.25));
+        float grey = dot(unit(color[from].xyz), vec3(0.25, 0.5, 0.25));
         uvec2 inside = nearest % TILE_SIZE;
         float line = inside.x == 0u || inside.y == 0u ? 0.8 : 1.0;
         shown = line * (0.85 * from_palette(sqrt(count * display.range.z)) + 0.15 * grey);
     }
-    // NaN becomes 0, as in the pictures that are written.
-    shown = mix(vec3(0.0), clamp(shown, 0.0, 1.0), equal(shown, shown));
-    uvec3 level = uvec3(shown * 255.0 + 0.5);
+    uvec3 level = uvec3(unit(shown) * 255.0 + 0.5);
     level = display.target.z == 1u ? level.zyx : level;
     screen[index] = level.x | level.y << 8 | level.z << 16 | 0xff000000u;
 }

@@ -28,7 +28,10 @@ pub enum Alpha {
 /// Clamps to [0, 1] and rounds to the nearest of 256 levels; NaN becomes 0.
 #[inline]
 pub fn to_u8(value: f32) -> u8 {
-    (value.clamp(0.0, 1.0) * 255.0).round() as u8
+    // `round` of the library, without its call: the difference of a number and its whole part is exact.
+    let level = value.clamp(0.0, 1.0) * 255.0;
+    let whole = level as u8;
+    whole + u8::from(level - f32::from(whole) >= 0.5)
 }
 
 /// Writes an 8-bit PNG, durably. Values are taken as stored (no gamma).

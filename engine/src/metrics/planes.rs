@@ -69,7 +69,9 @@ impl Planes {
 
 /// Index in `[height, width, 4]` of the first R, G or B that is NaN or infinite.
 fn first_bad(image: &Image) -> Option<usize> {
-    image.rgba.iter().enumerate().position(|(i, v)| i % 4 != 3 && !v.is_finite())
+    let bad = |pixel: &[f32; 4]| pixel[..3].iter().any(|v| !v.is_finite());
+    let first = image.rgba.as_chunks().0.par_iter().with_min_len(4096).position_first(bad)?;
+    image.rgba[4 * first..].iter().position(|v| !v.is_finite()).map(|i| 4 * first + i)
 }
 
 /// Weight of each pixel, `[height, width]`, in [0, 1]: a mask. A metric with weights is Σ w·m / Σ w of its per-pixel map

@@ -93,17 +93,17 @@ fn channel_ms_ssim(x: &[f64], y: &[f64], size: [usize; 2], finest: Sums) -> f64 
 /// 2×2 averages; a side of odd length has a zero before its first and after its last value.
 fn halved(values: &[f64], [width, height]: [usize; 2]) -> Vec<f64> {
     let (w, h) = (width.div_ceil(2), height.div_ceil(2));
-    // Rows (or columns) 2i − odd and 2i + 1 − odd where they exist.
-    let pair = |i: usize, side: usize| {
-        let first = (2 * i).checked_sub(side % 2);
-        [first, Some(first.map_or(0, |f| f + 1))].map(|j| j.filter(|&j| j < side))
-    };
+    let (odd_width, odd_height) = (width % 2, height % 2);
     let mut out = vec![0.0; w * h];
     out.par_chunks_exact_mut(w).enumerate().for_each(|(y, row)| {
-        for source in pair(y, height).into_iter().flatten() {
+        // Rows 2y − odd and 2y + 1 − odd where they exist.
+        for source in (2 * y).saturating_sub(odd_height)..(2 * y + 2 - odd_height).min(height) {
             let line = &values[source * width..(source + 1) * width];
-            for (x, value) in row.iter_mut().enumerate() {
-                *value += pair(x, width).into_iter().flatten().map(|j| line[j]).sum::<f64>() / 4.0;
+            if odd_width == 1 {
+                row[0] += line[0] / 4.0;
+            }
+            for (value, [a, b]) in row[odd_width..].iter_mut().zip(line[odd_width..].as_chunks().0) {
+                *value += (a + b) / 4.0;
             }
         }
     });
@@ -198,14 +198,28 @@ fn add_products<const FMA: bool>(sums: &mut [[f64; LANES]; 4], x: &[f64; LANES],
     }
 }
 
-/// The values of a row from `first` on; zeros past its end.
+/// [`LANES`] values of a row from `first` on; `None` past its last whole block.
 #[inline(always)]
-fn lanes(row: &[f64], first: usize) -> [f64; LANES] {
-    row[first..].first_chunk().copied().unwrap_or_else(|| {
-        let mut padded = [0.0; LANES];
-        padded[..row.len() - first].copy_from_slice(&row[first..]);
-        padded
-    })
+fn block(row: &[f64], first: usize) -> Option<&[f64; LANES]> {
+    row.get(first..)?.first_chunk()
+}
+
+/// The values of a row from `first` on; zeros past its end.
+fn padded(row: &[f64], first: usize) -> [f64; LANES] {
+    let mut out = [0.0; LANES];
+    out.iter_mut().zip(&row[first..]).for_each(|(out, value)| *out = *value);
+    out
+}
+
+/// Sum of a row, in [`LANES`] parts side by side.
+#[inline(always)]
+fn sum(values: &[f64]) -> f64 {
+    let (blocks, rest) = values.as_chunks::<LANES>();
+    let mut lanes = [0.0; LANES];
+    for block in blocks {
+        lanes.iter_mut().zip(block).for_each(|(sum, value)| *sum += value);
+    }
+    lanes.iter().chain(rest).sum()
 }
 
 /// μ_x, μ_y, E[x² + y²] and E\[xy\] of one row of windows.
@@ -229,7 +243,12 @@ impl RowMoments {
             let mut sums = [[0.0; LANES]; 4];
             for (source, &tap) in rows.clone().zip(&taps[first_tap..]) {
                 let line = source * width..(source + 1) * width;
-                add_products::<FMA>(&mut sums, &lanes(&x[line.clone()], first), &lanes(&y[line], first), tap);
+                let (x, y) = (&x[line.clone()], &y[line]);
+                if let (Some(x), Some(y)) = (block(x, first), block(y, first)) {
+                    add_products::<FMA>(&mut sums, x, y, tap);
+                } else {
+                    add_products::<FMA>(&mut sums, &padded(x, first), &padded(y, first), tap);
+                }
             }
             let count = LANES.min(width - first);
             for (padded, sums) in self.padded.iter_mut().zip(&sums) {
@@ -241,25 +260,30 @@ impl RowMoments {
         }
     }
 
+    /// Leaves the similarities in the rows of the means.
     #[inline(always)]
-    fn sums(&self, inside: bool, weights: Option<&[f64]>) -> Sums {
-        let [mx, my, squares, product] = &self.row;
-        let width = mx.len();
-        let valid = if inside { RADIUS..width.saturating_sub(RADIUS).max(RADIUS) } else { 0..0 };
-        let mut sums = Sums::default();
-        for (i, (((&mx, &my), &squares), &product)) in mx.iter().zip(my).zip(squares).zip(product).enumerate() {
-            let cs = (2.0 * (product - mx * my) + C2) / (squares - mx * mx - my * my + C2);
-            let ssim = cs * (2.0 * mx * my + C1) / (mx * mx + my * my + C1);
-            let weight = weights.map_or(1.0, |w| w[i]);
-            sums.all += weight * ssim;
-            sums.all_weight += weight;
-            if valid.contains(&i) {
-                sums.valid += weight * ssim;
-                sums.valid_cs += weight * cs;
-                sums.valid_weight += weight;
-            }
+    fn sums(&mut self, inside: bool, weights: Option<&[f64]>) -> Sums {
+        let [mx, my, squares, product] = &mut self.row;
+        for (((mx, my), &mut squares), &mut product) in mx.iter_mut().zip(my.iter_mut()).zip(squares).zip(product) {
+            let (both, apart) = (*mx * *my, *mx * *mx + *my * *my);
+            let cs = (2.0 * (product - both) + C2) / (squares - apart + C2);
+            (*mx, *my) = (cs * (2.0 * both + C1) / (apart + C1), cs);
         }
-        sums
+        let (ssim, cs) = (mx, my);
+        if let Some(weights) = weights {
+            ssim.iter_mut().zip(weights).for_each(|(ssim, weight)| *ssim *= weight);
+            cs.iter_mut().zip(weights).for_each(|(cs, weight)| *cs *= weight);
+        }
+        let width = ssim.len();
+        let weight = |columns: std::ops::Range<usize>| weights.map_or(columns.len() as f64, |w| sum(&w[columns]));
+        let valid = if inside && width > 2 * RADIUS { RADIUS..width - RADIUS } else { 0..0 };
+        Sums {
+            all: sum(ssim),
+            all_weight: weight(0..width),
+            valid: sum(&ssim[valid.clone()]),
+            valid_cs: sum(&cs[valid.clone()]),
+            valid_weight: weight(valid),
+        }
     }
 }
 

@@ -195,6 +195,11 @@ fn mix(a: f32, b: f32, w: f32) -> f32 {
     a * (1.0 - w) + b * w
 }
 
+/// Clamped to 0 to 1; NaN becomes 0.
+fn unit(v: f32) -> f32 {
+    if v.is_nan() { 0.0 } else { v.clamp(0.0, 1.0) }
+}
+
 /// Bilinear sample for pixel `at` of the window.
 fn enlarged(d: &Display, color: &[u32], at: [u32; 2]) -> [f32; 3] {
     let axis = |k: usize| {
@@ -218,8 +223,7 @@ fn display_twin(call: &mut TwinCall<'_>) {
     }
     for index in 0..d.target[0] * d.target[1] {
         let shown = shown(call.buffers, &d, [index % d.target[0], index / d.target[0]]);
-        // `max` gives 0 for NaN.
-        let mut level = shown.map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u32);
+        let mut level = shown.map(|v| (unit(v) * 255.0 + 0.5) as u32);
         if d.target[2] == 1 {
             level.reverse();
         }
@@ -247,7 +251,7 @@ fn shown(buffers: &[Vec<u32>], d: &Display, at: [u32; 2]) -> [f32; 3] {
         _ => {
             let tile = (nearest[1] / TILE_SIZE * d.source[2] + nearest[0] / TILE_SIZE) as usize;
             let count = buffers[3][2 * tile + 1].wrapping_sub(buffers[3][2 * tile]) as f32;
-            let [r, g, b] = [r, g, b].map(|v| v.clamp(0.0, 1.0));
+            let [r, g, b] = [r, g, b].map(unit);
             let grey = r * 0.25 + g * 0.5 + b * 0.25;
             let line = if nearest.iter().any(|n| n % TILE_SIZE == 0) { 0.8 } else { 1.0 };
             let [r, g, b, _] = palette((count * d.range[2]).sqrt());

@@ -44,8 +44,10 @@ pub struct Desktop {
 
 impl Desktop {
     pub fn new(width: u32, height: u32) -> Self {
+        // Without `-noreset` it starts anew, and refuses who comes then, whenever its last client goes.
         let mut server = Command::new("Xvfb")
-            .args(["-displayfd", "1", "-screen", "0", &format!("{width}x{height}x24"), "-nolisten", "tcp"])
+            .args(["-displayfd", "1", "-noreset", "-nolisten", "tcp"])
+            .args(["-screen", "0", &format!("{width}x{height}x24")])
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()
@@ -159,14 +161,17 @@ impl<'a> Window<'a> {
         self.tool(&["key", name]);
     }
 
-    /// Drags with a button over some steps.
-    pub fn drag(&self, button: &str, from: [i32; 2], by: [i32; 2]) {
+    /// Drags with a button over some steps. Pictures in between see to it that not all of it falls into one frame, which
+    /// may be slow.
+    pub fn drag(&mut self, button: &str, from: [i32; 2], by: [i32; 2]) {
         self.tool(&["mousemove", &from[0].to_string(), &from[1].to_string(), "mousedown", button]);
+        self.picture();
         for step in 1..=5 {
             let at = [0, 1].map(|k| (from[k] + by[k] * step / 5).to_string());
             self.tool(&["mousemove", &at[0], &at[1]]);
             std::thread::sleep(Duration::from_millis(40));
         }
+        self.picture();
         self.tool(&["mouseup", button]);
     }
 

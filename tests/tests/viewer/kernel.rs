@@ -52,7 +52,6 @@ fn case(source: [u32; 2], target: [u32; 2], mode: u32, failed: u32, seed: u64) -
 }
 
 #[test]
-#[ignore = "not passing yet: single bytes of the tile mode are off by more than 12 levels"]
 fn every_mode_agrees_with_the_twin() {
     let gpu = tests_harness::gpu();
     let sizes =
@@ -67,7 +66,9 @@ fn every_mode_agrees_with_the_twin() {
             // Rounding to a level, or to a colour of the palette, may fall to either side.
             let off = g.iter().zip(&t).filter(|(a, b)| a.abs_diff(**b) > 1).count();
             assert!(off * 500 <= g.len(), "{source:?} → {target:?} mode {mode}: {off} of {} bytes differ", g.len());
-            assert!(g.iter().zip(&t).all(|(a, b)| a.abs_diff(*b) <= 12), "{source:?} → {target:?} mode {mode}");
+            let far = (0..g.len()).filter(|&i| g[i].abs_diff(t[i]) > 12).map(|i| (i / 4, i % 4, g[i], t[i]));
+            let far: Vec<_> = far.collect();
+            assert!(far.is_empty(), "{source:?} → {target:?} mode {mode}: {far:?}");
             assert!(g.iter().skip(3).step_by(4).all(|a| *a == 255), "opaque");
         }
     }

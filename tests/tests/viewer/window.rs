@@ -20,7 +20,6 @@ fn moving_model(folder: &std::path::Path, gaussians: usize) -> std::path::PathBu
 }
 
 #[test]
-#[ignore = "not passing yet: pressing End does not change the picture"]
 fn a_window_is_orbited_scrubbed_resized_and_closed() {
     let folder = tempfile::tempdir().unwrap();
     let desktop = Desktop::new(900, 700);
@@ -45,9 +44,17 @@ fn a_window_is_orbited_scrubbed_resized_and_closed() {
     window.tool(&["mousemove", "320", "200", "click", "4", "click", "4"]);
     let zoomed = window.picture();
     assert!(drawn(&zoomed) > drawn(&panned), "zoom");
-    window.key("End");
+    for _ in 0..3 {
+        window.key("shift+Right");
+    }
     let scrubbed = window.picture();
     assert!(difference(&zoomed, &scrubbed) > 0.5, "scrub");
+    window.key("Home");
+    assert_eq!(difference(&zoomed, &window.picture()), 0.0, "back to the start");
+    window.key("End");
+    assert!(difference(&zoomed, &window.picture()) < 0.1, "this scene ends as it starts");
+    window.key("Left");
+    let scrubbed = window.picture();
     window.tool(&["mousemove", "320", "200", "keydown", "d"]);
     std::thread::sleep(Duration::from_millis(400));
     window.tool(&["keyup", "d"]);
@@ -80,7 +87,6 @@ fn a_window_is_orbited_scrubbed_resized_and_closed() {
 }
 
 #[test]
-#[ignore = "not passing yet: a click selects no superpoint"]
 fn keys_open_the_list_select_record_and_save_floats() {
     let folder = tempfile::tempdir().unwrap();
     let desktop = Desktop::new(1300, 820);
@@ -97,6 +103,8 @@ fn keys_open_the_list_select_record_and_save_floats() {
     for key in ["c", "p", "k"] {
         window.key(key);
     }
+    // A frame without the list, which would take the click.
+    window.picture();
     window.tool(&["mousemove", "500", "370", "click", "1"]);
     std::thread::sleep(Duration::from_millis(500));
     desktop.capture().keep("selection");
@@ -152,13 +160,14 @@ fn resizes(count: u32) {
 }
 
 #[test]
-#[ignore = "not passing yet: the program cannot lose its device on purpose"]
 fn a_lost_device_ends_with_its_code() {
     let folder = tempfile::tempdir().unwrap();
     let desktop = Desktop::new(400, 300);
     let model = moving_model(folder.path(), 200);
     let arguments = ["view", model.to_str().unwrap(), "--size", "320x240", "--lose-device-at", "60"];
-    let out = spgs(&arguments).env("DISPLAY", desktop.display()).output().unwrap();
+    // The layer's experimental check between submissions crashes in vkDeviceWaitIdle of a device that is only said to be lost.
+    let plain = ("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT");
+    let out = spgs(&arguments).env("DISPLAY", desktop.display()).env(plain.0, plain.1).output().unwrap();
     let text = String::from_utf8_lossy(&out.stderr);
     assert_eq!(out.status.code(), Some(5), "{text}");
     assert!(text.lines().any(|l| l.starts_with("spgs: device lost in submission")), "{text}");

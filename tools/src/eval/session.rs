@@ -189,7 +189,8 @@ fn composite(photo: &Arc<Pixels>, background: [f32; 3]) -> Image {
         let over = |c: f32, i: usize| c + (1.0 - a) * background[i];
         [over(r, 0), over(g, 1), over(b, 2), a]
     };
-    let rgba = photo.rgba.iter().flat_map(pixel).collect();
+    let mut rgba = vec![0.0; 4 * photo.rgba.len()];
+    rgba.as_chunks_mut().0.iter_mut().zip(&photo.rgba).for_each(|(out, p)| *out = pixel(p));
     Image { width: photo.width, height: photo.height, rgba, depth: Vec::new() }
 }
 

@@ -16,8 +16,12 @@ impl Viewer {
     pub(super) fn do_requests(&mut self) -> Result<bool> {
         let requests = std::mem::take(&mut self.state.requests);
         let any = !requests.is_empty();
+        // What a click selects is first in the next frame, and so in a picture that is asked for after it.
+        let mut selected = false;
         for request in requests {
+            selected |= matches!(request, Request::Pick(..));
             match request {
+                Request::SavePng if selected => self.state.requests.push(request),
                 Request::Open(path) => self.open(path),
                 Request::Quit => self.state.wants_to_quit = true,
                 other => {

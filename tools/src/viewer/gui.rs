@@ -69,6 +69,8 @@ impl Gui {
         let presenter = Presenter::new(surface, state.settings.vsync)?;
         let context = egui::Context::default();
         theme::apply(&context);
+        // Frames may be slow, and a long press means nothing else: what does not move is a click.
+        context.options_mut(|o| o.input_options.max_click_duration = f64::INFINITY);
         let scale = Some(window.scale_factor() as f32);
         let egui = egui_winit::State::new(context.clone(), egui::ViewportId::ROOT, &window, scale, None, Some(8192));
         let model = Model::new(&gpu, PathBuf::new(), Scene::default(), &state.settings)?;
@@ -291,6 +293,15 @@ impl Gui {
     /// Pixels per point of the interface.
     pub(super) fn scale(&self) -> f32 {
         self.context.pixels_per_point()
+    }
+}
+
+impl Drop for Gui {
+    /// Nothing may be freed while the device works with it, be it said to be lost or not.
+    fn drop(&mut self) {
+        if let Err(error) = self.gpu.wait_idle() {
+            log::debug!("closing the window: {error}");
+        }
     }
 }
 

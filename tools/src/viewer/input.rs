@@ -71,9 +71,10 @@ pub(super) const BINDINGS: [(&str, &[Binding]); 4] = [
 pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut State) -> Thrust {
     let height = f64::from(response.rect.height());
     let modifiers = ui.input(|i| i.modifiers);
-    let delta = response.drag_delta();
+    // A drag has moved in the frame of its release too.
+    let delta = ui.input(|i| i.pointer.delta());
     let delta = [f64::from(delta.x), f64::from(delta.y)];
-    let by = |button| response.dragged_by(button);
+    let by = |button| response.dragged_by(button) || response.drag_stopped_by(button);
     if by(PointerButton::Secondary) || (by(PointerButton::Primary) || by(PointerButton::Middle)) && modifiers.shift {
         state.navigator.drag_pan(delta, height);
     } else if (by(PointerButton::Primary) || by(PointerButton::Middle)) && modifiers.command {

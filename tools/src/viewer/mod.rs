@@ -69,9 +69,10 @@ pub fn run(args: &ViewerArgs, global: &Global) -> Result<()> {
     }
     let state = first_state(args)?;
     let no_display = |e: winit::error::EventLoopError| {
+        log::debug!("{e}");
         let found = match std::env::var_os("DISPLAY") {
             None => "no display".to_owned(),
-            Some(display) => format!("no window system at {} ({e})", display.display()),
+            Some(display) => format!("no window system that answers at {}", display.display()),
         };
         Error::usage("spgs view", found, "a graphical session (DISPLAY); pictures without one: spgs render")
     };

@@ -37,6 +37,19 @@ fn exr_is_lossless() {
 }
 
 #[test]
+fn levels_are_rounded_to_the_nearest() {
+    let by_library = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
+    let all = (0..=0x3F80_0000).step_by(9973).map(f32::from_bits);
+    let halves = (0..255).flat_map(|k| {
+        let middle = (k as f32 + 0.5) / 255.0;
+        [middle.next_down(), middle, middle.next_up()]
+    });
+    for v in all.chain(halves).chain([-1.0, 2.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY]) {
+        assert_eq!(to_u8(v), by_library(v), "{v:e}");
+    }
+}
+
+#[test]
 fn png_clamps_and_rounds() {
     for (value, expected) in [
         (0.0, 0),
