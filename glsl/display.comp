@@ -5,6 +5,8 @@
 
 layout(local_size_x = 256) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
+layout(constant_id = 1) const uint MODE = 0;
+layout(constant_id = 2) const uint ENLARGED = 0; // the frame has not the window's size
 
 #include "lib/dispatch.glsl"
 #include "lib/limits.glsl"
@@ -16,7 +18,7 @@ const uint MODE_TILES = 3u;
 const float EMPTY = 0.02;        // grey behind depths
 
 struct Display {
-    uvec4 source; // width, height (px), tiles_x, mode
+    uvec4 source; // width, height (px), tiles_x, 0
     uvec4 target; // width, height (px), 1 when blue comes first, 0
     vec4 range;   // depth that is nearest, one over the range of depths, one over the largest tile count, 0
 };
@@ -63,10 +65,11 @@ void main() {
     uvec2 nearest = min(uvec2((vec2(at) + 0.5) * vec2(display.source.xy) / vec2(display.target.xy)),
                         display.source.xy - 1u);
     uint from = nearest.y * display.source.x + nearest.x;
-    uint mode = display.source.w;
+    uint mode = MODE;
+    uint is_enlarged = ENLARGED;
     vec3 shown = vec3(0.0);
     if (mode == MODE_COLOUR) {
-        shown = display.source.x == width && display.source.y == display.target.y ? color[from].xyz : enlarged(at).xyz;
+        shown = is_enlarged == 1u ? enlarged(at).xyz : color[index].xyz;
     } else if (mode == MODE_DEPTH) {
         float alpha = color[from].w;
         float z = depth[from] / max(alpha, 1e-6);

@@ -1,12 +1,12 @@
 //! Kernel `display`: a rendered frame as the 8-bit pixels of a window, without a way over the host.
 //!
-//! Reads `display` (sizes, mode, ranges), `color vec4[H·W]`, `depth float[H·W]`, `ranges uint[2·tiles]`, `counters` and
+//! Reads `display` (sizes, ranges), `color vec4[H·W]`, `depth float[H·W]`, `ranges uint[2·tiles]`, `counters` and
 //! `palette vec4[256]`. Writes `screen uint[H'·W']`, red in the lowest byte (or blue, where the window wants it so). A frame
 //! that failed for want of room leaves `screen` as it was.
 
 use super::limits::{COUNT_FAILED, TILE_SIZE};
 use super::renderer::{FrameId, Renderer};
-use super::twin::{f32_at, struct_at, vec4_at};
+use super::twin::{f32_at, spec, struct_at, vec4_at};
 use crate::error::Result;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
 use crate::gpu::{Buffer, Commands, Gpu, Groups, Memory, Slice};
@@ -21,7 +21,7 @@ const EMPTY: f32 = 0.02;
 crate::gpu_struct! {
     /// What `display` shows and where.
     pub struct Display {
-        /// Width and height of the frame (pixels), tiles in x, [`DisplayMode`].
+        /// Width and height of the frame (pixels), tiles in x, 0.
         pub source: [u32; 4],
         /// Width and height of the window (pixels), 1 when blue is the lowest byte, 0.
         pub target: [u32; 4],
@@ -65,7 +65,7 @@ pub static DISPLAY: Kernel = Kernel {
     name: "display",
     doc: "frame → 8-bit pixels of a window: colours, depth, opacity or tile counts",
     local_size: DISPLAY_THREADS,
-    spec: &["SUBGROUP_SIZE"],
+    spec: &["SUBGROUP_SIZE", "MODE", "ENLARGED"],
     push: &[],
     bindings: &[
         Binding::of_struct("display", Access::Read, Display::FIELDS),
@@ -93,7 +93,9 @@ pub struct Screen {
 #[derive(Debug)]
 struct Recorded {
     generation: u64,
-    size: [u32; 2],
+    /// Of the window and of the frame, pixels.
+    sizes: [[u32; 2]; 2],
+    mode: DisplayMode,
     screen: Buffer,
     slots: Vec<(Buffer, Commands)>,
 }
@@ -111,16 +113,18 @@ impl Screen {
     /// # Errors
     /// `Usage` for a frame that is not one of the latest, `OutOfMemory`, `DeviceLost`.
     pub fn submit(&mut self, renderer: &Renderer, frame: FrameId, options: &DisplayOptions) -> Result<&Buffer> {
-        let current = |r: &Recorded| r.generation == renderer.generation() && r.size == options.size;
+        let source = renderer.rendered_size();
+        let sizes = [options.size, source];
+        let (generation, mode) = (renderer.generation(), options.mode);
+        let current = |r: &Recorded| r.generation == generation && r.sizes == sizes && r.mode == mode;
         if !self.recorded.as_ref().is_some_and(current) {
             self.recorded = None;
-            self.recorded = Some(self.record(renderer, options.size)?);
+            self.recorded = Some(self.record(renderer, sizes, mode)?);
         }
         let slot = renderer.slot_index(frame)?;
-        let source = renderer.rendered_size();
         let near = options.depth_range[0];
         let display = Display {
-            source: [source[0], source[1], source[0].div_ceil(TILE_SIZE), options.mode as u32],
+            source: [source[0], source[1], source[0].div_ceil(TILE_SIZE), 0],
             target: [options.size[0], options.size[1], u32::from(options.bgra), 0],
             range: [near, 1.0 / (options.depth_range[1] - near).max(1e-6), 1.0 / options.tile_range.max(1.0), 0.0],
         };
@@ -136,10 +140,12 @@ impl Screen {
 
     /// The pixels of the latest frame, `uint[H,W]`; `None` before the first.
     pub fn pixels(&self) -> Option<(&Buffer, [u32; 2])> {
-        self.recorded.as_ref().map(|r| (&r.screen, r.size))
+        self.recorded.as_ref().map(|r| (&r.screen, r.sizes[0]))
     }
 
-    fn record(&self, renderer: &Renderer, size: [u32; 2]) -> Result<Recorded> {
+    fn record(&self, renderer: &Renderer, sizes: [[u32; 2]; 2], mode: DisplayMode) -> Result<Recorded> {
+        let [size, source] = sizes;
+        let spec = [mode as u32, u32::from(source != size)];
         let pixels = u64::from(size[0]) * u64::from(size[1]);
         let screen = self.gpu.buffer("screen", pixels * 4, Memory::Device)?;
         let mut clear = self.gpu.recorder("clear screen");
@@ -153,10 +159,10 @@ impl Screen {
             let buffers = [Slice::from(&display), color, depth, ranges, counters, palette, Slice::from(&screen)];
             let mut recorder = self.gpu.recorder("display");
             let groups = Groups::Direct(pixels.div_ceil(u64::from(DISPLAY_THREADS)));
-            recorder.dispatch(&DISPLAY, &[], &[], &buffers, groups)?;
+            recorder.dispatch(&DISPLAY, &spec, &[], &buffers, groups)?;
             slots.push((display, recorder.finish()?));
         }
-        Ok(Recorded { generation: renderer.generation(), size, screen, slots })
+        Ok(Recorded { generation: renderer.generation(), sizes, mode, screen, slots })
     }
 }
 
@@ -222,7 +228,7 @@ fn display_twin(call: &mut TwinCall<'_>) {
         return;
     }
     for index in 0..d.target[0] * d.target[1] {
-        let shown = shown(call.buffers, &d, [index % d.target[0], index / d.target[0]]);
+        let shown = shown(call, &d, [index % d.target[0], index / d.target[0]]);
         let mut level = shown.map(|v| (unit(v) * 255.0 + 0.5) as u32);
         if d.target[2] == 1 {
             level.reverse();
@@ -231,7 +237,8 @@ fn display_twin(call: &mut TwinCall<'_>) {
     }
 }
 
-fn shown(buffers: &[Vec<u32>], d: &Display, at: [u32; 2]) -> [f32; 3] {
+fn shown(call: &TwinCall<'_>, d: &Display, at: [u32; 2]) -> [f32; 3] {
+    let buffers = &call.buffers;
     let nearest: [u32; 2] = std::array::from_fn(|k| {
         let p = (at[k] as f32 + 0.5) * d.source[k] as f32 / d.target[k] as f32;
         (p as u32).min(d.source[k] - 1)
@@ -239,8 +246,8 @@ fn shown(buffers: &[Vec<u32>], d: &Display, at: [u32; 2]) -> [f32; 3] {
     let from = (nearest[1] * d.source[0] + nearest[0]) as usize;
     let [r, g, b, alpha] = vec4_at(&buffers[1], from);
     let palette = |x: f32| vec4_at(&buffers[5], (x.clamp(0.0, 1.0) * 255.0 + 0.5) as usize);
-    match d.source[3] {
-        0 if d.source[..2] == d.target[..2] => [r, g, b],
+    match spec(call, 1) {
+        0 if spec(call, 2) == 0 => [r, g, b],
         0 => enlarged(d, &buffers[1], at),
         1 => {
             let z = f32_at(&buffers[2], from) / alpha.max(1e-6);

@@ -21,7 +21,7 @@ fn case(source: [u32; 2], target: [u32; 2], mode: u32, failed: u32, seed: u64) -
     let pixels = (source[0] * source[1]) as usize;
     let tiles = source.map(|s| s.div_ceil(16));
     let display = Display {
-        source: [source[0], source[1], tiles[0], mode],
+        source: [source[0], source[1], tiles[0], 0],
         target: [target[0], target[1], (seed % 2) as u32, 0],
         range: [1.0, 0.25, 0.001, 0.0],
     };
@@ -44,7 +44,7 @@ fn case(source: [u32; 2], target: [u32; 2], mode: u32, failed: u32, seed: u64) -
     let words = bytemuck::cast_slice(bytemuck::bytes_of(&display)).to_vec();
     KernelCase {
         kernel: &DISPLAY,
-        spec: vec![],
+        spec: vec![mode, u32::from(source != target)],
         push: vec![],
         buffers: vec![words, color, depth, ranges, counters, palette, vec![0; pixels]],
         groups: pixels.div_ceil(256) as u32,

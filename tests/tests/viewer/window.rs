@@ -129,6 +129,30 @@ fn keys_open_the_list_select_record_and_save_floats() {
 }
 
 #[test]
+fn a_training_folder_is_shown_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let desktop = Desktop::new(400, 300);
+    let run = folder.path().join("run");
+    std::fs::create_dir(&run).unwrap();
+    let save = |gaussians, seed| {
+        file::save(&run.join("model.safetensors"), &synthetic::moving_scene(gaussians, 12, 9, seed, false)).unwrap();
+    };
+    save(300, 3);
+    let mut window = Window::open(&desktop, &run, &folder.path().join("out"), &["--size", "320x240", "--pause"]);
+    let first = window.picture();
+    assert!(drawn(&first) > 0.05, "{}", drawn(&first));
+    // Another number of Gaussians, so that nothing of the old scene fits.
+    save(900, 4);
+    window.wait("the second model", |w| difference(&first, &w.picture()) > 1.0);
+    // What cannot be read is passed over; the window goes on.
+    let second = window.picture();
+    std::fs::write(run.join("model.safetensors"), b"no model").unwrap();
+    std::thread::sleep(Duration::from_millis(1500));
+    assert_eq!(difference(&second, &window.picture()), 0.0);
+    assert_eq!(window.quit()["validation_messages"], 0);
+}
+
+#[test]
 fn a_run_of_resizes_leaves_nothing_behind() {
     resizes(40);
 }

@@ -132,6 +132,7 @@ fn first_state(args: &ViewerArgs) -> Result<State> {
         messages: Vec::new(),
         recording: None,
         loading: None,
+        continuous: args.frames.is_some(),
         interacting: false,
         view_center: args.size.map(|s| 0.5 * f64::from(s)),
         step: 0.0,
@@ -209,18 +210,17 @@ impl Viewer {
     }
 
     fn schedule(&mut self, next: Next, event_loop: &ActiveEventLoop) {
-        let counted = self.args.frames.is_some();
         if self.args.frames.is_some_and(|n| self.drawn >= n) || self.state.wants_to_quit {
             event_loop.exit();
             return;
         }
         event_loop.set_control_flow(ControlFlow::Wait);
         match next {
-            Next::After(delay) if !counted => {
+            Next::After(delay) => {
                 event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + delay));
             }
-            Next::WhenAsked if !counted => {}
-            _ => self.gui.iter().for_each(|g| g.window.request_redraw()),
+            Next::WhenAsked => {}
+            Next::Now => self.gui.iter().for_each(|g| g.window.request_redraw()),
         }
     }
 

@@ -117,6 +117,8 @@ pub(super) struct State {
     pub(super) recording: Option<usize>,
     /// Name of the model that is being loaded.
     pub(super) loading: Option<String>,
+    /// Frames follow each other to the end (`--frames`).
+    pub(super) continuous: bool,
     /// The user moves something: the next frames follow at once.
     pub(super) interacting: bool,
     /// Where the camera's axis meets the window, pixels: the middle of what the interface leaves free.
@@ -177,6 +179,6 @@ impl State {
 
     /// Whether frames follow without anybody touching anything.
     pub(super) fn is_animated(&self) -> bool {
-        self.timeline.playing || self.navigator.is_gliding() || self.interacting || self.loading.is_some()
+        self.continuous || self.timeline.playing || self.navigator.is_gliding() || self.interacting || self.loading.is_some()
     }
 }
