@@ -3,6 +3,7 @@
 mod live;
 
 use std::borrow::Cow;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::error::{Error, Result};
 use crate::gpu::kernel::Workload;
@@ -24,6 +25,8 @@ pub use live::Picked;
 
 /// Frames of one renderer that may be in flight.
 const FRAMES_IN_FLIGHT: usize = 2;
+/// Number of the next targets that any renderer makes; 0 is for none.
+static NEXT_GENERATION: AtomicU64 = AtomicU64::new(1);
 
 /// What to draw and how.
 #[derive(Debug, Clone)]
@@ -116,7 +119,7 @@ pub struct Renderer {
     targets: Option<Targets>,
     capacity: u64,
     frames: u64,
-    /// Counts the targets made so far.
+    /// Number of the targets among those of all renderers.
     generation: u64,
     /// Poses of the latest frame, when the host makes them.
     host_pose: Vec<[f32; 4]>,
@@ -331,7 +334,7 @@ impl Renderer {
         if !fits {
             // Old buffers go before new ones come: the peak is the larger of the two, not the sum.
             self.targets = None;
-            self.generation += 1;
+            self.generation = NEXT_GENERATION.fetch_add(1, Ordering::Relaxed);
             self.targets = Some(self.make_targets(size, capacity)?);
         }
         Ok(self.frames as usize % FRAMES_IN_FLIGHT)

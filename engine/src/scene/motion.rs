@@ -43,6 +43,19 @@ pub struct Association {
     pub logit: Vec<f32>,
 }
 
+impl Association {
+    /// The first `neighbors` of each Gaussian, at most K'.
+    pub fn first(&self, neighbors: usize) -> Self {
+        let wanted = neighbors.min(self.neighbors);
+        let rows = |length: usize| (0..length).filter(|i| i % self.neighbors.max(1) < wanted);
+        Self {
+            neighbors: wanted,
+            neighbor: rows(self.neighbor.len()).map(|i| self.neighbor[i]).collect(),
+            logit: rows(self.logit.len()).map(|i| self.logit[i]).collect(),
+        }
+    }
+}
+
 /// Where a time lies in the key-time table: between keys `first` and `second`, `weight` of the way.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct KeyInterval {

@@ -72,6 +72,11 @@ fn the_key_time_table_is_within_its_bound() {
         (kept.config.export.keep_network, kept.config.export.motion_error_px) = (true, bound);
         let trainer = Trainer::resume(&gpu, &data, &kept).unwrap();
         let exported = export(&gpu, &trainer, &cameras).unwrap();
+        // Everything that is kept is a model file.
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("kept.safetensors");
+        engine::file::save(&file, &exported.scene).unwrap();
+        assert_eq!(engine::file::load(&file).unwrap().scene.association, exported.scene.association);
         let (error, moved) = table_error(&exported.scene, &cameras);
         let said = exported.decisions.iter().find(|d| d.contains("largest error")).unwrap();
         assert!(moved > 1.0, "nothing moves: {moved:.3} px");

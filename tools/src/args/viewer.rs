@@ -46,6 +46,9 @@ pub struct ViewerArgs {
     /// Draw as fast as possible instead of once per refresh of the display
     #[arg(long)]
     pub no_vsync: bool,
+    /// Render all pixels while something moves, however slow that is
+    #[arg(long)]
+    pub full_resolution: bool,
     /// Close the window after N frames
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub frames: Option<u64>,

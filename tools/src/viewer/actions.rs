@@ -39,8 +39,9 @@ fn act(request: Request, gui: &mut Gui, state: &mut State, folder: &Path) -> Res
     match request {
         Request::SavePng => {
             gui.finish(state)?;
-            if !gui.complete {
-                // The next frame has the room that this one lacked.
+            if !gui.complete || gui.is_reduced() {
+                // The next frame has the room that this one lacked, and all pixels.
+                gui.wants_full = true;
                 state.requests.push(Request::SavePng);
                 return Ok(());
             }
@@ -98,7 +99,7 @@ fn save_png(gui: &Gui, folder: &Path) -> Result<PathBuf> {
 /// The view as floats, with alpha and depth.
 fn exact_image(gui: &mut Gui, state: &State) -> Result<Image> {
     let camera = state.view(gui.size());
-    let renderer = gui.model.renderer(&gui.gpu, &state.settings, state.selection)?;
+    let renderer = gui.model.renderer(&gui.gpu, &state.settings, state.selection, 1.0)?;
     renderer.set_depth(true);
     let image = renderer.render(&camera, camera.time)?;
     renderer.set_depth(state.settings.show == Show::Depth);

@@ -14,6 +14,7 @@ use engine::render::display::{DisplayOptions, Screen};
 use engine::scene::{Camera, Scene};
 use winit::window::Window;
 
+use super::adaptive::Adaptive;
 use super::input;
 use super::load::Opened;
 use super::model::Model;
@@ -47,6 +48,11 @@ pub(super) struct Gui {
     pub(super) recording: Option<Recording>,
     last: Option<Instant>,
     was_animated: bool,
+    adaptive: Adaptive,
+    /// Share of the resolution of the latest frame.
+    share: f32,
+    /// The next frame has all pixels even if something moves.
+    pub(super) wants_full: bool,
     resized: bool,
     vsync: bool,
     pub(super) gpu: Gpu,
@@ -88,6 +94,9 @@ impl Gui {
             recording: None,
             last: None,
             was_animated: false,
+            adaptive: Adaptive::new(),
+            share: 1.0,
+            wants_full: false,
             resized: true,
             vsync: state.settings.vsync,
             gpu,
@@ -166,6 +175,9 @@ impl Gui {
             return 0.0;
         }
         state.statistics.frame(passed);
+        if self.share == self.adaptive.share() {
+            self.adaptive.frame(passed);
+        }
         passed.min(MAX_STEP_S)
     }
 
@@ -206,7 +218,8 @@ impl Gui {
             state.recording = Some(recording.len());
         }
         let distance = state.navigator.pose.distance;
-        let renderer = self.model.renderer(&self.gpu, &state.settings, state.selection)?;
+        self.share = self.share(state);
+        let renderer = self.model.renderer(&self.gpu, &state.settings, state.selection, self.share)?;
         let frame = if std::mem::take(&mut self.fresh) {
             renderer.draw(&camera, camera.time)?.0
         } else {
@@ -222,6 +235,17 @@ impl Gui {
             tile_range: TILE_RANGE,
         };
         Ok(self.screen.submit(renderer, frame, &options)?.clone())
+    }
+
+    /// Share of the resolution that the next frame has.
+    fn share(&mut self, state: &State) -> f32 {
+        let full = std::mem::take(&mut self.wants_full) || !state.settings.adaptive || !state.is_animated();
+        if full { 1.0 } else { self.adaptive.share() }
+    }
+
+    /// The latest frame has not all pixels that were asked for.
+    pub(super) fn is_reduced(&self) -> bool {
+        self.share < 1.0
     }
 
     /// Waits for the latest frame and takes its numbers; false when it did not fit its buffers, which then have grown.

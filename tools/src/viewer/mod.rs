@@ -10,6 +10,7 @@
 //! `input`). Frames are drawn while something moves; a still picture costs nothing.
 
 mod actions;
+mod adaptive;
 mod gui;
 mod input;
 mod load;
@@ -108,6 +109,7 @@ fn first_state(args: &ViewerArgs) -> Result<State> {
         show: Show::Color,
         background: args.background,
         resolution: args.quality().resolution,
+        adaptive: !args.full_resolution,
         quality: Quality { resolution: 1.0, ..args.quality() },
         quality_name: quality_name.map_or("", |(name, _)| name),
         motion: motion_source(args.motion),
@@ -236,9 +238,10 @@ impl Viewer {
         }
         let statistics = &self.state.statistics;
         let measured = (statistics.fps(), statistics.low_fps(), self.state.frame);
-        let (mut messages, mut device) = (0, None);
+        let (mut messages, mut device, mut rendered) = (0, None, [0; 2]);
         if let Some(gui) = self.gui.take() {
             let gpu = gui.gpu.clone();
+            rendered = gui.info.rendered;
             drop(gui);
             device = Some(gpu.info().name.clone());
             let all = gpu.take_validation_messages();
@@ -256,6 +259,7 @@ impl Viewer {
                 "seconds": self.started.elapsed().as_secs_f64(),
                 "fps": fps,
                 "fps_low_1_percent": low,
+                "resolution": rendered,
                 "visible": frame.visible,
                 "instances": frame.instances,
                 "stages_ms": statistics::STAGES.iter().zip(self.state.statistics.mean_stages()).collect::<std::collections::BTreeMap<_, _>>(),

@@ -96,12 +96,13 @@ impl Model {
         Ok(())
     }
 
-    /// The renderer for what is shown; made anew when the quality is another.
+    /// The renderer for what is shown, at a share of the chosen resolution; made anew when the quality is another.
     pub(super) fn renderer(
         &mut self,
         gpu: &Gpu,
         settings: &Settings,
         selection: Option<Selection>,
+        share: f32,
     ) -> Result<&mut Renderer> {
         let built = (built_quality(settings), settings.motion);
         if self.built != built {
@@ -129,7 +130,7 @@ impl Model {
         let renderer = self.current();
         renderer.set_background(settings.background);
         renderer.set_depth(settings.show == Show::Depth);
-        renderer.set_resolution(settings.resolution);
+        renderer.set_resolution(settings.resolution * share);
         Ok(renderer)
     }
 

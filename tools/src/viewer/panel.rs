@@ -206,6 +206,7 @@ fn quality_section(ui: &mut Ui, settings: &mut Settings, info: &Info) {
         let [w, h] = info.rendered;
         ui.label(RichText::new(format!("{w}×{h}")).small().monospace());
     });
+    ui.checkbox(&mut settings.adaptive, "fewer pixels while moving, when slow");
 }
 
 fn camera_section(ui: &mut Ui, state: &mut State) {

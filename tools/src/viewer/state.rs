@@ -59,6 +59,8 @@ pub(super) struct Settings {
     pub(super) background: [f32; 3],
     /// Share of the window's width and height that is rendered.
     pub(super) resolution: f32,
+    /// Less of it while something moves and frames are slow.
+    pub(super) adaptive: bool,
     pub(super) quality: Quality,
     pub(super) quality_name: &'static str,
     pub(super) motion: MotionSource,
@@ -179,6 +181,10 @@ impl State {
 
     /// Whether frames follow without anybody touching anything.
     pub(super) fn is_animated(&self) -> bool {
-        self.continuous || self.timeline.playing || self.navigator.is_gliding() || self.interacting || self.loading.is_some()
+        self.continuous
+            || self.timeline.playing
+            || self.navigator.is_gliding()
+            || self.interacting
+            || self.loading.is_some()
     }
 }

@@ -70,7 +70,7 @@ impl Renderer {
         self.targets.as_ref().map_or([0, 0], |t| t.size)
     }
 
-    /// Changes whenever the buffers of [`Renderer::outputs`] are others.
+    /// Changes whenever the buffers of [`Renderer::outputs`] are others; no two renderers have the same.
     pub(crate) fn generation(&self) -> u64 {
         self.generation
     }

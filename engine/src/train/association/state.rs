@@ -273,7 +273,12 @@ impl SuperpointState {
         Ok(())
     }
 
-    /// Reads back what the model file keeps. Blocks.
+    /// Superpoints in use per Gaussian: the first of each row.
+    pub fn neighbors(&self) -> u32 {
+        self.options.neighbors
+    }
+
+    /// Reads back superpoints and the whole rows of the association. Blocks.
     pub fn download(&self, gpu: &Gpu, superpoint_of_gaussian: &Slice) -> Result<(Superpoints, Association)> {
         let (n, m) = (self.gaussians() as usize, self.superpoints() as usize);
         let words = |slice: Slice, count: usize| -> Result<Vec<u32>> {

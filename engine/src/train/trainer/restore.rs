@@ -116,7 +116,8 @@ impl Trainer {
             let of_gaussian = Slice::from(&self.parameters.scene.superpoint_of_gaussian);
             let (superpoints, association) = m.superpoints.download(&self.gpu, &of_gaussian)?;
             scene.superpoints = Some(superpoints);
-            scene.association = Some(association);
+            // Those in use come first; the rest are remembered for training, or were never there.
+            scene.association = Some(association.first(m.superpoints.neighbors() as usize));
             scene.deform = Some(m.network.download()?);
         }
         scene.nonrigid = self.nonrigid.as_ref().map(|g| g.network.download()).transpose()?;
