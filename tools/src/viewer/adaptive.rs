@@ -2,15 +2,15 @@
 //! of them. Levels are eighths, so that buffers change seldom.
 
 /// A frame that takes longer is slow, seconds.
-const SLOW_S: f64 = 1.0 / 15.0;
+const SLOW_S: f64 = 1.0 / 12.0;
 /// Slow frames in a row before a level is given up.
 const SLOW_FRAMES: u32 = 2;
 /// Quick frames in a row before a level is taken back.
 const QUICK_FRAMES: u32 = 10;
 /// Full resolution.
 const FULL: u32 = 8;
-/// A quarter of the width and height.
-const LEAST: u32 = 2;
+/// Half of the width and height: below, what does not depend on pixels is most of a frame.
+const LEAST: u32 = 4;
 
 /// The share of the resolution that keeps frames quick.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,7 +25,7 @@ impl Adaptive {
         Self { eighths: FULL, slow: 0, quick: 0 }
     }
 
-    /// Share of the width and of the height, 0.25 to 1.
+    /// Share of the width and of the height, 0.5 to 1.
     pub(super) fn share(self) -> f32 {
         self.eighths as f32 / FULL as f32
     }
@@ -68,7 +68,7 @@ mod tests {
     fn slow_frames_give_up_pixels_until_they_are_quick_and_no_more() {
         let (adaptive, time) = settled(0.2, 0.01);
         assert!(time <= SLOW_S && time > 0.5 * SLOW_S && adaptive.share() < 1.0, "{adaptive:?} {time}");
-        assert_eq!(settled(9.0, 9.0).0.share(), 0.25);
+        assert_eq!(settled(9.0, 9.0).0.share(), 0.5);
     }
 
     #[test]
