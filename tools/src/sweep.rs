@@ -35,7 +35,7 @@ pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     let bar = progress::sweep((views.cameras.len() + settings.len() + combinations / 2) as u64, global.quiet);
     bar.set_message("f64 reference");
     let truth = references(&scene, args, &views, &|| bar.inc(1))?;
-    let measurer = Measurer::new(&gpu, &scene, args, &views, &truth)?;
+    let mut measurer = Measurer::new(&gpu, &scene, args, &views, &truth)?;
     let mut results: Vec<Measured> = Vec::new();
     for setting in settings.drain(..) {
         bar.set_message(setting.name.clone());

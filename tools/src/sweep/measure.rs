@@ -9,7 +9,7 @@ use engine::gpu::kernel::{Kernel, Workload};
 use engine::image::{Image, difference};
 use engine::metrics::{Planes, flip};
 use engine::render::{RenderOptions, Renderer};
-use engine::scene::{MotionSource, Scene};
+use engine::scene::{Camera, MotionSource, Scene};
 use serde::Serialize;
 
 use super::settings::Setting;
@@ -49,7 +49,8 @@ pub(super) struct Measured {
     pub(super) setting: Setting,
     /// Host time from submission to the finished frame.
     pub(super) frame_ms: Quantiles,
-    /// Processor time of a frame, all threads, median; only for a device that is a CPU.
+    /// Processor time of a frame, all threads; only for a device that is a CPU. Such a machine's speed drifts, so it is the
+    /// median ratio to an exact frame that is drawn just before each frame, times what the first exact frames took.
     pub(super) processor_ms: Option<f64>,
     /// Median device time of each stage; empty without timestamps.
     pub(super) stage_ms: BTreeMap<&'static str, f64>,
@@ -84,7 +85,10 @@ pub(super) struct Measurer<'a> {
     motion: MotionSource,
     frames: u32,
     warmup: u32,
-    is_cpu: bool,
+    /// Draws exact frames beside those of a setting; only for a device that is a CPU.
+    pace: Option<Renderer>,
+    /// Processor time of the first exact frames, median, ms.
+    pace_ms: Option<f64>,
     pub(super) views: &'a Views,
     pub(super) truth: &'a [Image],
     planes: Vec<Planes>,
@@ -98,18 +102,36 @@ impl<'a> Measurer<'a> {
         views: &'a Views,
         truth: &'a [Image],
     ) -> Result<Self> {
-        Ok(Self {
+        let mut measurer = Self {
             gpu,
             scene,
             background: args.view.background,
             motion: args.view.motion_source(),
             frames: args.frames.unwrap_or(FRAMES[usize::from(gpu.info().is_cpu())]),
             warmup: args.warmup.unwrap_or(WARMUP),
-            is_cpu: gpu.info().is_cpu(),
+            pace: None,
+            pace_ms: None,
             views,
             truth,
             planes: truth.iter().map(Planes::clamped).collect::<Result<_>>()?,
-        })
+        };
+        if gpu.info().is_cpu() {
+            let mut pace = measurer.renderer(&Setting::exact(), true)?;
+            for i in 0..measurer.warmup as usize {
+                let (camera, time) = views.timed(i);
+                pace.draw(&camera, time)?;
+            }
+            measurer.pace = Some(pace);
+        }
+        Ok(measurer)
+    }
+
+    /// Processor time of an exact frame, ms, where the device is a CPU.
+    fn exact_frame(&mut self, camera: &Camera, time: f64) -> Result<Option<f64>> {
+        let Some(pace) = &mut self.pace else { return Ok(None) };
+        let before = processor_seconds();
+        pace.draw(camera, time)?;
+        Ok(processor_seconds().zip(before).map(|(after, before)| (after - before) * 1e3))
     }
 
     fn renderer(&self, setting: &Setting, profile: bool) -> Result<Renderer> {
@@ -130,7 +152,7 @@ impl<'a> Measurer<'a> {
     }
 
     /// Times frames and compares images.
-    pub(super) fn measure(&self, setting: Setting) -> Result<Measured> {
+    pub(super) fn measure(&mut self, setting: Setting) -> Result<Measured> {
         let mut renderer = self.renderer(&setting, true)?;
         let images: Vec<Image> =
             self.views.cameras.iter().map(|(c, t)| renderer.render(c, *t)).collect::<Result<_>>()?;
@@ -143,17 +165,19 @@ impl<'a> Measurer<'a> {
             let (camera, time) = self.views.timed(i);
             renderer.draw(&camera, time)?;
         }
-        let (mut frame_ms, mut processor_ms) = (Vec::new(), Vec::new());
+        let (mut frame_ms, mut ratios, mut exact_ms) = (Vec::new(), Vec::new(), Vec::new());
         let mut stages: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
         let mut counted = Default::default();
         for i in 0..self.frames as usize {
             let (camera, time) = self.views.timed(i);
-            let before = self.is_cpu.then(processor_seconds).flatten();
+            let exact = self.exact_frame(&camera, time)?;
+            let before = processor_seconds();
             let start = Instant::now();
             let (frame, statistics) = renderer.draw(&camera, time)?;
             frame_ms.push(start.elapsed().as_secs_f64() * 1e3);
-            if let (Some(before), Some(after)) = (before, processor_seconds()) {
-                processor_ms.push((after - before) * 1e3);
+            if let (Some(exact), Some(before), Some(after)) = (exact, before, processor_seconds()) {
+                ratios.push((after - before) * 1e3 / exact.max(1e-3));
+                exact_ms.push(exact);
             }
             let mut of_frame: BTreeMap<&'static str, f64> = BTreeMap::new();
             for timing in renderer.timings(frame)? {
@@ -162,13 +186,17 @@ impl<'a> Measurer<'a> {
             of_frame.into_iter().for_each(|(name, ms)| stages.entry(name).or_default().push(ms));
             counted = statistics;
         }
+        if self.pace_ms.is_none() && !exact_ms.is_empty() {
+            self.pace_ms = Some(Quantiles::of(exact_ms).median);
+        }
+        let ratio = (!ratios.is_empty()).then(|| Quantiles::of(ratios).median);
         let workload = renderer.workload(&counted);
         let commands = renderer.commands();
         let kernels = commands.map(engine::gpu::Commands::kernels).unwrap_or_default();
         Ok(Measured {
             setting,
             frame_ms: Quantiles::of(frame_ms),
-            processor_ms: (!processor_ms.is_empty()).then(|| Quantiles::of(processor_ms).median),
+            processor_ms: ratio.zip(self.pace_ms).map(|(ratio, exact)| ratio * exact),
             stage_ms: stages.into_iter().map(|(name, ms)| (name, Quantiles::of(ms).median)).collect(),
             bytes: kernels.iter().map(|(label, kernel)| bytes_of(kernel, label, &workload)).sum(),
             scene_bytes: renderer.memory().scene,

@@ -68,7 +68,7 @@ pub(super) fn html(record: &Value, measurer: &Measurer<'_>, results: &[Measured]
 /// What the times are.
 fn time_name(results: &[Measured]) -> &'static str {
     if results.iter().any(|r| r.processor_ms.is_some()) {
-        "the processor time of all threads, because the device is a CPU that others may use too"
+        "the processor time of all threads relative to exact frames drawn in between, because the device is a CPU that others may use too"
     } else {
         "the host's time from submission to the end"
     }

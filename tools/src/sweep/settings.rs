@@ -44,6 +44,11 @@ pub(super) struct Setting {
 }
 
 impl Setting {
+    /// The definition.
+    pub(super) fn exact() -> Self {
+        Self { name: "exact".into(), kind: Kind::Exact, quality: Quality::EXACT, network: false }
+    }
+
     /// The motion source that is asked for.
     pub(super) fn motion(&self, asked: MotionSource) -> MotionSource {
         if self.network { MotionSource::Network } else { asked }
@@ -53,7 +58,7 @@ impl Setting {
 /// The definition, the presets, and each knob alone at each of its values that can matter for the scene.
 pub(super) fn alone(scene: &Scene) -> Vec<Setting> {
     let exact = Quality::EXACT;
-    let mut all = vec![Setting { name: "exact".into(), kind: Kind::Exact, quality: exact, network: false }];
+    let mut all = vec![Setting::exact()];
     for (name, quality) in Quality::PRESETS.into_iter().filter(|(_, q)| *q != exact) {
         all.push(Setting { name: name.into(), kind: Kind::Preset, quality, network: false });
     }
