@@ -219,7 +219,8 @@ fn fifty_thousand_gaussians_are_interactive() {
     let folder = tempfile::tempdir().unwrap();
     let desktop = Desktop::new(640, 480);
     let model = moving_model(folder.path(), 50_000);
-    let arguments = ["view", model.to_str().unwrap(), "--size", "640x480", "--no-vsync", "--frames", "300", "--json"];
+    let mut arguments = vec!["view", model.to_str().unwrap(), "--frames", "300", "--json"];
+    arguments.extend(["--size", "640x480", "--full-resolution", "--no-vsync"]);
     let out = spgs(&arguments).env("DISPLAY", desktop.display()).output().unwrap();
     let text = String::from_utf8_lossy(&out.stdout);
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
