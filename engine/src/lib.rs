@@ -21,7 +21,7 @@
 //! |---|---|
 //! | [`error`] | the one error type; its variants are the exit codes of the command line |
 //! | [`gpu`] | device, buffers, kernels, barriers, submission; the only module that names `ash` or writes `unsafe`; knows nothing of Gaussians |
-//! | [`scene`] | plain data: Gaussians, superpoints, key-time table, network F, cameras; synthetic scenes |
+//! | [`scene`] | plain data: Gaussians, superpoints, key-time table, networks, deformation fields, cameras; synthetic scenes |
 //! | [`image`] | float images and their comparison |
 //! | [`mod@reference`] | the f64 image that is the truth |
 //! | [`mod@file`], [`data`] | model files and pictures; data sets of posed pictures, camera files |
@@ -37,6 +37,7 @@
 //! ```text
 //! fill            one fill clears the arena: counters, block sums, histograms, tile ranges
 //! deform_network  only when network F is live: pose of each superpoint at time t
+//! nonrigid_network, field_*     only for scenes with network G or a deformation field: offsets of each Gaussian at time t
 //! deform_project  pose, project, SH colour, cull, exact tile count of each Gaussian (fused)
 //! compact         visible Gaussians in index order → (depth, index); indirect arguments; capacity check
 //! sort_scatter    ×4: by depth, 8-bit digits, stable

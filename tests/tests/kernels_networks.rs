@@ -1,11 +1,12 @@
 //! The kernels of networks F and G in training against their twins.
 
 use engine::render::frame::Frame;
+use engine::render::linear_forward::{ForwardPush, LINEAR_FORWARD};
 use engine::render::nonrigid_network::{self, NONRIGID_NETWORK, NonrigidPush};
 use engine::scene::NonrigidNetwork;
 use engine::train::linear::{
-    self, ForwardPush, GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT,
-    LINEAR_FORWARD, LINEAR_UPDATE, Output, Stage, UpdatePush, WeightPush,
+    self, GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_UPDATE, Output,
+    Stage, UpdatePush, WeightPush,
 };
 use engine::train::network_f::{ENCODE_SUPERPOINTS, EncodePush};
 use engine::train::network_g::ENCODE_GAUSSIANS;

@@ -3,17 +3,18 @@
 mod args;
 mod bake;
 mod loss;
+mod moment;
 
 use std::path::{Path, PathBuf};
 
 use engine::error::{Error, Result};
 use engine::file::{self, Output, spz};
-use engine::reference::freeze;
 use engine::scene::{Camera, Gaussians, MotionSource, Scene};
 use serde::Serialize;
 
 use crate::args::{Global, motion_source};
 use crate::{model, output, progress, view};
+use moment::Moments;
 
 pub use args::ConvertArgs;
 pub use bake::Baked;
@@ -70,20 +71,30 @@ pub fn run(args: &ConvertArgs, global: &Global) -> Result<()> {
     let before = loaded.scene;
     let mut scene = before.clone();
     let source = motion_source(args.motion);
-    let baked = if args.bake { Some(bake::bake(&mut scene, source, args.bake_error)?) } else { None };
+    let baked =
+        if args.bake { Some(bake::bake(&mut scene, source, args.bake_error, global, args.json)?) } else { None };
     if args.bake {
-        let parts = [("network F", before.deform.is_some()), ("association", before.association.is_some())];
+        let parts = [
+            ("network F", before.deform.is_some()),
+            ("association", before.association.is_some()),
+            ("deformation field", before.field.is_some()),
+        ];
         dropped.extend(parts.iter().filter(|(_, is_there)| *is_there).map(|(name, _)| (*name).to_owned()));
     }
     let times = times(args, &scene);
     if times.iter().any(Option::is_some) && is_moving(&before) {
         dropped.push("motion: each file shows one time".into());
     }
+    // Files that hold the whole model need no evaluation.
+    let moments = times.iter().any(Option::is_some).then(|| Moments::new(&scene, source, global)).transpose()?;
     let bar = progress::bar(times.len() as u64, global.quiet || args.json);
     let mut outputs = Vec::with_capacity(times.len());
     for (i, &time) in times.iter().enumerate() {
         let path = if args.times.is_some() { numbered(&args.output, kind, i) } else { args.output.clone() };
-        let frozen = time.map(|time| freeze(&scene, time, source)).transpose()?.map(|g| still(g, &scene));
+        let frozen = match (time, &moments) {
+            (Some(time), Some(moments)) => Some(still(moments.at(time)?, &scene)),
+            _ => None,
+        };
         let shown = frozen.as_ref().unwrap_or(&scene);
         dropped.extend(file::save_as(&path, shown, kind)?);
         let bytes = std::fs::metadata(&path).map_err(|e| Error::io(&path, "read the size", e))?.len();
@@ -185,7 +196,7 @@ fn cameras(scene: &Scene, size: [u32; 2], count: usize, time: Option<f64>) -> Ve
 
 /// Whether a scene moves by itself.
 fn is_moving(scene: &Scene) -> bool {
-    scene.is_dynamic() && scene.motion_source(MotionSource::Auto).is_ok_and(|s| s.is_some())
+    scene.field.is_some() || scene.motion_source(MotionSource::Auto).is_ok_and(|s| s.is_some())
 }
 
 #[cfg(test)]

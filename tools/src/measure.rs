@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use engine::error::Result;
 use engine::gpu::kernel::{Kernel, Workload};
-use engine::gpu::{Gpu, Memory, Timing};
+use engine::gpu::{Commands, Gpu, Memory, Timing};
 use engine::render::{FrameStatistics, MemoryUse, RenderOptions, Renderer};
 use engine::scene::{Camera, Scene};
 use serde::Serialize;
@@ -159,8 +159,8 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
         fps_paper_protocol,
         frames_in_flight: renderer.frames_in_flight(),
         operations,
-        dispatches: commands.map_or(0, engine::gpu::Commands::dispatches),
-        barriers: commands.map_or(0, engine::gpu::Commands::barriers),
+        dispatches: commands.map_or(0, Commands::dispatches),
+        barriers: commands.map_or(0, Commands::barriers),
         copy_gb_per_s,
         workload: renderer.workload(&statistics).0,
         statistics,
@@ -237,28 +237,69 @@ fn profile(
         tick();
     }
     let workload = renderer.workload(&statistics);
-    let kernels: BTreeMap<&str, &'static Kernel> =
-        renderer.commands().map(|c| c.kernels().into_iter().collect()).unwrap_or_default();
     let medians: Vec<f64> = samples.into_iter().map(|s| Quantiles::of(s).median).collect();
     let total: f64 = medians.iter().sum();
-    let rows = labels
-        .into_iter()
-        .zip(medians)
-        .map(|(label, us)| row(kernels.get(label.as_str()).copied(), label, us, total, &workload, copy_gb_per_s))
-        .collect();
+    let timed = labels.into_iter().zip(medians).collect();
+    let work = |label: &str, kernel: &Kernel, push: &[u8]| with_push(&with_keys(&workload, label), kernel, push);
+    let rows = operation_rows(timed, renderer.commands(), copy_gb_per_s, &work, &|label, _| label.to_owned());
     Ok((rows, (!totals.is_empty() && total > 0.0).then(|| Quantiles::of(totals))))
 }
 
-fn row(
+/// Operations of one name, added up.
+struct Group {
+    name: String,
     kernel: Option<&'static Kernel>,
-    label: String,
+    count: usize,
     us: f64,
-    total: f64,
-    workload: &Workload,
+    bytes: u64,
+}
+
+/// Rows of a table from the labels and times of all operations, in order. `work` gives the amounts of work of a dispatch (by
+/// label, kernel and push constants), `name` what a row is called: operations of one name are added up.
+pub(crate) fn operation_rows(
+    timed: Vec<(String, f64)>,
+    commands: Option<&Commands>,
     copy_gb_per_s: f64,
-) -> OperationRow {
-    let bytes = kernel.map(|k| (k.bytes)(&with_keys(workload, &label)));
-    rate_row(kernel, label, us, total, bytes, copy_gb_per_s)
+    work: &dyn Fn(&str, &Kernel, &[u8]) -> Workload,
+    name: &dyn Fn(&str, Option<&Kernel>) -> String,
+) -> Vec<OperationRow> {
+    let dispatches = commands.map(|c| c.kernels().into_iter().zip(c.push_constants())).into_iter().flatten();
+    let mut dispatches = dispatches.peekable();
+    let total: f64 = timed.iter().map(|(_, us)| us).sum();
+    let mut groups: Vec<Group> = Vec::new();
+    for (label, us) in timed {
+        let dispatch = dispatches.next_if(|((name, _), _)| *name == label);
+        let kernel = dispatch.map(|((_, kernel), _)| kernel);
+        let bytes = dispatch.map_or(0, |((label, kernel), push)| (kernel.bytes)(&work(label, kernel, push)));
+        let name = name(&label, kernel);
+        match groups.iter_mut().find(|g| g.name == name) {
+            Some(group) => {
+                group.count += 1;
+                group.us += us;
+                group.bytes += bytes;
+            }
+            None => groups.push(Group { name, kernel, count: 1, us, bytes }),
+        }
+    }
+    let row = |g: Group| {
+        let label = if g.count > 1 { format!("{} ×{}", g.name, g.count) } else { g.name };
+        rate_row(g.kernel, label, g.us, total, g.kernel.map(|_| g.bytes), copy_gb_per_s)
+    };
+    groups.into_iter().map(row).collect()
+}
+
+/// Amounts of work with the numbers in a dispatch's push constants.
+pub(crate) fn with_push(workload: &Workload, kernel: &Kernel, push: &[u8]) -> Workload {
+    let mut work = workload.clone();
+    for (name, offset) in kernel.push {
+        let at = *offset as usize;
+        if let Some(word) = push.get(at..at + 4).and_then(|b| b.try_into().ok()).map(u32::from_le_bytes) {
+            work.0.insert(name, word.into());
+        }
+    }
+    let inputs = work.get("inputs") + work.get("inputs_0") + work.get("inputs_1");
+    work.0.insert("inputs", inputs);
+    work
 }
 
 /// A row from a time, the step's or frame's whole time, and the bytes moved.

@@ -16,6 +16,18 @@ pub fn bar(total: u64, quiet: bool) -> ProgressBar {
     bar
 }
 
+/// A count of `what` that nobody knows the end of.
+pub fn counter(what: &str, quiet: bool) -> ProgressBar {
+    if quiet || !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {pos} {msg}, {elapsed}") {
+        bar.set_style(style);
+    }
+    bar.with_message(what.to_owned())
+}
+
 /// A bar over the settings of a sweep, with the one that is measured.
 pub fn sweep(total: u64, quiet: bool) -> ProgressBar {
     if quiet || !std::io::stderr().is_terminal() {

@@ -6,11 +6,11 @@ use crate::error::Error;
 use crate::scene::network::{
     DeformNetwork, DeformSize, Linear, NONRIGID_HEADS, NONRIGID_LAYERS, NONRIGID_WIDTH, NonrigidNetwork,
 };
-use crate::scene::{Association, Gaussians, Motion, Scene, Superpoints, Tensor};
+use crate::scene::{Association, DeformationField, Gaussians, Motion, Scene, Superpoints, Tensor};
 
 /// Prefixes of tensor names that belong to the model format.
-pub(crate) const NAMESPACES: [&str; 6] =
-    ["gaussians.", "superpoints.", "motion.", "association.", "deform.", "nonrigid."];
+pub(crate) const NAMESPACES: [&str; 7] =
+    ["gaussians.", "superpoints.", "motion.", "association.", "deform.", "nonrigid.", "field."];
 
 /// Highest SH degree of a model.
 pub(crate) const MAX_SH_DEGREE: u32 = 3;
@@ -106,7 +106,22 @@ pub(crate) fn scene(scene: &Scene) -> Check {
     if let Some(network) = &scene.nonrigid {
         nonrigid(network)?;
     }
+    if let Some(f) = &scene.field {
+        field(f, scene)?;
+    }
     scene.extra.iter().try_for_each(|(name, tensor)| extra(name, tensor))
+}
+
+/// A deformation field fits together and is the only thing that moves the scene.
+fn field(field: &DeformationField, scene: &Scene) -> Check {
+    if scene.superpoints.is_some() || scene.nonrigid.is_some() {
+        return problem("field.head.weight", "a field beside superpoints or network G", "only one of them");
+    }
+    match field.check(scene.gaussians.len()) {
+        Ok(()) => Ok(()),
+        Err(Error::Usage { what, found, expected }) => problem(&what, found, expected),
+        Err(other) => problem("field", other.to_string(), "a field that fits together"),
+    }
 }
 
 fn superpoints(s: &Superpoints, n: usize) -> Check {
@@ -197,7 +212,7 @@ fn is_known(name: &str) -> bool {
         "association.neighbor",
         "association.logit",
     ];
-    KNOWN.contains(&name) || is_deform(name) || is_nonrigid(name) || name == "__metadata__"
+    KNOWN.contains(&name) || is_deform(name) || is_nonrigid(name) || is_field(name) || name == "__metadata__"
 }
 
 /// `deform.linear.{0..7}.{weight,bias}`, `deform.{translation,rotation}.{weight,bias}`.
@@ -216,6 +231,12 @@ pub(crate) fn is_nonrigid(name: &str) -> bool {
     };
     let hidden = |i: &str| (0..NONRIGID_LAYERS).any(|layer| layer.to_string() == i);
     matches!(layer, "translation" | "rotation" | "scaling") || layer.strip_prefix("linear.").is_some_and(hidden)
+}
+
+/// The tensors of [`crate::scene::field`].
+fn is_field(name: &str) -> bool {
+    const PARTS: [&str; 5] = ["field.layer.", "field.head.", "field.time.", "field.plane.", "field.node."];
+    name == "field.bounds" || PARTS.iter().any(|part| name.starts_with(part))
 }
 
 fn extra(name: &str, tensor: &Tensor) -> Check {

@@ -6,7 +6,7 @@
 //! |---|---|---|
 //! | SP-GS, so(3) | `deform/iteration_N/deform.pth` | its own superpoints, key-time table, association and network F; network G from `fine_deform/…` |
 //! | SP-GS before 2025, quaternions added | the same | a table of one pose per Gaussian at the run's own times |
-//! | Deformable-3DGS | `deform/iteration_N/deform.pth` | a table of one pose per Gaussian (`per_gaussian`) |
+//! | Deformable-3DGS | `deform/iteration_N/deform.pth` | a deformation field ([`crate::scene::field`]) |
 //! | 4D-GS | `point_cloud/iteration_N/deformation.pth` | the same |
 //! | SC-GS | `deform/iteration_N/deform.pth` | the same |
 //!
@@ -14,8 +14,6 @@
 
 mod deformable;
 mod four_d;
-mod mlp;
-mod per_gaussian;
 mod sc_gs;
 mod sp_gs;
 
@@ -116,18 +114,11 @@ pub fn read(path: &Path) -> Read {
     };
     match Kind::of(&weights) {
         Some(Kind::SpGs) => sp_gs::apply(&mut scene, &weights, &file, &mut warnings)?,
-        Some(Kind::Deformable) => {
-            let network = deformable::Network::read(&weights, "", &file)?;
-            per_gaussian::apply(&mut scene, &network, None, &file, &mut warnings)?;
-        }
-        Some(Kind::FourD) => {
-            let field = four_d::Field::read(&weights, &file)?;
-            per_gaussian::apply(&mut scene, &field, None, &file, &mut warnings)?;
-        }
+        Some(Kind::Deformable) => scene.field = Some(deformable::read(&weights, "", &file)?),
+        Some(Kind::FourD) => scene.field = Some(four_d::read(&weights, &file)?),
         Some(Kind::ScGs) => {
             let features = ply::numbered(&cloud, "fea_")?;
-            let nodes = sc_gs::Nodes::read(&weights, &scene.gaussians, &features, &file)?;
-            per_gaussian::apply(&mut scene, &nodes, None, &file, &mut warnings)?;
+            scene.field = Some(sc_gs::read(&weights, &scene.gaussians, &features, &file)?);
         }
         Some(Kind::SpGsFine) => return Err(unsupported(Kind::SpGsFine.name())),
         None => return Err(unsupported("weights of no known method")),

@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::{Format, Loaded, checkpoint, clean, model, ply, read};
 use crate::error::Result;
 use crate::gpu::mmap::map_file;
+use crate::scene::field::{DeformationField, FieldInput};
 use crate::scene::{Gaussians, Rejected, Scene};
 
 /// Range of a parameter over the valid Gaussians.
@@ -70,6 +71,8 @@ pub struct Description {
     pub deform_network: bool,
     /// Whether network G is there.
     pub nonrigid_network: bool,
+    /// What moves each Gaussian by itself, in words, where something does.
+    pub deformation_field: Option<String>,
     /// Free metadata.
     pub metadata: BTreeMap<String, String>,
     /// Tensors of a `.safetensors`.
@@ -123,11 +126,27 @@ pub fn describe(path: &Path) -> Result<Description> {
         association_neighbors: scene.association.as_ref().map(|a| a.neighbors),
         deform_network: scene.deform.is_some(),
         nonrigid_network: scene.nonrigid.is_some(),
+        deformation_field: scene.field.as_ref().map(field),
         metadata: scene.metadata,
         tensors,
         properties,
         warnings: loaded.warnings,
     })
+}
+
+/// A deformation field in a line.
+fn field(field: &DeformationField) -> String {
+    let input = match &field.input {
+        FieldInput::Waves { time: None } => "encoded centre and time".to_owned(),
+        FieldInput::Waves { time: Some(_) } => "encoded centre and a network of time".to_owned(),
+        FieldInput::Planes(planes) => {
+            format!("planes of {} channels at {} resolutions", planes.channels, planes.scales.len())
+        }
+    };
+    let widths: Vec<String> = field.all_layers().map(|l| l.outputs.to_string()).collect();
+    let nodes =
+        field.nodes.as_ref().map(|n| format!("; {} control nodes, {} per Gaussian", n.position.len(), n.neighbors));
+    format!("deformation field: {input}, layers of {}{}", widths.join(", "), nodes.unwrap_or_default())
 }
 
 /// Bytes of a folder's files, two folders deep (`point_cloud/iteration_N`).
@@ -249,7 +268,10 @@ impl fmt::Display for Description {
                 writeln!(f, "rotations up to {:.4} rad, translations up to {:.4}", m.max_rotation, m.max_translation)?;
             }
             (None, Some(count)) => writeln!(f, "Superpoints     {count}, no key-time table")?,
-            (None, None) => writeln!(f, "Motion          none (static)")?,
+            (None, None) => match &self.deformation_field {
+                Some(field) => writeln!(f, "Motion          {field}")?,
+                None => writeln!(f, "Motion          none (static)")?,
+            },
         }
         if let Some(neighbors) = self.association_neighbors {
             writeln!(f, "Association     {neighbors} neighbours per Gaussian")?;

@@ -122,6 +122,11 @@ fn retain(scene: &mut Scene, keep: &[bool]) {
         retain_chunks(&mut association.neighbor, association.neighbors, keep);
         retain_chunks(&mut association.logit, association.neighbors, keep);
     }
+    if let Some(nodes) = scene.field.as_mut().and_then(|f| f.nodes.as_mut()) {
+        retain_chunks(&mut nodes.neighbor, nodes.neighbors, keep);
+        retain_chunks(&mut nodes.weight, nodes.neighbors, keep);
+        retain_chunks(&mut nodes.share, 1, keep);
+    }
     let per_gaussian = scene
         .extra
         .iter_mut()

@@ -12,6 +12,7 @@
 //! | `motion.rotation`, `motion.translation` | `[T,M,3]` | so(3) vectors and translations |
 //! | `association.neighbor`, `association.logit` | `[N,K']` u32, `[N,K']` | sparse association matrix |
 //! | `deform.linear.{0..7}.{weight,bias}`, `deform.{translation,rotation}.{weight,bias}` | `[out,in]`, `[out]` | network F ([`crate::scene::network`]) |
+//! | `field.*` | | deformation field: [`crate::scene::field`] |
 //! | `nonrigid.linear.{0..2}.{weight,bias}`, `nonrigid.{translation,rotation,scaling}.{weight,bias}` | `[out,in]`, `[out]` | network G |
 //! | any other f32 tensor | any | kept as it is in [`Scene::extra`] |
 //!

@@ -110,6 +110,7 @@ fn lost(output: Output, scene: &Scene) -> Vec<String> {
         ("association".into(), scene.association.is_some()),
         ("network F".into(), scene.deform.is_some()),
         ("network G".into(), scene.nonrigid.is_some()),
+        ("deformation field".into(), scene.field.is_some()),
         ("further tensors".into(), !scene.extra.is_empty()),
         ("metadata".into(), !scene.metadata.is_empty()),
     ];

@@ -74,6 +74,7 @@ pub(crate) fn moving_scene(n: usize, m: usize, t: usize) -> Scene {
         }),
         deform: None,
         nonrigid: None,
+        field: None,
         extra: [
             ("nonrigid.notes".to_string(), Tensor { shape: vec![2, 3], data: v.floats(6) }),
             ("gaussians.age".to_string(), Tensor { shape: vec![n, 2], data: v.floats(2 * n) }),

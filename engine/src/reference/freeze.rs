@@ -2,31 +2,67 @@
 
 use glam::DQuat;
 
-use super::motion::{Deformation, place_deformed, poses};
+use super::field::field_offsets;
+use super::motion::{Deformation, Offset, Placed, place_deformed, poses};
 use super::network::nonrigid_offsets;
 use super::project::Parameters;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::scene::{Gaussians, MotionSource, Scene};
 
-/// The Gaussians of `scene` where they are at `time`, networks F and G included. SH coefficients stay: colour depends on
-/// the direction from the camera to where the Gaussian is, as in rendering. Of a scene that does not move, every bit stays.
+/// The Gaussians of `scene` where they are at `time`, networks F and G and deformation fields included. SH coefficients stay:
+/// colour depends on the direction from the camera to where the Gaussian is, as in rendering. Of a scene that does not move,
+/// every bit stays.
 ///
 /// # Errors
 /// [`crate::Error::Usage`] when the asked-for motion source is absent or arrays do not fit together.
 pub fn freeze(scene: &Scene, time: f64, source: MotionSource) -> Result<Gaussians> {
-    let mut gaussians = scene.gaussians.clone();
-    let parameters = Parameters::from(&scene.gaussians);
-    parameters.check()?;
-    let poses = poses(scene, time, source)?;
-    if poses.is_none() && scene.nonrigid.is_none() {
-        return Ok(gaussians);
+    Parameters::from(&scene.gaussians).check()?;
+    if scene.motion_source(source)?.is_none() && scene.nonrigid.is_none() && scene.field.is_none() {
+        return Ok(scene.gaussians.clone());
     }
+    let placed = place_scene(scene, time, source)?;
+    Ok(frozen(&scene.gaussians, &placed, scene.nonrigid.is_some() || scene.field.is_some()))
+}
+
+/// The Gaussians of a scene that stands still but for `offsets` `[N]`.
+///
+/// # Errors
+/// [`crate::Error::Usage`] when arrays do not fit together.
+pub fn freeze_with(gaussians: &Gaussians, offsets: &[Offset]) -> Result<Gaussians> {
+    let parameters = Parameters::from(gaussians);
+    parameters.check()?;
+    let placed = place_deformed(&parameters, &Deformation { offsets: Some(offsets), ..Deformation::default() })?;
+    Ok(frozen(gaussians, &placed, true))
+}
+
+/// Where the Gaussians of a scene are at `time`: moved by their superpoints, then by network G or a deformation field.
+///
+/// # Errors
+/// [`crate::Error::Usage`] when the asked-for motion source is absent or arrays do not fit together.
+pub fn place_scene(scene: &Scene, time: f64, source: MotionSource) -> Result<Placed> {
+    let parameters = Parameters::from(&scene.gaussians);
+    let poses = poses(scene, time, source)?;
     let group = scene.superpoints.as_ref().map_or(&[][..], |s| &s.of_gaussian);
     let rigid = Deformation { group, poses: poses.as_deref(), offsets: None };
-    let mut placed = place_deformed(&parameters, &rigid)?;
-    if let Some(network) = &scene.nonrigid {
-        let offsets = nonrigid_offsets(network, &placed.mean, time);
-        placed = place_deformed(&parameters, &Deformation { offsets: Some(&offsets), ..rigid })?;
+    if let Some(field) = &scene.field {
+        field.check(scene.gaussians.len())?;
+        if scene.nonrigid.is_some() || poses.is_some() {
+            return Err(Error::usage("scene", "a deformation field beside other motion", "one of them"));
+        }
+        let offsets = field_offsets(field, &scene.gaussians, time);
+        return place_deformed(&parameters, &Deformation { offsets: Some(&offsets), ..rigid });
+    }
+    let placed = place_deformed(&parameters, &rigid)?;
+    let Some(network) = &scene.nonrigid else {
+        return Ok(placed);
+    };
+    let offsets = nonrigid_offsets(network, &placed.mean, time);
+    place_deformed(&parameters, &Deformation { offsets: Some(&offsets), ..rigid })
+}
+
+fn frozen(gaussians: &Gaussians, placed: &Placed, sizes_change: bool) -> Gaussians {
+    let mut gaussians = gaussians.clone();
+    if sizes_change {
         for (log_scale, scale) in gaussians.log_scale.iter_mut().zip(&placed.scale) {
             *log_scale = scale.map(|s| s.ln() as f32);
         }
@@ -36,5 +72,5 @@ pub fn freeze(scene: &Scene, time: f64, source: MotionSource) -> Result<Gaussian
         let q = DQuat::from_mat3(rotation);
         gaussians.rotation[i] = [q.w, q.x, q.y, q.z].map(|c| c as f32);
     }
-    Ok(gaussians)
+    gaussians
 }

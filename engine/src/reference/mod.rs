@@ -4,7 +4,7 @@
 //!
 //! - mean(t) = Exp(r)·mean + τ, R(t) = Exp(r)·R(q/|q|), with r and τ interpolated linearly between key times and held
 //!   outside (or from network F); a static scene does not move.
-//! - with non-rigid offsets: mean(t) + dx, the rotation of norm(Exp(r)∘q/|q| + dq), exp(log_scale) + ds (at least 1e-13).
+//! - with non-rigid offsets (network G, deformation fields): mean(t) + dx, the rotation of norm(Exp(r)∘q/|q| + dq), exp(log_scale) + ds (at least 1e-13).
 //! - camera space p = W·(mean(t) − position); kept iff p.z > near.
 //! - Σ₂ = J W Σ Wᵀ Jᵀ + 0.3·I (px²), J taken at x/z and y/z clamped 0.3·tan(half field of view) outside the image.
 //! - colour = max(0, 0.5 + Σ SH(direction from the camera to mean(t))); SH are not rotated.
@@ -13,18 +13,21 @@
 //! - image = Σ c·α·T + T·background; A = 1 − T; Z = Σ z·α·T.
 
 mod blend;
+mod field;
 mod freeze;
 pub mod gradient;
 mod motion;
 mod network;
 mod project;
 mod sh;
+pub mod tabulate;
 #[cfg(test)]
 mod tests;
 
 use rayon::prelude::*;
 
-pub use freeze::freeze;
+pub use field::field_offsets;
+pub use freeze::{freeze, freeze_with, place_scene};
 pub use motion::{
     Deformation, Offset, Placed, Pose, SCALE_MIN, exp, exp_quaternion, place, place_deformed, poses,
     rotation_of_quaternion, table_poses,
@@ -144,7 +147,7 @@ pub fn render(scene: &Scene, camera: &Camera, time: f64, options: &ReferenceOpti
     parameters.check()?;
     let mut rejected = Rejected::default();
     let valid: Vec<bool> = (0..gaussians.len()).map(|i| gaussians.is_valid(i, &mut rejected)).collect();
-    let placed = place(&parameters, scene.superpoints.as_ref(), poses(scene, time, options.motion)?.as_deref())?;
+    let placed = place_scene(scene, time, options.motion)?;
     let mut image = render_placed(&parameters, &placed, &valid, camera, options)?;
     image.rejected = rejected;
     Ok(image)

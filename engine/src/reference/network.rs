@@ -45,7 +45,7 @@ pub(super) fn nonrigid_encoding(centre: DVec3, time: f64) -> Vec<f64> {
 }
 
 /// Appends `[x, sin(2⁰x), cos(2⁰x), sin(2¹x), …]`, each over all components of x before the next.
-fn encode(x: &[f64], frequencies: usize, out: &mut Vec<f64>) {
+pub(super) fn encode(x: &[f64], frequencies: usize, out: &mut Vec<f64>) {
     out.extend_from_slice(x);
     for k in 0..frequencies {
         let scale = f64::from(1u32 << k);
@@ -81,7 +81,7 @@ pub(super) struct Trace {
 
 impl Dense {
     /// Layers side by side: one output after another.
-    fn joined(layers: &[&Linear]) -> Self {
+    pub(super) fn joined(layers: &[&Linear]) -> Self {
         let widen = |values: &[f32]| values.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
         Self {
             inputs: layers.first().map_or(0, |l| l.inputs),

@@ -36,7 +36,7 @@ impl Bounds {
             (Poses::Static, _) => (canonical, 0.0),
             _ => (canonical, NETWORK_MARGIN),
         };
-        let margin = if scene.nonrigid.is_some() { NETWORK_MARGIN } else { margin };
+        let margin = if scene.nonrigid.is_some() || scene.field.is_some() { NETWORK_MARGIN } else { margin };
         let room = DVec3::splat(margin * (bounds.high - bounds.low).length());
         Self { low: bounds.low - room, high: bounds.high + room }
     }

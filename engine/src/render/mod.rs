@@ -5,6 +5,8 @@
 //!                  → sort_scatter ×1..3 (tile id) → tile_ranges → blend
 //! ```
 //!
+//! A scene with a deformation field runs it first ([`field`]), one with network G `nonrigid_network`.
+//!
 //! [`Renderer`] uploads a scene once, records the frame once per image size and replays it: only the [`frame::Frame`]
 //! of each view is written by the host. Nothing is read back inside a frame; the counters are looked at after it, and a
 //! frame that needed more tile instances than the buffers hold is run again with larger ones.
@@ -24,9 +26,11 @@ pub mod deform_project;
 pub mod display;
 pub mod ellipse;
 pub mod embed;
+pub mod field;
 pub mod frame;
 pub mod half;
 pub mod limits;
+pub mod linear_forward;
 pub mod mean_storage;
 pub mod nonrigid_network;
 pub(crate) mod pipeline;
@@ -49,6 +53,7 @@ pub(crate) mod work_buffers;
 
 pub use blend::PixelFormat;
 pub use embed::{Finished, Loading, Recorded, SceneHandle, SceneOptions, Target, View, ViewOptions};
+pub use field::FieldEvaluator;
 pub use pipeline::KERNELS;
 pub use quality::Quality;
 pub use renderer::{FrameId, FrameStatistics, MemoryUse, Picked, RenderOptions, Renderer};

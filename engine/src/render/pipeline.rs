@@ -84,7 +84,7 @@ pub(crate) fn record_forward(
         let spec = deform_network::spec_constants(*size, scene.fp16_weights);
         r.dispatch(&DEFORM_NETWORK, &spec, &[], &buffers, Groups::Direct(groups))?;
     }
-    let offset = nonrigid_network(gpu, r, scene, frame, shape)?;
+    let offset = nonrigid_offset(gpu, r, scene, frame, shape)?;
     deform_project(r, scene, work, frame, offset, &shape.quality)?;
     compact(r, scene, work, frame, &shape.quality)?;
     sort(r, "depth", &work.depth, work, COUNT_VISIBLE, INDIRECT_DEPTH_SORT)?;
@@ -93,17 +93,21 @@ pub(crate) fn record_forward(
     ranges_and_blend(gpu, r, work, frame, shape)
 }
 
-/// Offsets of the scene's network G at the frame's time, or those that the caller has.
-fn nonrigid_network(
+/// Offsets of the scene's network G or deformation field at the frame's time, or those that the caller has.
+fn nonrigid_offset(
     gpu: &Gpu,
     r: &mut Recorder,
     scene: &SceneBuffers,
     frame: &FrameBuffers,
     shape: &Shape,
 ) -> Result<Option<Slice>> {
-    let (Some(network), None) = (&scene.nonrigid, &shape.nonrigid_offset) else {
+    if shape.nonrigid_offset.is_some() {
         return Ok(shape.nonrigid_offset.clone());
-    };
+    }
+    if let Some(field) = &scene.field {
+        return field.record(gpu, r, scene, &frame.frame).map(Some);
+    }
+    let Some(network) = &scene.nonrigid else { return Ok(None) };
     let pose = frame.host_pose.as_ref().unwrap_or(&scene.pose);
     let offset = Slice::from(&network.offset);
     let buffers = [
@@ -321,6 +325,11 @@ fn slices(buffers: &[&Buffer]) -> Vec<Slice> {
 pub static KERNELS: &[&Kernel] = &[
     &DEFORM_NETWORK,
     &nonrigid_network::NONRIGID_NETWORK,
+    &super::linear_forward::LINEAR_FORWARD,
+    &super::field::FIELD_WAVES,
+    &super::field::FIELD_PLANES,
+    &super::field::FIELD_OFFSET,
+    &super::field::FIELD_NODES,
     &DEFORM_PROJECT,
     &COMPACT,
     &super::radix_sort::SORT_HISTOGRAM,

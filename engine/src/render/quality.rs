@@ -136,10 +136,10 @@ impl Quality {
 
     /// These knobs for a scene: its colours decide whether half precision is enough. Where more than one Gaussian in 1,000 has
     /// an SH coefficient beyond ±4 (colours far outside a picture's, which multiply each error of α), `sh` and `conic` are f32
-    /// instead of f16. Network G reads the centres too, as f32.
+    /// instead of f16. Network G and deformation fields read the centres too, as f32.
     pub fn for_scene(mut self, scene: &Scene) -> Self {
         let gaussians = &scene.gaussians;
-        if scene.nonrigid.is_some() && self.nonrigid {
+        if scene.nonrigid.is_some() && self.nonrigid || scene.field.is_some() {
             self.position = Storage::F32;
         }
         let rows = gaussians.sh.chunks_exact(3 * gaussians.sh_coefficients());

@@ -10,6 +10,7 @@ use crate::scene::{
 
 use super::bounds::Bounds;
 use super::deform_network::pack_weights;
+use super::field::FieldBuffers;
 use super::frame::{Frame, FrameOptions};
 use super::mean_storage;
 use super::nonrigid_network::{NONRIGID_PLANES, pack_parameters};
@@ -85,6 +86,8 @@ pub(crate) struct SceneBuffers {
     pub(crate) rejected: Rejected,
     /// Network G: its weights, and the offsets that it writes each frame.
     pub(crate) nonrigid: Option<NonrigidBuffers>,
+    /// A deformation field, and the offsets that it writes each frame.
+    pub(crate) field: Option<FieldBuffers>,
     pub(crate) mean: Buffer,
     pub(crate) log_scale: Buffer,
     pub(crate) rotation: Buffer,
@@ -126,6 +129,12 @@ impl SceneBuffers {
         };
         let fp16_weights = quality.network != Storage::F32;
         let nonrigid = scene.nonrigid.as_ref().filter(|_| quality.nonrigid);
+        if let Some(field) = &scene.field {
+            field.check(g.len())?;
+            if scene.superpoints.is_some() || scene.nonrigid.is_some() {
+                return Err(Error::usage("scene", "a deformation field beside other motion", "one of them"));
+            }
+        }
         let bounds = if quality.depth_bits < DEPTH_KEY_BITS {
             Bounds::of(scene, &mean, &poses, origin)
         } else {
@@ -142,6 +151,7 @@ impl SceneBuffers {
             bounds,
             rejected,
             nonrigid: nonrigid.map(|n| NonrigidBuffers::new(gpu, n, g.len())).transpose()?,
+            field: scene.field.as_ref().map(|f| FieldBuffers::new(gpu, f, g.len())).transpose()?,
             mean: gpu.buffer_with("mean", bytemuck::cast_slice(&mean_storage::encode(quality.position, &mean)))?,
             log_scale: gpu.buffer_with("log_scale", bytemuck::cast_slice(&planes(&g.log_scale)))?,
             rotation: gpu.buffer_with("rotation", bytemuck::cast_slice(&g.rotation))?,
@@ -211,7 +221,11 @@ impl SceneBuffers {
             &self.pose,
         ];
         let nonrigid = self.nonrigid.as_ref().map_or(0, |n| n.parameter.bytes() + n.offset.bytes());
-        nonrigid + shared.iter().map(|b| b.bytes()).sum::<u64>() + self.sh.iter().map(Buffer::bytes).sum::<u64>()
+        let field = self.field.as_ref().map_or(0, FieldBuffers::bytes);
+        field
+            + nonrigid
+            + shared.iter().map(|b| b.bytes()).sum::<u64>()
+            + self.sh.iter().map(Buffer::bytes).sum::<u64>()
     }
 }
 

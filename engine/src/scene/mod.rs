@@ -1,6 +1,7 @@
 //! Plain scene data, no GPU: Gaussians, superpoint motion, network F, cameras. Arrays keep the layout of the model file.
 
 pub mod camera;
+pub mod field;
 pub mod gaussians;
 pub mod motion;
 pub mod network;
@@ -12,6 +13,7 @@ use std::collections::BTreeMap;
 use crate::error::{Error, Result};
 
 pub use camera::Camera;
+pub use field::DeformationField;
 pub use gaussians::{Gaussians, Rejected};
 pub use motion::{Association, KeyInterval, Motion, MotionSource, Superpoints};
 pub use network::{DeformNetwork, DeformSize, Linear, NonrigidNetwork};
@@ -41,6 +43,8 @@ pub struct Scene {
     pub deform: Option<DeformNetwork>,
     /// Network G (non-rigid stage).
     pub nonrigid: Option<NonrigidNetwork>,
+    /// Motion that is each Gaussian's own.
+    pub field: Option<DeformationField>,
     /// Further tensors by name, kept on a round trip.
     pub extra: BTreeMap<String, Tensor>,
     /// Free metadata of the file (training configuration, data set, provenance).
@@ -48,9 +52,9 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Whether anything moves: the scene has superpoints and either a key-time table or network F.
+    /// Whether anything moves: the scene has superpoints and either a key-time table or network F, or a deformation field.
     pub fn is_dynamic(&self) -> bool {
-        self.superpoints.is_some() && (self.motion.is_some() || self.deform.is_some())
+        self.field.is_some() || self.superpoints.is_some() && (self.motion.is_some() || self.deform.is_some())
     }
 
     /// What moves the superpoints when `wanted` is asked for: `Table`, `Network`, or `None` for a scene that stands still.

@@ -283,7 +283,7 @@ impl Linear {
         Self { inputs: self.inputs, outputs: self.outputs, weight, bias }
     }
 
-    fn check_shape(&self, name: &str, (inputs, outputs): (usize, usize)) -> Result<()> {
+    pub(super) fn check_shape(&self, name: &str, (inputs, outputs): (usize, usize)) -> Result<()> {
         let found = [self.outputs, self.inputs, self.weight.len(), self.bias.len()];
         if found == [outputs, inputs, outputs * inputs, outputs] {
             return Ok(());

@@ -2,7 +2,7 @@
 //!
 //! Kernels, each on row-major matrices of f32 (rows = superpoints or Gaussians):
 //!
-//! - `linear_forward`: Y = act([X₀, X₁] Wᵀ + b);
+//! - `linear_forward` ([`crate::render::linear_forward`]): Y = act([X₀, X₁] Wᵀ + b);
 //! - `linear_backward_input`: dX = (dZ W) ⊙ \[X > 0\], where dZ is the gradient before the layer's ReLU and X its input, so
 //!   the result is the gradient before the ReLU of the layer below;
 //! - `linear_backward_weight`: dW = dZᵀ [X₀, X₁] and db = Σ dZ, per slice of rows;
@@ -20,17 +20,15 @@ mod twins;
 use crate::gpu::kernel::Kernel;
 
 pub use crate::gpu::product::{Stage, product_groups};
-pub use kernels::ForwardPush;
 pub use kernels::{
-    GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_FORWARD,
-    LINEAR_UPDATE, UpdatePush, WeightPush,
+    GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_UPDATE, UpdatePush,
+    WeightPush,
 };
 pub use parameters::Parameters;
 pub(super) use record::{Layer, Pass, Split};
 
 /// Kernels of this module.
-pub static KERNELS: &[&Kernel] =
-    &[&LINEAR_FORWARD, &LINEAR_BACKWARD_INPUT, &LINEAR_BACKWARD_WEIGHT, &LINEAR_UPDATE, &GATHER_GRADIENT];
+pub static KERNELS: &[&Kernel] = &[&LINEAR_BACKWARD_INPUT, &LINEAR_BACKWARD_WEIGHT, &LINEAR_UPDATE, &GATHER_GRADIENT];
 
 /// Whose learning rate, corrections and reports a kernel uses (specialisation constant `NETWORK`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -100,6 +100,7 @@ impl Parameters {
             bounds: Bounds::EVERYWHERE,
             rejected: Rejected::default(),
             nonrigid: None,
+            field: None,
             mean: floats("mean", &planes(&g.mean))?,
             log_scale: floats("log_scale", &planes(&g.log_scale))?,
             rotation: floats("rotation", g.rotation.as_flattened())?,

@@ -9,7 +9,7 @@ use engine::scene::MotionSource;
 use engine::scene::synthetic::moving_scene;
 use tools::args::{Cli, Command};
 
-fn convert(args: &[&str]) -> engine::Result<()> {
+pub(crate) fn convert(args: &[&str]) -> engine::Result<()> {
     let cli = Cli::try_parse_from(["spgs", "--quiet", "convert"].iter().chain(args)).unwrap();
     match &cli.command {
         Command::Convert(args) => tools::convert::run(args, &cli.global),

@@ -4,6 +4,7 @@
 
 mod checkpoints;
 mod convert;
+mod fields;
 mod fuzz;
 mod hostile;
 mod pickle;

@@ -12,7 +12,7 @@ use engine::train::trainer::{StepReport, Trainer, TrainingData};
 use engine::train::usage::TrainingMemory;
 use serde::Serialize;
 
-use crate::measure::{OperationRow, Quantiles, rate_row};
+use crate::measure::{OperationRow, Quantiles, operation_rows, with_push};
 
 /// Ticks per second in `/proc`: `USER_HZ`, the same for every Linux.
 const TICKS_PER_SECOND: f64 = 100.0;
@@ -135,56 +135,17 @@ fn profile(
     }
     let medians: Vec<f64> = samples.into_iter().map(|s| Quantiles::of(s).median).collect();
     let total: f64 = medians.iter().sum();
-    let mut rows: Vec<Group> = Vec::new();
-    let dispatches = trainer.commands().map(|c| c.kernels().into_iter().zip(c.push_constants())).into_iter().flatten();
-    let mut dispatches = dispatches.peekable();
     let work = trainer.workload(&step);
-    for (label, us) in labels.into_iter().zip(medians) {
-        let dispatch = dispatches.next_if(|((name, _), _)| *name == label);
-        let kernel = dispatch.map(|((_, kernel), _)| kernel);
-        let bytes =
-            dispatch.map_or(0, |((name, kernel), push)| (kernel.bytes)(&of_dispatch(&work, name, kernel, push)));
-        let name = kernel.map_or(label, |k| k.name.to_owned());
-        match rows.iter_mut().find(|r| r.name == name) {
-            Some(row) => {
-                row.count += 1;
-                row.us += us;
-                row.bytes += bytes;
-            }
-            None => rows.push(Group { name, kernel, count: 1, us, bytes }),
-        }
-    }
-    let rows = rows.into_iter().map(|r| r.row(total, copy_gb_per_s)).collect();
+    let timed = labels.into_iter().zip(medians).collect();
+    let of_dispatch = |label: &str, kernel: &Kernel, push: &[u8]| of_dispatch(&work, label, kernel, push);
+    let name = |label: &str, kernel: Option<&Kernel>| kernel.map_or(label, |k| k.name).to_owned();
+    let rows = operation_rows(timed, trainer.commands(), copy_gb_per_s, &of_dispatch, &name);
     Ok((rows, (!totals.is_empty() && total > 0.0).then(|| Quantiles::of(totals))))
-}
-
-/// Dispatches of a kernel, added up.
-struct Group {
-    name: String,
-    kernel: Option<&'static Kernel>,
-    count: usize,
-    us: f64,
-    bytes: u64,
-}
-
-impl Group {
-    fn row(self, total: f64, copy_gb_per_s: f64) -> OperationRow {
-        let label = if self.count > 1 { format!("{} ×{}", self.name, self.count) } else { self.name };
-        rate_row(self.kernel, label, self.us, total, self.kernel.map(|_| self.bytes), copy_gb_per_s)
-    }
 }
 
 /// A dispatch's amount of work: the step's, the numbers in its push constants, and how many keys a sort has.
 fn of_dispatch(step: &Workload, label: &str, kernel: &Kernel, push: &[u8]) -> Workload {
-    let mut work = step.clone();
-    for (name, offset) in kernel.push {
-        let at = *offset as usize;
-        if let Some(word) = push.get(at..at + 4).and_then(|b| b.try_into().ok()).map(u32::from_le_bytes) {
-            work.0.insert(name, word.into());
-        }
-    }
-    let inputs = work.get("inputs") + work.get("inputs_0") + work.get("inputs_1");
-    work.0.insert("inputs", inputs);
+    let mut work = with_push(step, kernel, push);
     // Of a gradient by the networks' outputs: r and τ, or the non-rigid offset.
     work.0.insert("planes", if step.get("nonrigid") > 0 { 10 } else { 6 });
     let keys = match label {
@@ -213,7 +174,7 @@ mod tests {
     #[test]
     fn a_dispatch_counts_its_push_constants_and_its_keys() {
         let step = Workload([("gaussians", 7), ("neighbors", 3), ("instances", 50), ("visible", 5)].into());
-        let layer = engine::train::kernels().find(|k| k.name == "linear_forward").unwrap();
+        let layer = &engine::render::linear_forward::LINEAR_FORWARD;
         let words: Vec<u8> = (1..=layer.push.len() as u32).flat_map(u32::to_le_bytes).collect();
         let work = of_dispatch(&step, layer.name, layer, &words);
         assert_eq!((work.get("rows"), work.get("outputs"), work.get("inputs")), (1, 2, 3 + 4));

@@ -16,7 +16,7 @@ use super::settings::Setting;
 use super::views::Views;
 use super::{VISIBLE, VISIBLE_SHARE};
 use crate::args::BenchArgs;
-use crate::measure::{Quantiles, processor_seconds, with_keys};
+use crate::measure::{Quantiles, processor_seconds, with_keys, with_push};
 
 /// Timed frames of a setting where the arguments do not say, on a GPU and on a CPU.
 const FRAMES: [u32; 2] = [60, 9];
@@ -192,13 +192,14 @@ impl<'a> Measurer<'a> {
         let ratio = (!ratios.is_empty()).then(|| Quantiles::of(ratios).median);
         let workload = renderer.workload(&counted);
         let commands = renderer.commands();
-        let kernels = commands.map(engine::gpu::Commands::kernels).unwrap_or_default();
+        let dispatches = commands.map(|c| c.kernels().into_iter().zip(c.push_constants())).into_iter().flatten();
+        let bytes = dispatches.map(|((label, kernel), push)| bytes_of(kernel, label, &workload, push)).sum();
         Ok(Measured {
             setting,
             frame_ms: Quantiles::of(frame_ms),
             processor_ms: ratio.zip(self.pace_ms).map(|(ratio, exact)| ratio * exact),
             stage_ms: stages.into_iter().map(|(name, ms)| (name, Quantiles::of(ms).median)).collect(),
-            bytes: kernels.iter().map(|(label, kernel)| bytes_of(kernel, label, &workload)).sum(),
+            bytes,
             scene_bytes: renderer.memory().scene,
             dispatches: commands.map_or(0, engine::gpu::Commands::dispatches),
             instances: counted.instances,
@@ -236,8 +237,8 @@ impl<'a> Measurer<'a> {
     }
 }
 
-fn bytes_of(kernel: &Kernel, label: &str, workload: &Workload) -> u64 {
-    (kernel.bytes)(&with_keys(workload, label))
+fn bytes_of(kernel: &Kernel, label: &str, workload: &Workload, push: &[u8]) -> u64 {
+    (kernel.bytes)(&with_push(&with_keys(workload, label), kernel, push))
 }
 
 /// Stages in the order of the pipeline.
@@ -246,7 +247,7 @@ pub(super) const STAGES: [&str; 6] = ["networks", "project", "depth sort", "tile
 /// The stage of an operation.
 fn stage(label: &str) -> &'static str {
     match label {
-        l if l.contains("network") => STAGES[0],
+        l if l.contains("network") || l.starts_with("field") || l.starts_with("linear") => STAGES[0],
         l if l.starts_with("deform_project") => STAGES[1],
         l if l.starts_with("compact") || l.contains("depth") => STAGES[2],
         l if l.contains("tile") => STAGES[3],
@@ -285,6 +286,8 @@ mod tests {
         for (label, expected) in [
             ("deform_network", "networks"),
             ("nonrigid_network 0", "networks"),
+            ("field_waves", "networks"),
+            ("linear_forward", "networks"),
             ("deform_project", "project"),
             ("compact", "depth sort"),
             ("sort_scatter depth 3", "depth sort"),

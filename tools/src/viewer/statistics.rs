@@ -16,6 +16,8 @@ pub(super) fn stage_of(label: &str) -> usize {
     let found = [
         ("deform", 0),
         ("nonrigid", 0),
+        ("field", 0),
+        ("linear", 0),
         ("fill", 0),
         ("compact", 1),
         ("sort_spine depth", 2),

@@ -7,9 +7,10 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::per_gaussian::{self, Deformation, Placed};
 use crate::error::{Error, Result};
 use crate::file::torch::Weights;
+use crate::reference::Offset;
+use crate::reference::tabulate::{PlacedGaussian, TableTimes, tabulate};
 use crate::scene::network::{DeformSize, NONRIGID_HEADS, NONRIGID_LAYERS, NONRIGID_WIDTH};
 use crate::scene::{Association, DeformNetwork, Gaussians, Linear, Motion, NonrigidNetwork, Scene, Superpoints};
 
@@ -52,30 +53,38 @@ pub(super) fn apply(scene: &mut Scene, weights: &Weights<'_>, path: &Path, warni
                 "{}: quaternions are added here (SP-GS before 2025), which is no rigid motion of superpoints: each Gaussian gets its own poses",
                 path.display()
             ));
-            let table = Added { of_gaussian, superpoints: m, times: times.clone(), rotation, translation };
-            per_gaussian::apply(scene, &table, Some(&times), path, warnings)
+            let added = Added { of_gaussian, superpoints: m, times: &times, rotation, translation };
+            let mut place = |g: &Gaussians, time: f64| Ok(added.place(g, time));
+            let at = TableTimes::At(&times);
+            let made = tabulate(&mut scene.gaussians, &mut place, at, &path.display().to_string())?;
+            (scene.motion, scene.superpoints) = (Some(made.motion), Some(made.superpoints));
+            Ok(())
         }
         other => Err(Error::corrupt(path, "tensor `1.sp_delta_r`", format!("{other} values per pose"), "3 or 4")),
     }
 }
 
 /// Translation of the centre, quaternion added to the unit quaternion: μ + Δt, norm(norm(q) + Δq).
-struct Added {
+struct Added<'a> {
     of_gaussian: Vec<u32>,
     superpoints: usize,
-    times: Vec<f32>,
+    times: &'a [f32],
     rotation: Vec<f32>,
     translation: Vec<f32>,
 }
 
-impl Deformation for Added {
-    fn place(&self, g: &Gaussians, time: f64) -> Vec<Placed> {
-        // Only asked for at the table's own times.
+impl Added<'_> {
+    /// Only asked for at the table's own times.
+    fn place(&self, g: &Gaussians, time: f64) -> Vec<PlacedGaussian> {
         let k = self.times.iter().position(|&t| f64::from(t) == time).unwrap_or(0);
         let placed = |i: usize| {
             let pose = k * self.superpoints + self.of_gaussian[i] as usize;
-            let moved = per_gaussian::added(g, i, &self.translation[3 * pose..], &self.rotation[4 * pose..]);
-            Placed { log_scale: g.log_scale[i], ..moved }
+            let offset = Offset {
+                mean: std::array::from_fn(|a| self.translation[3 * pose + a].into()),
+                rotation: std::array::from_fn(|c| self.rotation[4 * pose + c].into()),
+                scale: [0.0; 3],
+            };
+            PlacedGaussian::shifted(g, i, &offset)
         };
         (0..g.len()).into_par_iter().map(placed).collect()
     }

@@ -1,5 +1,7 @@
 //! Tensors by name to a [`Scene`].
 
+mod field;
+
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -32,9 +34,10 @@ pub(super) fn model(bytes: &[u8], path: &Path) -> Result<(Scene, Vec<String>)> {
     let association = association(&mut tensors, gaussians.len())?;
     let deform = deform(&mut tensors)?;
     let nonrigid = nonrigid(&mut tensors)?;
+    let field = field::field(&mut tensors, gaussians.len())?;
     let extra = tensors.rest(&mut warnings)?;
     let metadata = own_metadata(metadata);
-    let scene = Scene { gaussians, superpoints, motion, association, deform, nonrigid, extra, metadata };
+    let scene = Scene { gaussians, superpoints, motion, association, deform, nonrigid, field, extra, metadata };
     check::scene(&scene).map_err(|problem| problem.corrupt(path))?;
     Ok((scene, warnings))
 }
@@ -60,6 +63,10 @@ impl Tensors<'_> {
             }
             (present, _) => Ok(present.is_some()),
         }
+    }
+
+    fn has(&self, name: &str) -> bool {
+        self.map.contains_key(name)
     }
 
     fn take(&mut self, name: &str, dtype: Dtype, shape: Shape<'_>) -> Result<(Vec<usize>, &[u8])> {

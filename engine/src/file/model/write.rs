@@ -6,6 +6,7 @@ use super::{FORMAT, VERSION};
 use crate::error::Result;
 use crate::file::check;
 use crate::file::tensors::{self, NamedTensor, floats, indices};
+use crate::scene::field::{DeformationField, FieldInput};
 use crate::scene::{Linear, Scene};
 
 /// Writes a model, durably. Equal scenes give equal bytes: tensors are in the order of their names.
@@ -75,7 +76,32 @@ fn tensors(scene: &Scene) -> Vec<NamedTensor<'_>> {
     if let Some(network) = &scene.nonrigid {
         out.extend(network.named_layers().into_iter().flat_map(|(name, l)| linear(&name, l)));
     }
+    if let Some(field) = &scene.field {
+        out.extend(field_tensors(field, n));
+    }
     out.extend(scene.extra.iter().map(|(name, tensor)| floats(name.as_str(), tensor.shape.clone(), &tensor.data)));
+    out
+}
+
+fn field_tensors(field: &DeformationField, n: usize) -> Vec<NamedTensor<'_>> {
+    let mut out: Vec<NamedTensor<'_>> = Vec::new();
+    out.extend(field.named_layers().into_iter().flat_map(|(name, l)| linear(&name, l)));
+    if let FieldInput::Planes(planes) = &field.input {
+        out.push(floats("field.bounds", vec![2, 3], planes.bounds.as_flattened()));
+        for (s, six) in planes.scales.iter().enumerate() {
+            for (p, plane) in six.iter().enumerate() {
+                let shape = vec![planes.channels, plane.height, plane.width];
+                out.push(floats(format!("field.plane.{s}.{p}"), shape, &plane.values));
+            }
+        }
+    }
+    if let Some(nodes) = &field.nodes {
+        let pairs = vec![n, nodes.neighbors];
+        out.push(floats("field.node.position", vec![nodes.position.len(), 3], nodes.position.as_flattened()));
+        out.push(indices("field.node.neighbor", pairs.clone(), &nodes.neighbor));
+        out.push(floats("field.node.weight", pairs, &nodes.weight));
+        out.push(floats("field.node.share", vec![n], &nodes.share));
+    }
     out
 }
 

@@ -1,25 +1,10 @@
 //! Declarations of the kernels of dense layers.
 
 use super::twins;
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, Workload};
+use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance};
 use crate::gpu::product::PRODUCT_THREADS;
+use crate::render::linear_forward::{SUMS, product_bytes};
 use crate::train::step::Step;
-
-crate::gpu_struct! {
-    /// Push constants of [`LINEAR_FORWARD`].
-    pub struct ForwardPush {
-        /// Rows of input and output.
-        pub rows: u32,
-        /// Columns of the output.
-        pub outputs: u32,
-        /// Columns of the first input, which starts the binding.
-        pub inputs_0: u32,
-        /// Columns of the second input.
-        pub inputs_1: u32,
-        /// Where the second input starts in the binding, in floats.
-        pub input_1_at: u32,
-    }
-}
 
 crate::gpu_struct! {
     /// Push constants of [`LINEAR_BACKWARD_INPUT`].
@@ -91,33 +76,6 @@ crate::gpu_struct! {
 pub(super) const THREADS: u32 = PRODUCT_THREADS;
 /// Weights that a thread of `linear_update` takes, so that it loads the step's constants once for all of them.
 pub(super) const WEIGHTS_PER_THREAD: u32 = 4;
-/// Sums of up to 512 products of numbers around 1, fused or not, in another order than the twin's.
-const SUMS: Tolerance = Tolerance { absolute: 1e-4, relative: 2e-5, flips: 0.0 };
-
-/// Bytes of the three matrices of a product (`rows`, `inputs`, `outputs` of the workload), once each.
-fn product_bytes(work: &Workload) -> u64 {
-    let [rows, inputs, outputs] = ["rows", "inputs", "outputs"].map(|name| work.get(name));
-    4 * (rows * inputs + inputs * outputs + rows * outputs)
-}
-
-/// Y = act([X₀, X₁] Wᵀ + b).
-pub static LINEAR_FORWARD: Kernel = Kernel {
-    name: "linear_forward",
-    doc: "dense layer: product of rows and weights, bias, ReLU",
-    local_size: THREADS,
-    spec: &["SUBGROUP_SIZE", "STAGE", "RELU"],
-    push: ForwardPush::FIELDS,
-    bindings: &[
-        Binding::new("layer_input", Access::Read, Element::F32),
-        Binding::new("parameter", Access::Read, Element::F32),
-        Binding::new("layer_output", Access::Write, Element::F32),
-    ],
-    twin: twins::forward,
-    tolerance: SUMS,
-    bytes: product_bytes,
-    spirv: include_bytes!("../../../../spirv_cache/linear_forward.spv"),
-};
-
 /// dX = (dZ W) ⊙ \[X > 0\].
 pub static LINEAR_BACKWARD_INPUT: Kernel = Kernel {
     name: "linear_backward_input",

@@ -1,13 +1,14 @@
 //! Recording of the layers' dispatches.
 
 use super::kernels::{
-    ForwardPush, GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_FORWARD,
-    LINEAR_UPDATE, THREADS, UpdatePush, WEIGHTS_PER_THREAD, WeightPush,
+    GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_UPDATE, THREADS,
+    UpdatePush, WEIGHTS_PER_THREAD, WeightPush,
 };
 use super::{Network, Output, Shape, Stage};
 use crate::error::Result;
 use crate::gpu::product::product_groups;
 use crate::gpu::{Groups, Recorder, Slice};
+use crate::render::linear_forward::{self, ForwardPush};
 
 /// What the dispatches of a backward pass share.
 #[derive(Debug, Clone)]
@@ -57,10 +58,8 @@ impl Layer {
     pub(in crate::train) fn forward(&self, r: &mut Recorder) -> Result<()> {
         let Shape { inputs_0, inputs_1, outputs } = self.shape;
         let push = ForwardPush { rows: self.rows, outputs, inputs_0, inputs_1, input_1_at: self.input_1_at };
-        let groups = product_groups(self.stage, r.subgroup_size(), self.rows, outputs, 1);
-        let spec = [self.stage as u32, u32::from(self.relu)];
         let buffers = [self.input.clone(), self.parameters[0].clone(), self.output.clone()];
-        r.dispatch(&LINEAR_FORWARD, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+        linear_forward::record(r, self.stage, push, self.relu, &buffers)
     }
 
     /// Gradient towards the last input, before the ReLU of `below`, the layer that made it.

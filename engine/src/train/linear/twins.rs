@@ -1,35 +1,11 @@
 //! CPU twins of the kernels of dense layers: plain loops, sums in f64.
 
-use super::kernels::{ForwardPush, GatherPush, InputPush, UpdatePush, WeightPush};
+use super::kernels::{GatherPush, InputPush, UpdatePush, WeightPush};
 use crate::gpu::kernel::TwinCall;
 use crate::render::limits::COUNT_FAILED;
+use crate::render::linear_forward::concatenated;
 use crate::render::twin::{f32_at, push, set_f32, spec, struct_at};
 use crate::train::{adam, status, step::Step};
-
-/// Element (row, k) of two matrices side by side, the second from float `input_1_at` on.
-fn concatenated(words: &[u32], inputs: [u32; 2], input_1_at: u32, row: u32, k: u32) -> f64 {
-    let [i0, i1] = inputs;
-    let at = if k < i0 { row * i0 + k } else { input_1_at + row * i1 + k - i0 };
-    f32_at(words, at as usize).into()
-}
-
-pub(super) fn forward(call: &mut TwinCall<'_>) {
-    let p: ForwardPush = push(call);
-    let relu = spec(call, 2) == 1;
-    let inputs = p.inputs_0 + p.inputs_1;
-    let [input, parameter, output] = call.buffers else { return };
-    for row in 0..p.rows {
-        for o in 0..p.outputs {
-            let product = |k| {
-                f64::from(f32_at(parameter, (o * inputs + k) as usize))
-                    * concatenated(input, [p.inputs_0, p.inputs_1], p.input_1_at, row, k)
-            };
-            let bias = f64::from(f32_at(parameter, (p.outputs * inputs + o) as usize));
-            let y = (0..inputs).map(product).sum::<f64>() + bias;
-            set_f32(output, (row * p.outputs + o) as usize, if relu { y.max(0.0) } else { y } as f32);
-        }
-    }
-}
 
 pub(super) fn backward_input(call: &mut TwinCall<'_>) {
     let p: InputPush = push(call);

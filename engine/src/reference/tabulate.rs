@@ -5,17 +5,12 @@
 //! table is kept. Gaussians that never leave their place share one superpoint. Sizes that change over time have no place
 //! in a table: each Gaussian keeps its mean log scale, and the largest change is said.
 
-use std::path::Path;
-
 use glam::{DQuat, DVec3};
 
+use super::motion::{Offset, SCALE_MIN, exp};
 use crate::error::{Error, Result};
-use crate::file::codec::unit;
-use crate::reference::exp;
-use crate::scene::{Gaussians, Motion, Scene, Superpoints};
+use crate::scene::{Gaussians, Motion, Superpoints};
 
-/// Largest distance of a Gaussian's centre from the table, relative to the scene's extent (radius of 90 %).
-const ERROR: f64 = 1.0e-3;
 /// Largest table, bytes.
 const MAX_TABLE: usize = 1 << 30;
 /// Most intervals between key times.
@@ -25,95 +20,109 @@ const STILL: f64 = 1.0e-4;
 
 /// A Gaussian at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Placed {
-    pub(super) mean: [f32; 3],
+pub struct PlacedGaussian {
+    /// World units.
+    pub mean: [f32; 3],
     /// w,x,y,z, unit length.
-    pub(super) rotation: [f64; 4],
-    pub(super) log_scale: [f32; 3],
+    pub rotation: [f64; 4],
+    /// Logarithms of the standard deviations.
+    pub log_scale: [f32; 3],
 }
 
-/// What places every Gaussian at a time.
-pub(super) trait Deformation {
-    /// `[N]`.
-    fn place(&self, gaussians: &Gaussians, time: f64) -> Vec<Placed>;
+impl PlacedGaussian {
+    /// μ + Δμ, norm(norm(q) + Δq), exp(log_scale) + Δs (at least [`SCALE_MIN`]).
+    pub fn shifted(g: &Gaussians, i: usize, offset: &Offset) -> Self {
+        let q = unit(g.rotation[i].map(f64::from));
+        let scale = |a: usize| (f64::from(g.log_scale[i][a]).exp() + offset.scale[a]).max(SCALE_MIN).ln() as f32;
+        Self {
+            mean: std::array::from_fn(|a| (f64::from(g.mean[i][a]) + offset.mean[a]) as f32),
+            rotation: unit(std::array::from_fn(|c| q[c] + offset.rotation[c])),
+            log_scale: if offset.scale == [0.0; 3] { g.log_scale[i] } else { std::array::from_fn(scale) },
+        }
+    }
 }
 
-/// μ + Δμ, norm(norm(q) + Δq).
-pub(super) fn added(g: &Gaussians, i: usize, mean: &[f32], rotation: &[f32]) -> Placed {
-    let q = unit(g.rotation[i]);
-    let sum: [f32; 4] = std::array::from_fn(|c| q[c] as f32 + rotation[c]);
-    Placed { mean: std::array::from_fn(|a| g.mean[i][a] + mean[a]), rotation: unit(sum), log_scale: g.log_scale[i] }
+/// At which times a table has poses.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum TableTimes<'a> {
+    /// At these.
+    At(&'a [f32]),
+    /// At 3, 5, 9, … times from 0 to 1, until the centres between two are on the line up to this share of the extent (the
+    /// radius that holds 90 % of the centres).
+    Within(f64),
+}
+
+/// A table that was made.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tabulated {
+    /// One pose for each Gaussian that moves, and one for all others.
+    pub motion: Motion,
+    /// Which is whose.
+    pub superpoints: Superpoints,
+    /// Largest distance of a centre from the line between its neighbours among the times, relative to the extent: what a
+    /// table of half as many times would be off by. 0 for given times.
+    pub error: f64,
+    /// Largest change of a size over time against the mean that each Gaussian now has, as a share.
+    pub size_change: f64,
 }
 
 /// Poses of all Gaussians at some times.
 struct Table {
     times: Vec<f64>,
-    placed: Vec<Vec<Placed>>,
+    placed: Vec<Vec<PlacedGaussian>>,
 }
 
-/// Adds the motion to a scene at rest: at `times`, or at as many times from 0 to 1 as it takes.
-pub(super) fn apply(
-    scene: &mut Scene,
-    deformation: &dyn Deformation,
-    times: Option<&[f32]>,
-    path: &Path,
-    warnings: &mut Vec<String>,
-) -> Result<()> {
-    let g = &scene.gaussians;
+/// Where all Gaussians `[N]` are at a time.
+pub type Place<'a> = dyn FnMut(&Gaussians, f64) -> Result<Vec<PlacedGaussian>> + 'a;
+
+/// The motion that `place` says, as a table; `gaussians` get their mean sizes. `what` names it in errors.
+///
+/// # Errors
+/// [`Error::Limit`] when the table would be too large, [`Error::Usage`] when a Gaussian is moved to no finite place, those of
+/// `place`.
+pub fn tabulate(
+    gaussians: &mut Gaussians,
+    place: &mut Place<'_>,
+    times: TableTimes<'_>,
+    what: &str,
+) -> Result<Tabulated> {
+    let g = &*gaussians;
     let n = g.len();
-    if n == 0 {
-        return Ok(());
-    }
     let extent = extent(&g.mean);
-    let most = MAX_TABLE / (24 * n);
+    let most = MAX_TABLE / (24 * n.max(1));
     let limit = |need: usize| Error::Limit {
-        what: format!("{}: key times of {n} Gaussians in a table of {MAX_TABLE} bytes", path.display()),
+        what: format!("{what}: key times of {n} Gaussians in a table of {MAX_TABLE} bytes"),
         need: need as u128,
         have: most as u128,
     };
-    let table = match times {
-        Some(times) if times.len() > most => return Err(limit(times.len())),
-        Some(times) => {
+    let (table, error) = match times {
+        TableTimes::At(times) if times.len() > most => return Err(limit(times.len())),
+        TableTimes::At(times) => {
             let times: Vec<f64> = times.iter().map(|&t| f64::from(t)).collect();
-            Table { placed: times.iter().map(|&t| deformation.place(g, t)).collect(), times }
+            let placed = times.iter().map(|&t| place(g, t)).collect::<Result<_>>()?;
+            (Table { times, placed }, 0.0)
         }
-        None => {
-            let (table, error) = refine(g, deformation, extent, most).ok_or_else(|| limit(3))?;
-            warnings.push(format!(
-                "{}: its network is evaluated at {} times; with half as many, centres are off by {:.2e} of the scene's extent at most",
-                path.display(),
-                table.times.len(),
-                error
-            ));
-            table
-        }
+        TableTimes::Within(bound) => refine(g, place, extent, most, bound)?.ok_or_else(|| limit(3))?,
     };
-    if let Some(i) =
-        (0..n).find(|&i| table.placed.iter().any(|p| !p[i].mean.iter().chain(&p[i].log_scale).all(|v| v.is_finite())))
-    {
-        return Err(Error::corrupt(
-            path,
-            "weights",
-            format!("Gaussian {i} is moved to no finite place"),
-            "finite numbers",
-        ));
+    let finite = |p: &PlacedGaussian| p.mean.iter().chain(&p.log_scale).all(|v| v.is_finite());
+    if let Some(i) = (0..n).find(|&i| table.placed.iter().any(|p| !finite(&p[i]))) {
+        return Err(Error::usage(what, format!("Gaussian {i} is moved to no finite place"), "finite numbers"));
     }
-    let change = fix_scales(&mut scene.gaussians, &table);
-    if change > 1.0e-3 {
-        warnings.push(format!(
-            "{}: sizes change over time by up to {:.1} %: each Gaussian keeps its mean size",
-            path.display(),
-            100.0 * change.exp_m1()
-        ));
-    }
-    let (motion, superpoints) = poses(&scene.gaussians, &table, extent);
-    scene.motion = Some(motion);
-    scene.superpoints = Some(superpoints);
-    Ok(())
+    let size_change = fix_scales(gaussians, &table).exp_m1();
+    let (motion, superpoints) = poses(gaussians, &table, extent);
+    Ok(Tabulated { motion, superpoints, error, size_change })
+}
+
+fn unit(q: [f64; 4]) -> [f64; 4] {
+    let length = q.iter().map(|c| c * c).sum::<f64>().sqrt();
+    if length > 0.0 && length.is_finite() { q.map(|c| c / length) } else { [1.0, 0.0, 0.0, 0.0] }
 }
 
 /// Radius about the median that holds 90 % of the centres.
 fn extent(means: &[[f32; 3]]) -> f64 {
+    if means.is_empty() {
+        return 1.0;
+    }
     let sorted = |values: &mut dyn Iterator<Item = f32>| {
         let mut values: Vec<f32> = values.collect();
         values.sort_unstable_by(f32::total_cmp);
@@ -125,12 +134,12 @@ fn extent(means: &[[f32; 3]]) -> f64 {
 }
 
 /// Twice as many intervals until the middle of each is on the line; `None` when not even three times fit.
-fn refine(g: &Gaussians, deformation: &dyn Deformation, extent: f64, most: usize) -> Option<(Table, f64)> {
-    let at = |t: f64| deformation.place(g, f64::from(t as f32));
-    let mut table = Table { times: vec![0.0, 1.0], placed: vec![at(0.0), at(1.0)] };
+fn refine(g: &Gaussians, place: &mut Place<'_>, extent: f64, most: usize, bound: f64) -> Result<Option<(Table, f64)>> {
+    let mut at = |t: f64| place(g, f64::from(t as f32));
+    let mut table = Table { times: vec![0.0, 1.0], placed: vec![at(0.0)?, at(1.0)?] };
     loop {
         if 2 * table.times.len() - 1 > most {
-            return None;
+            return Ok(None);
         }
         let (mut times, mut placed) = (Vec::new(), Vec::new());
         let mut error: f64 = 0.0;
@@ -140,7 +149,7 @@ fn refine(g: &Gaussians, deformation: &dyn Deformation, extent: f64, most: usize
             let (start, end) = (table.times[i], table.times[i + 1]);
             times.extend([start, 0.5 * (start + end)]);
             placed.extend(old.next());
-            placed.push(at(0.5 * (start + end)));
+            placed.push(at(0.5 * (start + end))?);
         }
         times.extend(table.times.last());
         placed.extend(old.next());
@@ -149,14 +158,14 @@ fn refine(g: &Gaussians, deformation: &dyn Deformation, extent: f64, most: usize
         }
         table = Table { times, placed };
         let fits_again = 4 * intervals < most && 4 * intervals <= MAX_INTERVALS;
-        if (error <= ERROR && intervals >= 2) || !fits_again {
-            return Some((table, error));
+        if (error <= bound && intervals >= 2) || !fits_again {
+            return Ok(Some((table, error)));
         }
     }
 }
 
 /// Largest distance of a centre in the middle from the middle of the line.
-fn off_the_line(w: &[Vec<Placed>]) -> f64 {
+fn off_the_line(w: &[Vec<PlacedGaussian>]) -> f64 {
     let distance = |i: usize| {
         let middle = 0.5 * (promote(w[0][i].mean) + promote(w[2][i].mean));
         middle.distance(promote(w[1][i].mean))
@@ -180,8 +189,8 @@ fn fix_scales(g: &mut Gaussians, table: &Table) -> f64 {
 
 /// One superpoint for each Gaussian that moves, and one for all others.
 fn poses(g: &Gaussians, table: &Table, extent: f64) -> (Motion, Superpoints) {
-    let pose = |i: usize, placed: &Placed| {
-        let [w, x, y, z] = unit(g.rotation[i]);
+    let pose = |i: usize, placed: &PlacedGaussian| {
+        let [w, x, y, z] = unit(g.rotation[i].map(f64::from));
         let rest = DQuat::from_xyzw(x, y, z, w);
         let [w, x, y, z] = placed.rotation;
         let turn = DQuat::from_xyzw(x, y, z, w) * rest.conjugate();

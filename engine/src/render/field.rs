@@ -1,0 +1,360 @@
+//! Deformation fields on the device: each frame, the offsets of every Gaussian (`nonrigid_offset float[10][N]`, which
+//! `deform_project` adds) from its centre, the time and a perceptron ([`crate::scene::field`]).
+//!
+//! ```text
+//! field_waves | field_planes → linear_forward × layers → field_offset         (points are the Gaussians, in chunks)
+//!                                                      → field_nodes          (points are control nodes)
+//! ```
+//!
+//! A layer's activations go through memory: 2 KB per point and layer beside 130,000 operations, so the products decide.
+
+mod nodes;
+mod offset;
+mod planes;
+mod waves;
+
+use crate::error::Result;
+use crate::gpu::product::Stage;
+use crate::gpu::{Buffer, Gpu, Memory, Recorder, SLICE_ALIGNMENT, Slice};
+use crate::reference::Offset;
+use crate::scene::field::{ControlNodes, DeformationField, FieldInput, FieldRule};
+use crate::scene::{Gaussians, Linear, MotionSource, Scene};
+
+use super::frame::{Frame, FrameOptions};
+use super::linear_forward::{self, ForwardPush};
+use super::nonrigid_network::NONRIGID_PLANES;
+use super::quality::Quality;
+use super::scene_buffers::{SceneBuffers, planes as component_planes};
+
+pub use nodes::{FIELD_NODES, NodesPush};
+pub use offset::{FIELD_OFFSET, OffsetPush};
+pub use planes::{FIELD_PLANES, PlanesPush, pack_planes};
+pub use waves::{FIELD_WAVES, WavesPush};
+
+/// Bytes that the activations of a chunk of points may have.
+const ACTIVATION_BYTES: usize = 64 << 20;
+/// Points of a chunk are a multiple of this, so that slices of the activations are aligned.
+const CHUNK_STEP: usize = 64;
+
+/// What the perceptron's input needs besides the points.
+#[derive(Debug)]
+enum Input {
+    Waves { time_network: Option<Buffer>, unused: Buffer },
+    Planes { plane: Buffer, plane_size: Buffer, push: PlanesPush },
+}
+
+/// Control nodes on the device.
+#[derive(Debug)]
+struct Nodes {
+    count: u32,
+    neighbors: u32,
+    turn: bool,
+    position: Buffer,
+    neighbor: Buffer,
+    weight: Buffer,
+    share: Buffer,
+}
+
+/// A layer's shape and where its weights are.
+#[derive(Debug)]
+struct Layer {
+    /// Columns taken from the input of the perceptron (a layer that sees it again), and from the layer below.
+    inputs: [u32; 2],
+    outputs: u32,
+    relu: bool,
+    parameter: Slice,
+}
+
+/// A field on the device, with the work space of a chunk.
+#[derive(Debug)]
+pub(crate) struct FieldBuffers {
+    /// Points at a time.
+    chunk: usize,
+    input: Input,
+    input_width: usize,
+    layers: Vec<Layer>,
+    rule: FieldRule,
+    nodes: Option<Nodes>,
+    parameter: Buffer,
+    /// The input of the perceptron, then two layers' outputs, of a chunk.
+    activation: Buffer,
+    /// Floats of the widest layer.
+    width: usize,
+    /// `float[10][N]`.
+    offset: Buffer,
+}
+
+impl FieldBuffers {
+    /// For a field that [`DeformationField::check`] has passed.
+    pub(crate) fn new(gpu: &Gpu, field: &DeformationField, gaussians: usize) -> Result<Self> {
+        let points = field.nodes.as_ref().map_or(gaussians, |n| n.position.len()).max(1);
+        let (input_width, width) = (field.input.width(), field.all_layers().map(|l| l.outputs).max().unwrap_or(1));
+        let fitting = ACTIVATION_BYTES / (4 * (input_width + 2 * width)) / CHUNK_STEP * CHUNK_STEP;
+        let whole = points.next_multiple_of(CHUNK_STEP);
+        // Nodes are few, and what follows them needs all of them.
+        let chunk = if field.nodes.is_some() { whole } else { whole.min(fitting.max(CHUNK_STEP)) };
+        let (layers, parameter) = layers(gpu, field)?;
+        let bytes = (chunk * (input_width + 2 * width) * 4) as u64;
+        Ok(Self {
+            chunk,
+            input: Input::new(gpu, &field.input)?,
+            input_width,
+            layers,
+            rule: field.rule(),
+            nodes: field.nodes.as_ref().map(|n| Nodes::new(gpu, n, field.head.outputs)).transpose()?,
+            parameter,
+            activation: gpu.buffer("field_activation", bytes, Memory::Device)?,
+            width,
+            offset: gpu.buffer(
+                "nonrigid_offset",
+                gaussians.max(1) as u64 * 4 * NONRIGID_PLANES as u64,
+                Memory::Device,
+            )?,
+        })
+    }
+
+    /// Bytes of device memory.
+    pub(crate) fn bytes(&self) -> u64 {
+        let input = match &self.input {
+            Input::Waves { time_network, .. } => time_network.as_ref().map_or(0, Buffer::bytes),
+            Input::Planes { plane, plane_size, .. } => plane.bytes() + plane_size.bytes(),
+        };
+        let nodes = self
+            .nodes
+            .as_ref()
+            .map_or(0, |n| [&n.position, &n.neighbor, &n.weight, &n.share].iter().map(|b| b.bytes()).sum::<u64>());
+        input + nodes + self.parameter.bytes() + self.activation.bytes() + self.offset.bytes()
+    }
+
+    /// Records the offsets of all Gaussians at the frame's time.
+    pub(crate) fn record(&self, gpu: &Gpu, r: &mut Recorder, scene: &SceneBuffers, frame: &Buffer) -> Result<Slice> {
+        let (stage, frame) = (Stage::of(gpu), Slice::from(frame));
+        let offset = Slice::from(&self.offset);
+        let gaussians = scene.gaussians;
+        if gaussians == 0 {
+            return Ok(offset);
+        }
+        if let Some(nodes) = &self.nodes {
+            self.evaluate(r, stage, &frame, &Slice::from(&nodes.position), [0, nodes.count, nodes.count])?;
+            let push = NodesPush { nodes: nodes.count, neighbors: nodes.neighbors, outputs: self.outputs() };
+            let buffers = [
+                frame,
+                self.head_output(nodes.count),
+                Slice::from(&scene.mean),
+                Slice::from(&scene.rotation),
+                Slice::from(&nodes.position),
+                Slice::from(&nodes.neighbor),
+                Slice::from(&nodes.weight),
+                Slice::from(&nodes.share),
+                offset.clone(),
+            ];
+            nodes::record(r, gaussians, nodes.turn, push, &buffers)?;
+            return Ok(offset);
+        }
+        for first in (0..gaussians).step_by(self.chunk) {
+            let rows = (gaussians - first).min(self.chunk as u32);
+            self.evaluate(r, stage, &frame, &Slice::from(&scene.mean), [first, rows, gaussians])?;
+            let push = OffsetPush { first_row: first, rows, outputs: self.outputs() };
+            let buffers = [
+                frame.clone(),
+                self.head_output(rows),
+                Slice::from(&scene.mean),
+                Slice::from(&scene.log_scale),
+                Slice::from(&scene.rotation),
+                offset.clone(),
+            ];
+            offset::record(r, self.rule, push, &buffers)?;
+        }
+        Ok(offset)
+    }
+
+    /// Records the perceptron for points `first..first + rows` of `points`.
+    fn evaluate(&self, r: &mut Recorder, stage: Stage, frame: &Slice, point: &Slice, part: [u32; 3]) -> Result<()> {
+        let [_, rows, _] = part;
+        self.input.record(r, frame, point, part, &self.activation(0, rows, self.input_width))?;
+        for (i, layer) in self.layers.iter().enumerate() {
+            let [inputs_0, inputs_1] = layer.inputs;
+            let below = (i > 0).then(|| self.region(i - 1));
+            // A layer that sees the input again reads from it on to the end of what the layer below gave.
+            let (input, input_1_at) = match (below, inputs_0) {
+                (None, _) => (self.activation(0, rows, self.input_width), 0),
+                (Some(region), 0) => (self.activation(region, rows, inputs_1 as usize), 0),
+                (Some(region), _) => {
+                    let at = self.start(region);
+                    (self.activation.slice(0, ((at + rows as usize * inputs_1 as usize) * 4) as u64), at as u32)
+                }
+            };
+            let (inputs_0, inputs_1) = if inputs_0 == 0 { (inputs_1, 0) } else { (inputs_0, inputs_1) };
+            let push = ForwardPush { rows, outputs: layer.outputs, inputs_0, inputs_1, input_1_at };
+            let output = self.activation(self.region(i), rows, layer.outputs as usize);
+            linear_forward::record(r, stage, push, layer.relu, &[input, layer.parameter.clone(), output])?;
+        }
+        Ok(())
+    }
+
+    fn outputs(&self) -> u32 {
+        self.layers.last().map_or(0, |l| l.outputs)
+    }
+
+    fn head_output(&self, rows: u32) -> Slice {
+        self.activation(self.region(self.layers.len() - 1), rows, self.outputs() as usize)
+    }
+
+    /// Where layer `i` writes: 1 or 2 in turn, such that what a layer reads together with the input (region 0) lies beside it.
+    fn region(&self, i: usize) -> usize {
+        let again = (1..self.layers.len()).find(|&i| self.layers[i].inputs[0] > 0);
+        1 + (i + again.map_or(0, |again| again - 1)) % 2
+    }
+
+    /// First float of a region of the activations.
+    fn start(&self, region: usize) -> usize {
+        self.chunk * if region == 0 { 0 } else { self.input_width + (region - 1) * self.width }
+    }
+
+    fn activation(&self, region: usize, rows: u32, columns: usize) -> Slice {
+        self.activation.slice(self.start(region) as u64 * 4, u64::from(rows) * columns as u64 * 4)
+    }
+}
+
+/// All layers, hidden ones and the head, with their weights in one buffer.
+fn layers(gpu: &Gpu, field: &DeformationField) -> Result<(Vec<Layer>, Buffer)> {
+    let all: Vec<&Linear> = field.all_layers().collect();
+    let mut words: Vec<f32> = Vec::new();
+    let mut starts = Vec::with_capacity(all.len());
+    for layer in &all {
+        words.resize(words.len().next_multiple_of(SLICE_ALIGNMENT as usize / 4), 0.0);
+        starts.push(words.len());
+        words.extend(layer.weight.iter().chain(&layer.bias));
+    }
+    let parameter = gpu.buffer_with("field_parameter", bytemuck::cast_slice(&words))?;
+    let skip = field.skip_layer();
+    let of = |(i, layer): (usize, &&Linear)| {
+        let seen = if skip == Some(i) { field.input.width() } else { 0 };
+        Layer {
+            inputs: [seen as u32, (layer.inputs - seen) as u32],
+            outputs: layer.outputs as u32,
+            relu: i + 1 < all.len(),
+            parameter: parameter.slice(starts[i] as u64 * 4, (layer.weight.len() + layer.bias.len()) as u64 * 4),
+        }
+    };
+    Ok((all.iter().enumerate().map(of).collect(), parameter.clone()))
+}
+
+impl Input {
+    fn new(gpu: &Gpu, input: &FieldInput) -> Result<Self> {
+        match input {
+            FieldInput::Waves { time } => {
+                let words = |network: &[Linear; 2]| -> Vec<f32> {
+                    network.iter().flat_map(|l| l.weight.iter().chain(&l.bias).copied()).collect()
+                };
+                let upload = |network| gpu.buffer_with("field_time_network", bytemuck::cast_slice(&words(network)));
+                let unused = gpu.buffer("unused", SLICE_ALIGNMENT, Memory::Device)?;
+                Ok(Self::Waves { time_network: time.as_ref().map(upload).transpose()?, unused })
+            }
+            FieldInput::Planes(planes) => {
+                let (values, sizes) = pack_planes(planes);
+                Ok(Self::Planes {
+                    plane: gpu.buffer_with("field_plane", bytemuck::cast_slice(&values))?,
+                    plane_size: gpu.buffer_with("field_plane_size", bytemuck::cast_slice(&sizes))?,
+                    push: PlanesPush::of(planes),
+                })
+            }
+        }
+    }
+
+    /// Records what the perceptron sees of points `first..first + rows` of `points`.
+    fn record(
+        &self,
+        r: &mut Recorder,
+        frame: &Slice,
+        point: &Slice,
+        [first_row, rows, points]: [u32; 3],
+        encoding: &Slice,
+    ) -> Result<()> {
+        match self {
+            Self::Waves { time_network, unused } => {
+                let push = WavesPush { first_row, rows, points };
+                let parameter = Slice::from(time_network.as_ref().unwrap_or(unused));
+                let buffers = [frame.clone(), point.clone(), parameter, encoding.clone()];
+                waves::record(r, time_network.is_some(), push, &buffers)
+            }
+            Self::Planes { plane, plane_size, push } => {
+                let push = PlanesPush { first_row, rows, points, ..*push };
+                let buffers =
+                    [frame.clone(), point.clone(), Slice::from(plane), Slice::from(plane_size), encoding.clone()];
+                planes::record(r, push, &buffers)
+            }
+        }
+    }
+}
+
+impl Nodes {
+    fn new(gpu: &Gpu, nodes: &ControlNodes, outputs: usize) -> Result<Self> {
+        let upload = |name: &str, bytes: &[u8]| gpu.buffer_with(name, bytes);
+        Ok(Self {
+            count: nodes.position.len() as u32,
+            neighbors: nodes.neighbors as u32,
+            turn: ControlNodes::turn(outputs),
+            position: upload("node_position", bytemuck::cast_slice(&component_planes(&nodes.position)))?,
+            neighbor: upload("node_neighbor", bytemuck::cast_slice(&nodes.neighbor))?,
+            weight: upload("node_weight", bytemuck::cast_slice(&nodes.weight))?,
+            share: upload("node_share", bytemuck::cast_slice(&nodes.share))?,
+        })
+    }
+}
+
+/// Evaluates a scene's field on a device at any times, away from rendering: for tables and files of one time.
+#[derive(Debug)]
+pub struct FieldEvaluator {
+    gpu: Gpu,
+    scene: SceneBuffers,
+    field: FieldBuffers,
+    frame: Buffer,
+    readback: Buffer,
+}
+
+impl FieldEvaluator {
+    /// For a scene with a field.
+    ///
+    /// # Errors
+    /// `Usage` when the scene has none or it does not fit together; `OutOfMemory`, `Limit`.
+    pub fn new(gpu: &Gpu, scene: &Scene) -> Result<Self> {
+        let Some(field) = &scene.field else {
+            return Err(crate::Error::usage("deformation field", "a scene without one", "a scene with one"));
+        };
+        // Colours play no part: one band of them is the least there is.
+        let plain = Gaussians { sh_degree: 0, sh: vec![0.0; 3 * scene.gaussians.len()], ..scene.gaussians.clone() };
+        let plain = Scene { gaussians: plain, ..Scene::default() };
+        let buffers = SceneBuffers::new(gpu, &plain, MotionSource::Auto, &Quality::EXACT)?;
+        field.check(scene.gaussians.len())?;
+        let field = FieldBuffers::new(gpu, field, scene.gaussians.len())?;
+        let readback = gpu.buffer("offset readback", field.offset.bytes(), Memory::Readback)?;
+        let frame = gpu.buffer("frame", size_of::<Frame>() as u64, Memory::Upload)?;
+        Ok(Self { gpu: gpu.clone(), scene: buffers, field, frame, readback })
+    }
+
+    /// `[N]` offsets at `time`, f32 values. Blocks.
+    ///
+    /// # Errors
+    /// `DeviceLost`, `Vulkan`.
+    pub fn offsets(&self, time: f64) -> Result<Vec<Offset>> {
+        let camera = crate::scene::Camera::look_at(glam::DVec3::Z, glam::DVec3::ZERO, glam::DVec3::Y, 1.0, [16, 16]);
+        let frame = self.scene.frame(&camera, FrameOptions { time, ..FrameOptions::default() }, 32)?;
+        self.frame.write(0, bytemuck::bytes_of(&frame))?;
+        let mut r = self.gpu.recorder("deformation field");
+        let offset = self.field.record(&self.gpu, &mut r, &self.scene, &self.frame)?;
+        r.copy(offset, self.readback.slice(0, self.readback.bytes()))?;
+        r.host_read(&self.readback);
+        self.gpu.run(r)?;
+        let n = self.scene.gaussians as usize;
+        let mut planes = vec![0.0_f32; self.readback.bytes() as usize / 4];
+        self.readback.read(0, bytemuck::cast_slice_mut(&mut planes))?;
+        let at = |plane: usize, g: usize| f64::from(planes[plane * n + g]);
+        let one = |g: usize| Offset {
+            mean: std::array::from_fn(|i| at(i, g)),
+            rotation: std::array::from_fn(|i| at(3 + i, g)),
+            scale: std::array::from_fn(|i| at(7 + i, g)),
+        };
+        Ok((0..n).map(one).collect())
+    }
+}

@@ -1,0 +1,87 @@
+//! Kernel `field_waves`: encoded points and time, `[rows, 84]` or, with a network of time, `[rows, 93]`.
+
+use crate::error::Result;
+use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
+use crate::gpu::{Groups, Recorder, Slice};
+use crate::render::frame::Frame;
+use crate::render::nonrigid_network::encoded;
+use crate::render::twin::{f32_at, push, set_f32, spec, struct_at};
+use crate::scene::field::{FIELD_POSITION_WIDTH, FIELD_TIME_NETWORK, FIELD_TIME_OCTAVES};
+
+crate::gpu_struct! {
+    /// Push constants of [`FIELD_WAVES`].
+    pub struct WavesPush {
+        /// Point of the first row.
+        pub first_row: u32,
+        /// Rows to write.
+        pub rows: u32,
+        /// Points in all: floats from one plane of `point` to the next.
+        pub points: u32,
+    }
+}
+
+/// Points per workgroup.
+const GROUP_POINTS: u32 = 64;
+/// Inputs of the network of time.
+const TIME_INPUTS: usize = 1 + 2 * FIELD_TIME_OCTAVES[1];
+
+/// Positional encoding of points and time, with the network of time where there is one.
+pub static FIELD_WAVES: Kernel = Kernel {
+    name: "field_waves",
+    doc: "deformation field: encoded points and time",
+    local_size: 256,
+    spec: &["SUBGROUP_SIZE", "TIME_NETWORK"],
+    push: WavesPush::FIELDS,
+    bindings: &[
+        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
+        Binding::new("point", Access::Read, Element::F32),
+        Binding::new("parameter", Access::Read, Element::F32),
+        Binding::new("encoding", Access::Write, Element::F32),
+    ],
+    twin: waves_twin,
+    // Sines are the twin's line by line; sums of 256 outputs of the network of time are not.
+    tolerance: Tolerance { absolute: 1e-4, relative: 2e-5, flips: 0.0 },
+    bytes: |work| work.get("rows") * 4 * (3 + 93),
+    spirv: include_bytes!("../../../../spirv_cache/field_waves.spv"),
+};
+
+/// Records it.
+pub(super) fn record(r: &mut Recorder, time_network: bool, push: WavesPush, buffers: &[Slice; 4]) -> Result<()> {
+    let groups = Groups::Direct(push.rows.div_ceil(GROUP_POINTS).into());
+    r.dispatch(&FIELD_WAVES, &[u32::from(time_network)], bytemuck::bytes_of(&push), buffers, groups)
+}
+
+fn waves_twin(call: &mut TwinCall<'_>) {
+    let p: WavesPush = push(call);
+    let frame: Frame = struct_at(&call.buffers[0], 0);
+    let time = frame.background[3];
+    let direct =
+        |count: usize| (0..count).map(|e| encoded([0.0; 3], time, FIELD_POSITION_WIDTH + e)).collect::<Vec<_>>();
+    let code = if spec(call, 1) == 1 {
+        time_network(&call.buffers[2], &direct(TIME_INPUTS))
+    } else {
+        direct(1 + 2 * FIELD_TIME_OCTAVES[0])
+    };
+    let columns = FIELD_POSITION_WIDTH + code.len();
+    for row in 0..p.rows as usize {
+        let at = |axis: usize| f32_at(&call.buffers[1], axis * p.points as usize + p.first_row as usize + row);
+        let point = [at(0), at(1), at(2)];
+        for e in 0..columns {
+            let value = if e < FIELD_POSITION_WIDTH { encoded(point, time, e) } else { code[e - FIELD_POSITION_WIDTH] };
+            set_f32(&mut call.buffers[3], row * columns + e, value);
+        }
+    }
+}
+
+/// 13 → 256 → ReLU → 30.
+fn time_network(words: &[u32], code: &[f32]) -> Vec<f32> {
+    let [hidden, outputs] = FIELD_TIME_NETWORK;
+    let dense = |base: usize, x: &[f32], outputs: usize| -> Vec<f32> {
+        let sum = |o: usize| -> f64 {
+            x.iter().enumerate().map(|(i, v)| f64::from(f32_at(words, base + o * x.len() + i)) * f64::from(*v)).sum()
+        };
+        (0..outputs).map(|o| (sum(o) + f64::from(f32_at(words, base + outputs * x.len() + o))) as f32).collect()
+    };
+    let first: Vec<f32> = dense(0, code, hidden).into_iter().map(|v| v.max(0.0)).collect();
+    dense(hidden * (code.len() + 1), &first, outputs)
+}

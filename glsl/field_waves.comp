@@ -1,0 +1,79 @@
+// Input of a deformation field for the points from push.first_row on: [x, sin 2^k x, cos 2^k x, ..] of the point (10 octaves),
+// then of the time (10 octaves), or, with a network of time, its 30 outputs for 6 octaves of the time. [rows, 84 or 93]. A
+// workgroup runs the network of time for itself: 11,000 products beside the hundred thousand of each of its 64 points.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+
+layout(local_size_x = 256) in;
+layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
+layout(constant_id = 1) const uint TIME_NETWORK = 0;
+
+#include "lib/frame.glsl"
+#include "lib/dispatch.glsl"
+#include "lib/angle.glsl"
+#include "lib/encoding.glsl"
+
+layout(std430, set = 0, binding = 1) readonly buffer PointBlock { float point[]; }; // [3][points]
+// [256, 13], its bias, [30, 256], its bias.
+layout(std430, set = 0, binding = 2) readonly buffer ParameterBlock { float parameter[]; };
+layout(std430, set = 0, binding = 3) writeonly buffer EncodingBlock { float encoding[]; };
+
+layout(push_constant) uniform Push { uint first_row; uint rows; uint points; } push;
+
+const uint GROUP_POINTS = 64u;
+const uint TIME_HIDDEN = 256u;
+const uint TIME_INPUTS = 13u;
+const uint TIME_OUTPUTS = 30u;
+
+shared vec4 centres[64];
+shared float hidden_value[256];
+shared float time_code[32];
+
+float time_element(uint e, float time) {
+    return encoded_value(encoded_element(POSITION_ELEMENTS + e), time);
+}
+
+void main() {
+    uint time_network = TIME_NETWORK;
+    uint thread = gl_LocalInvocationIndex;
+    uint first = workgroup_index() * GROUP_POINTS;
+    float time = frame.background.w;
+    if (thread < GROUP_POINTS) {
+        uint p = push.first_row + min(first + thread, push.rows - 1u);
+        centres[thread] = vec4(point[p], point[push.points + p], point[2u * push.points + p], time);
+    }
+    if (time_network == 1u) {
+        float sum = parameter[TIME_HIDDEN * TIME_INPUTS + thread];
+        for (uint i = 0u; i < TIME_INPUTS; i++) {
+            sum += parameter[thread * TIME_INPUTS + i] * time_element(i, time);
+        }
+        hidden_value[thread] = max(sum, 0.0);
+    }
+    barrier();
+    if (time_network == 1u && thread < TIME_OUTPUTS) {
+        uint base = TIME_HIDDEN * (TIME_INPUTS + 1u);
+        float sum = parameter[base + TIME_OUTPUTS * TIME_HIDDEN + thread];
+        for (uint i = 0u; i < TIME_HIDDEN; i++) {
+            sum += parameter[base + thread * TIME_HIDDEN + i] * hidden_value[i];
+        }
+        time_code[thread] = sum;
+    } else if (time_network == 0u && thread < 21u) {
+        time_code[thread] = time_element(thread, time);
+    }
+    barrier();
+    uint columns = POSITION_ELEMENTS + (time_network == 1u ? TIME_OUTPUTS : 21u);
+    for (uint item = thread; item < columns * GROUP_POINTS; item += 256u) {
+        uint row = item / columns;
+        uint e = item % columns;
+        if (first + row < push.rows) {
+            float value;
+            if (e < POSITION_ELEMENTS) {
+                EncodedElement element = encoded_element(e);
+                value = encoded_value(element, centres[row][element.axis]);
+            } else {
+                value = time_code[e - POSITION_ELEMENTS];
+            }
+            encoding[first * columns + item] = value;
+        }
+    }
+}

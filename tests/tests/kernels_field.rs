@@ -1,0 +1,237 @@
+//! The kernels of deformation fields against their twins, and fields in chunks.
+
+use engine::render::FieldEvaluator;
+use engine::render::field::{
+    FIELD_NODES, FIELD_OFFSET, FIELD_PLANES, FIELD_WAVES, NodesPush, OffsetPush, PlanesPush, WavesPush, pack_planes,
+};
+use engine::render::frame::Frame;
+use engine::scene::field::{
+    ControlNodes, DeformationField, FIELD_POSITION_WIDTH, FIELD_TIME_NETWORK, FieldInput, FieldPlane, FieldPlanes,
+};
+use engine::scene::synthetic::random_gaussians;
+use engine::scene::{Linear, Scene};
+use tests_harness::KernelCase;
+use tests_harness::render_case::{Random, RenderInput, test_camera};
+
+const COUNTS: [usize; 5] = [1, 63, 64, 257, 600];
+
+fn words(values: &[f32]) -> Vec<u32> {
+    values.iter().map(|v| v.to_bits()).collect()
+}
+
+fn random(r: &mut Random, count: usize, bound: f32) -> Vec<f32> {
+    (0..count).map(|_| r.range(-bound, bound)).collect()
+}
+
+fn input(count: usize) -> (RenderInput, Vec<u32>) {
+    let input = RenderInput::random(count, 0, count as u64);
+    let mut frame: Frame = input.frame(&test_camera(8, 8));
+    frame.background[3] = 0.42;
+    (input, bytemuck::cast_slice(&[frame]).to_vec())
+}
+
+#[test]
+fn waves_match_their_twin() {
+    let gpu = tests_harness::gpu();
+    let mut r = Random(3);
+    let [hidden, outputs] = FIELD_TIME_NETWORK;
+    let network = random(&mut r, hidden * 14 + outputs * (hidden + 1), 0.2);
+    for count in COUNTS {
+        let (input, frame) = input(count);
+        for time_network in [0, 1] {
+            let columns = FIELD_POSITION_WIDTH + [21, 30][time_network as usize];
+            for first_row in [0, count / 2] {
+                let rows = count - first_row;
+                let push = WavesPush { first_row: first_row as u32, rows: rows as u32, points: count as u32 };
+                let case = KernelCase {
+                    kernel: &FIELD_WAVES,
+                    spec: vec![time_network],
+                    push: bytemuck::bytes_of(&push).to_vec(),
+                    buffers: vec![frame.clone(), words(&input.mean), words(&network), vec![0; rows * columns]],
+                    groups: rows.div_ceil(64) as u32,
+                };
+                case.run(&gpu)
+                    .assert_equal(&FIELD_WAVES, &format!("N = {count} from {first_row}, network {time_network}"));
+            }
+        }
+    }
+}
+
+fn some_planes(r: &mut Random, channels: usize) -> FieldPlanes {
+    let mut plane = |width: usize, height: usize| FieldPlane {
+        height,
+        width,
+        values: random(r, channels * width * height, 0.3).iter().map(|v| 1.0 + v).collect(),
+    };
+    // Sizes of 1 have no neighbour.
+    let scales = vec![
+        [plane(5, 7), plane(5, 4), plane(5, 3), plane(7, 4), plane(7, 3), plane(4, 3)],
+        [plane(9, 1), plane(9, 6), plane(9, 2), plane(1, 6), plane(1, 2), plane(6, 2)],
+    ];
+    FieldPlanes { bounds: [[1.5, 1.4, 1.3], [-1.2, -1.6, -1.5]], channels, scales }
+}
+
+#[test]
+fn planes_match_their_twin() {
+    let gpu = tests_harness::gpu();
+    let mut r = Random(5);
+    for channels in [1, 3, 16] {
+        let planes = some_planes(&mut r, channels);
+        let (values, sizes) = pack_planes(&planes);
+        for count in COUNTS {
+            let (input, frame) = input(count);
+            let first_row = count / 3;
+            let rows = count - first_row;
+            let push = PlanesPush {
+                first_row: first_row as u32,
+                rows: rows as u32,
+                points: count as u32,
+                ..PlanesPush::of(&planes)
+            };
+            let items = rows * channels * planes.scales.len();
+            let case = KernelCase {
+                kernel: &FIELD_PLANES,
+                spec: vec![],
+                push: bytemuck::bytes_of(&push).to_vec(),
+                buffers: vec![frame.clone(), words(&input.mean), words(&values), sizes.clone(), vec![0; items]],
+                groups: items.div_ceil(256) as u32,
+            };
+            case.run(&gpu).assert_equal(&FIELD_PLANES, &format!("N = {count}, {channels} channels"));
+        }
+    }
+}
+
+#[test]
+fn offsets_match_their_twin_under_every_rule() {
+    let gpu = tests_harness::gpu();
+    let mut r = Random(7);
+    for count in COUNTS {
+        let (input, frame) = input(count);
+        for (rule, outputs) in [(0, 10), (1, 13), (2, 10)] {
+            let first_row = count / 4;
+            let rows = count - first_row;
+            let mut head = random(&mut r, rows * outputs, 0.4);
+            // A screw without an axis.
+            head[..3].fill(0.0);
+            let push = OffsetPush { first_row: first_row as u32, rows: rows as u32, outputs: outputs as u32 };
+            // What other chunks write stays.
+            let before = vec![7_u32; 10 * count];
+            let case = KernelCase {
+                kernel: &FIELD_OFFSET,
+                spec: vec![rule],
+                push: bytemuck::bytes_of(&push).to_vec(),
+                buffers: vec![
+                    frame.clone(),
+                    words(&head),
+                    words(&input.mean),
+                    words(&input.log_scale),
+                    words(&input.rotation),
+                    before,
+                ],
+                groups: rows.div_ceil(256) as u32,
+            };
+            case.run(&gpu).assert_equal(&FIELD_OFFSET, &format!("N = {count}, rule {rule}"));
+        }
+    }
+}
+
+#[test]
+fn nodes_match_their_twin() {
+    let gpu = tests_harness::gpu();
+    let mut r = Random(9);
+    let (nodes, neighbors) = (11, 3);
+    for count in COUNTS {
+        let (input, frame) = input(count);
+        for turn in [0, 1] {
+            let outputs = 10 + 4 * turn as usize;
+            let push = NodesPush { nodes: nodes as u32, neighbors: neighbors as u32, outputs: outputs as u32 };
+            let neighbor = (0..count * neighbors).map(|e| (e * 7 % nodes) as u32).collect();
+            let case = KernelCase {
+                kernel: &FIELD_NODES,
+                spec: vec![turn],
+                push: bytemuck::bytes_of(&push).to_vec(),
+                buffers: vec![
+                    frame.clone(),
+                    words(&random(&mut r, nodes * outputs, 0.3)),
+                    words(&input.mean),
+                    words(&input.rotation),
+                    words(&random(&mut r, 3 * nodes, 1.0)),
+                    neighbor,
+                    words(&random(&mut r, count * neighbors, 0.5)),
+                    words(&random(&mut r, count, 1.0)),
+                    vec![0; 10 * count],
+                ],
+                groups: count.div_ceil(256) as u32,
+            };
+            case.run(&gpu).assert_equal(&FIELD_NODES, &format!("N = {count}, turn {turn}"));
+        }
+    }
+}
+
+fn linear(r: &mut Random, inputs: usize, outputs: usize) -> Linear {
+    let bound = 1.0 / (inputs as f32).sqrt();
+    Linear { inputs, outputs, weight: random(r, inputs * outputs, bound), bias: random(r, outputs, bound) }
+}
+
+/// A field whose layer `skip` sees the input again, with layers so wide that a chunk holds 16,000 points.
+fn field(skip: usize, wide: usize) -> DeformationField {
+    let mut r = Random(skip as u64 + 1);
+    let input = FieldInput::Waves { time: None };
+    let seen = input.width();
+    let widths = [wide, 8, 8, 8];
+    let inputs = |i: usize| match i {
+        0 => seen,
+        _ if i == skip => seen + widths[i - 1],
+        _ => widths[i - 1],
+    };
+    let layers = (0..4).map(|i| linear(&mut r, inputs(i), widths[i])).collect();
+    DeformationField { input, layers, head: linear(&mut r, if skip == 4 { seen + 8 } else { 8 }, 10), nodes: None }
+}
+
+#[test]
+fn chunks_change_nothing() {
+    let gpu = tests_harness::gpu();
+    let g = random_gaussians(17_000, 5, 0);
+    let scene = Scene { gaussians: g.clone(), field: Some(field(2, 480)), ..Scene::default() };
+    let all = FieldEvaluator::new(&gpu, &scene).unwrap().offsets(0.3).unwrap();
+    // The same Gaussians few at a time, from both sides of the border between chunks.
+    for first in [0, 16_040, 16_960] {
+        let part = g.selected(&(first..first + 40).collect::<Vec<_>>());
+        let part = Scene { gaussians: part, ..scene.clone() };
+        let few = FieldEvaluator::new(&gpu, &part).unwrap().offsets(0.3).unwrap();
+        for (i, offset) in few.iter().enumerate() {
+            let other = all[first + i];
+            let far = (0..3).map(|a| (offset.mean[a] - other.mean[a]).abs()).fold(0.0, f64::max);
+            assert!(far < 1e-6 && offset.mean != [0.0; 3], "Gaussian {}: {offset:?} {other:?}", first + i);
+        }
+    }
+}
+
+#[test]
+fn every_layer_can_see_the_input_again() {
+    let gpu = tests_harness::gpu();
+    let g = random_gaussians(70, 5, 0);
+    for skip in [1, 2, 3, 4, 9] {
+        let field = field(skip, 24);
+        assert_eq!(field.skip_layer(), (skip < 5).then_some(skip));
+        let scene = Scene { gaussians: g.clone(), field: Some(field.clone()), ..Scene::default() };
+        let device = FieldEvaluator::new(&gpu, &scene).unwrap().offsets(0.7).unwrap();
+        let truth = engine::reference::field_offsets(&field, &g, 0.7);
+        for (a, b) in device.iter().zip(&truth) {
+            let far = (0..4).map(|c| (a.rotation[c] - b.rotation[c]).abs()).fold(0.0, f64::max);
+            assert!(far < 1e-4, "skip {skip}: {a:?} {b:?}");
+        }
+    }
+}
+
+#[test]
+fn a_field_of_a_scene_without_gaussians_is_nothing() {
+    let gpu = tests_harness::gpu();
+    let nodes = ControlNodes { position: vec![[0.0; 3]; 3], neighbors: 3, ..ControlNodes::default() };
+    for nodes in [None, Some(nodes)] {
+        let field = DeformationField { nodes, ..field(2, 16) };
+        let gaussians = random_gaussians(0, 1, 0);
+        let scene = Scene { gaussians, field: Some(field), ..Scene::default() };
+        assert!(FieldEvaluator::new(&gpu, &scene).unwrap().offsets(0.5).unwrap().is_empty());
+    }
+}
