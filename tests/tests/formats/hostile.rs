@@ -105,6 +105,19 @@ fn parse_spz(bytes: &[u8]) {
     }
 }
 
+/// The seed of version 3 with two extension records, packed again.
+fn spz_with_extensions() -> Vec<u8> {
+    let mut inner = Vec::new();
+    flate2::read::GzDecoder::new(&bytes_of("a.spz")[..]).read_to_end(&mut inner).unwrap();
+    inner[14] |= 2;
+    for (kind, content) in [(0xadbe_0003u32, &[12, 0, 0, 0][..]), (0xadbe_0002, &[0; 12])] {
+        inner.extend([&kind.to_le_bytes(), &(content.len() as u32).to_le_bytes(), content].concat());
+    }
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    gzip.write_all(&inner).unwrap();
+    gzip.finish().unwrap()
+}
+
 fn parse_torch(bytes: &[u8]) {
     if let Ok(weights) = Weights::parse(bytes, path()) {
         for info in weights.describe() {
@@ -129,6 +142,7 @@ fn targets() -> Vec<Target> {
         target("compressed ply", bytes_of("a.compressed.ply"), plain, parse_ply, b"ply\nformat ascii 1.0\n"),
         target("splat", bytes_of("a.splat"), plain, |b| drop(splat::parse(b, path()).map(|g| consistent(&g))), b""),
         target("spz 3", bytes_of("a.spz"), in_gzip, parse_spz, b"\x1f\x8b\x08\0\0\0\0\0\0\xff"),
+        target("spz with extensions", spz_with_extensions(), in_gzip, parse_spz, b"\x1f\x8b\x08\0\0\0\0\0\0\xff"),
         target("spz 4", spz4, plain, parse_spz, b"NGSP\x04\0\0\0"),
         target(
             "sog",
@@ -201,6 +215,8 @@ fn files_cut_at_any_byte_are_errors() {
     assert!(splat::parse(&cut(&bytes_of("a.splat")), path()).is_err());
     assert!(spz::parse(&cut(&bytes_of("a.spz")), path()).is_err());
     assert!(sog::parse(&cut(&bytes_of("a.sog")), path()).is_err());
+    assert!(spz::parse(&spz_with_extensions(), path()).is_ok_and(|(_, warnings)| warnings.len() == 1));
+    assert!(spz::parse(&cut(&spz_with_extensions()), path()).is_err());
     assert!(gltf::parse(&cut(&bytes_of("a.glb")), path()).is_err());
     assert!(Weights::parse(&cut(&weights()), path()).is_err());
 }
