@@ -97,10 +97,7 @@ impl Files<'_> {
         match self {
             Self::Zip(archive, prefix) => archive.read(&format!("{prefix}{name}"), limit),
             Self::Folder(folder) => {
-                // A name in a file may not lead out of its folder.
-                if name.is_empty()
-                    || Path::new(name).components().any(|c| !matches!(c, std::path::Component::Normal(_)))
-                {
+                if !is_inside(name) {
                     return Err(Error::corrupt(
                         folder,
                         "meta.json",
@@ -112,6 +109,12 @@ impl Files<'_> {
             }
         }
     }
+}
+
+/// Whether a name in a file is that of another file in its folder, or in a folder within: it may not lead out.
+pub(crate) fn is_inside(name: &str) -> bool {
+    let normal = |c| matches!(c, std::path::Component::Normal(_));
+    !name.is_empty() && !name.ends_with('/') && Path::new(name).components().all(normal)
 }
 
 /// Reads a regular file of at most `limit` bytes.

@@ -25,7 +25,7 @@ pub enum Format {
     Spz,
     /// SOG, a folder with `meta.json` or a zip: static.
     Sog,
-    /// glTF with `KHR_gaussian_splatting` (`.glb`): static.
+    /// glTF with `KHR_gaussian_splatting` (`.glb`, `.gltf`): static.
     Gltf,
     /// The output folder of a PyTorch training run: SP-GS, Deformable-3DGS, 4D-GS, SC-GS, 3DGS.
     Checkpoint,
@@ -71,14 +71,18 @@ impl Format {
         if (head.len() >= 9 && head[4..8] == [0; 4] && head[8] == b'{') || is_named("safetensors") {
             return Ok(Self::Safetensors);
         }
-        if path.file_name().is_some_and(|n| n == sog::META) && head.trim_ascii_start().starts_with(b"{") {
+        let is_json = head.trim_ascii_start().starts_with(b"{");
+        if is_json && is_named("gltf") {
+            return Ok(Self::Gltf);
+        }
+        if is_json && path.file_name().is_some_and(|n| n == sog::META) {
             return Ok(Self::Sog);
         }
         if is_named("splat") || splat::is_plausible(&head, metadata.len()) {
             return Ok(Self::Splat);
         }
         let found = format!("{:?}", head[..head.len().min(9)].escape_ascii().to_string());
-        let expected = "a .safetensors model, a .ply, .splat, .spz, .sog, .glb or .pth";
+        let expected = "a .safetensors model, a .ply, .splat, .spz, .sog, .glb, .gltf or .pth";
         Err(Error::corrupt(path, "byte 0", found, expected))
     }
 

@@ -105,6 +105,45 @@ fn parse_spz(bytes: &[u8]) {
     }
 }
 
+fn parse_gltf(bytes: &[u8]) {
+    if let Ok((g, _)) = gltf::parse(bytes, path()) {
+        consistent(&g);
+    }
+}
+
+/// A `.spz` within a `.glb`, or within a `.gltf` in base64, under a node that does everything.
+fn gltf_with_spz(binary: bool) -> Vec<u8> {
+    let mut stream = bytes_of("a.spz");
+    stream.resize(stream.len().next_multiple_of(3), 0);
+    let uri = if binary { String::new() } else { format!(r#","uri":"data:;base64,{}""#, base64(&stream)) };
+    let mut text = format!(
+        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1]}},{{"mesh":0,
+        "translation":[1,2,3],"rotation":[0.6,0,0,0.8],"scale":[1,2,3]}}],"meshes":[{{"primitives":[{{"attributes":{{}},
+        "extensions":{{"KHR_gaussian_splatting":{{"kernel":"ellipse","extensions":{{
+        "KHR_gaussian_splatting_compression_spz_2":{{"bufferView":0}}}}}}}}}}]}}],
+        "bufferViews":[{{"buffer":0,"byteLength":{length}}}],"buffers":[{{"byteLength":{length}{uri}}}]}}"#,
+        length = stream.len()
+    )
+    .into_bytes();
+    if !binary {
+        return text;
+    }
+    text.resize(text.len().next_multiple_of(4), b' ');
+    stream.resize(stream.len().next_multiple_of(4), 0);
+    let number = |n: usize| (n as u32).to_le_bytes();
+    let total = number(28 + text.len() + stream.len());
+    [b"glTF\x02\0\0\0", &total[..], &number(text.len()), b"JSON", &text, &number(stream.len()), b"BIN\0", &stream]
+        .concat()
+}
+
+/// Whole groups of three bytes.
+fn base64(bytes: &[u8]) -> String {
+    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let group = |b: &[u8]| u32::from_be_bytes([0, b[0], b[1], b[2]]);
+    let letters = |v: u32| [18, 12, 6, 0].map(|shift| char::from(LETTERS[(v >> shift & 63) as usize]));
+    bytes.chunks_exact(3).flat_map(|b| letters(group(b))).collect()
+}
+
 /// The seed of version 3 with two extension records, packed again.
 fn spz_with_extensions() -> Vec<u8> {
     let mut inner = Vec::new();
@@ -151,13 +190,9 @@ fn targets() -> Vec<Target> {
             |b| drop(sog::parse(b, path()).map(|g| consistent(&g))),
             b"PK\x03\x04",
         ),
-        target(
-            "gltf",
-            bytes_of("a.glb"),
-            plain,
-            |b| drop(gltf::parse(b, path()).map(|g| consistent(&g))),
-            b"glTF\x02\0\0\0",
-        ),
+        target("gltf", bytes_of("a.glb"), plain, parse_gltf, b"glTF\x02\0\0\0"),
+        target("gltf with spz", gltf_with_spz(true), plain, parse_gltf, b"glTF\x02\0\0\0"),
+        target("gltf as text", gltf_with_spz(false), plain, parse_gltf, b"{\"buffers\":["),
         target("torch", weights(), in_zip, parse_torch, b"PK\x03\x04"),
     ]
 }
@@ -215,6 +250,10 @@ fn files_cut_at_any_byte_are_errors() {
     assert!(splat::parse(&cut(&bytes_of("a.splat")), path()).is_err());
     assert!(spz::parse(&cut(&bytes_of("a.spz")), path()).is_err());
     assert!(sog::parse(&cut(&bytes_of("a.sog")), path()).is_err());
+    for binary in [true, false] {
+        assert_eq!(gltf::parse(&gltf_with_spz(binary), path()).unwrap().0.len(), 9);
+        assert!(gltf::parse(&cut(&gltf_with_spz(binary)), path()).is_err());
+    }
     assert!(spz::parse(&spz_with_extensions(), path()).is_ok_and(|(_, warnings)| warnings.len() == 1));
     assert!(spz::parse(&cut(&spz_with_extensions()), path()).is_err());
     assert!(gltf::parse(&cut(&bytes_of("a.glb")), path()).is_err());

@@ -9,8 +9,8 @@ use crate::args::{MotionArg, finite};
 /// `spgs convert`.
 #[derive(Debug, Args)]
 pub struct ConvertArgs {
-    /// Model: .safetensors, 3DGS .ply, compressed .ply, .splat, .spz, SOG (folder, meta.json or .sog), .glb, or the folder of
-    /// a training run of SP-GS, Deformable-3DGS, 4D-GS, SC-GS or 3DGS
+    /// Model: .safetensors, 3DGS .ply, compressed .ply, .splat, .spz, SOG (folder, meta.json or .sog), .glb, .gltf, or
+    /// the folder of a training run of SP-GS, Deformable-3DGS, 4D-GS, SC-GS or 3DGS
     #[arg(value_name = "IN")]
     pub input: PathBuf,
     /// What to write, by its ending: .safetensors (everything), .ply, .compressed.ply, .splat, .spz, .sog, .glb (these hold
