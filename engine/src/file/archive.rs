@@ -53,6 +53,11 @@ impl<'a> Archive<'a> {
         Ok(start..end)
     }
 
+    /// Whether there is such an entry.
+    fn has(&self, name: &str) -> bool {
+        self.zip.index_for_name(name).is_some()
+    }
+
     /// The content of an entry, at most `limit` bytes.
     pub(crate) fn read(&mut self, name: &str, limit: u64) -> Result<Vec<u8>> {
         let path = self.path;
@@ -89,6 +94,14 @@ impl Files<'_> {
             Self::Folder(folder) => {
                 names.iter().filter_map(|n| std::fs::metadata(folder.join(n)).ok()).map(|m| m.len()).sum()
             }
+        }
+    }
+
+    /// Whether there is such a file.
+    pub(crate) fn has(&self, name: &str) -> bool {
+        match self {
+            Self::Zip(archive, prefix) => archive.has(&format!("{prefix}{name}")),
+            Self::Folder(folder) => is_inside(name) && folder.join(name).is_file(),
         }
     }
 

@@ -25,6 +25,8 @@ pub enum Format {
     Spz,
     /// SOG, a folder with `meta.json` or a zip: static.
     Sog,
+    /// SOG at several levels of detail, a folder with `lod-meta.json` or a zip: static.
+    StreamedSog,
     /// glTF with `KHR_gaussian_splatting` (`.glb`, `.gltf`): static.
     Gltf,
     /// The output folder of a PyTorch training run: SP-GS, Deformable-3DGS, 4D-GS, SC-GS, 3DGS.
@@ -47,7 +49,7 @@ impl Format {
         let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
         if metadata.is_dir() {
             return Self::of_folder(path).ok_or_else(|| {
-                let expected = "a SOG folder (meta.json) or a training run's (point_cloud/iteration_N/point_cloud.ply)";
+                let expected = "a SOG folder (meta.json or lod-meta.json) or a training run's (point_cloud/iteration_N/point_cloud.ply)";
                 Error::corrupt(path, "folder", "no model", expected)
             });
         }
@@ -78,6 +80,9 @@ impl Format {
         if is_json && path.file_name().is_some_and(|n| n == sog::META) {
             return Ok(Self::Sog);
         }
+        if is_json && path.file_name().is_some_and(|n| n == sog::LOD_META) {
+            return Ok(Self::StreamedSog);
+        }
         if is_named("splat") || splat::is_plausible(&head, metadata.len()) {
             return Ok(Self::Splat);
         }
@@ -89,6 +94,10 @@ impl Format {
     fn of_zip(path: &Path) -> Result<Self> {
         let bytes = map_file(path)?;
         let names = Archive::open(&bytes, path)?.names();
+        // Each part of a scene with levels of detail has a `meta.json` of its own.
+        if sog::lod_prefix(&names).is_some() {
+            return Ok(Self::StreamedSog);
+        }
         if sog::prefix(&names).is_some() {
             return Ok(Self::Sog);
         }
@@ -104,7 +113,8 @@ impl Format {
         if checkpoint::is_run(path) {
             return Some(Self::Checkpoint);
         }
-        path.join(sog::META).is_file().then_some(Self::Sog)
+        let has = |name: &str| path.join(name).is_file();
+        if has(sog::META) { Some(Self::Sog) } else { has(sog::LOD_META).then_some(Self::StreamedSog) }
     }
 }
 
@@ -116,6 +126,7 @@ impl fmt::Display for Format {
             Self::Splat => ".splat",
             Self::Spz => ".spz",
             Self::Sog => "SOG",
+            Self::StreamedSog => "streamed SOG",
             Self::Gltf => "glTF KHR_gaussian_splatting",
             Self::Checkpoint => "training run",
             Self::Torch => "PyTorch .pth",

@@ -52,6 +52,35 @@ fn weights() -> Vec<u8> {
     pickle::file(&Value::List(vec![inner, dict(vec![("c", floats(&[1], vec![2.0]))])]))
 }
 
+/// A zip with two levels of detail, the finer one in two parts.
+fn levels() -> Vec<u8> {
+    let inner = bytes_of("a.sog");
+    let mut from = zip::ZipArchive::new(Cursor::new(inner)).unwrap();
+    let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    let stored = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    let text = br#"{"lodLevels":2,"environment":null,"filenames":["0_0/meta.json","0_1/meta.json","1_0/meta.json"],
+        "tree":{"children":[{"lods":{"0":{"file":0,"offset":0,"count":9},"1":{"file":2,"offset":0,"count":4}}},
+        {"lods":{"0":{"file":1,"offset":2,"count":7},"1":{"file":2,"offset":4,"count":5}}}]}}"#;
+    zip.start_file("lod-meta.json", stored).unwrap();
+    zip.write_all(text).unwrap();
+    for folder in ["0_0", "0_1", "1_0"] {
+        for i in 0..from.len() {
+            let mut entry = from.by_index(i).unwrap();
+            zip.start_file(format!("{folder}/{}", entry.name().unwrap()), stored).unwrap();
+            std::io::copy(&mut entry, &mut zip).unwrap();
+        }
+    }
+    zip.finish().unwrap().into_inner()
+}
+
+fn parse_levels(bytes: &[u8]) {
+    for level in [None, Some(1)] {
+        if let Ok((g, _)) = sog::parse_level(bytes, path(), level) {
+            consistent(&g);
+        }
+    }
+}
+
 fn plain(bytes: &[u8], r: &mut Random) -> Vec<u8> {
     mutate(bytes.to_vec(), r)
 }
@@ -190,6 +219,7 @@ fn targets() -> Vec<Target> {
             |b| drop(sog::parse(b, path()).map(|g| consistent(&g))),
             b"PK\x03\x04",
         ),
+        target("streamed sog", levels(), in_zip, parse_levels, b"PK\x03\x04"),
         target("gltf", bytes_of("a.glb"), plain, parse_gltf, b"glTF\x02\0\0\0"),
         target("gltf with spz", gltf_with_spz(true), plain, parse_gltf, b"glTF\x02\0\0\0"),
         target("gltf as text", gltf_with_spz(false), plain, parse_gltf, b"{\"buffers\":["),
@@ -250,6 +280,8 @@ fn files_cut_at_any_byte_are_errors() {
     assert!(splat::parse(&cut(&bytes_of("a.splat")), path()).is_err());
     assert!(spz::parse(&cut(&bytes_of("a.spz")), path()).is_err());
     assert!(sog::parse(&cut(&bytes_of("a.sog")), path()).is_err());
+    assert_eq!(sog::parse_level(&levels(), path(), None).unwrap().0.len(), 16);
+    assert!(sog::parse_level(&cut(&levels()), path(), None).is_err());
     for binary in [true, false] {
         assert_eq!(gltf::parse(&gltf_with_spz(binary), path()).unwrap().0.len(), 9);
         assert!(gltf::parse(&cut(&gltf_with_spz(binary)), path()).is_err());
