@@ -54,23 +54,15 @@ fn weights() -> Vec<u8> {
 
 /// A zip with two levels of detail, the finer one in two parts.
 fn levels() -> Vec<u8> {
-    let inner = bytes_of("a.sog");
-    let mut from = zip::ZipArchive::new(Cursor::new(inner)).unwrap();
-    let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
-    let stored = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    let part = unzipped(&bytes_of("a.sog"));
     let text = br#"{"lodLevels":2,"environment":null,"filenames":["0_0/meta.json","0_1/meta.json","1_0/meta.json"],
         "tree":{"children":[{"lods":{"0":{"file":0,"offset":0,"count":9},"1":{"file":2,"offset":0,"count":4}}},
         {"lods":{"0":{"file":1,"offset":2,"count":7},"1":{"file":2,"offset":4,"count":5}}}]}}"#;
-    zip.start_file("lod-meta.json", stored).unwrap();
-    zip.write_all(text).unwrap();
+    let mut entries = vec![("lod-meta.json".to_owned(), text.to_vec())];
     for folder in ["0_0", "0_1", "1_0"] {
-        for i in 0..from.len() {
-            let mut entry = from.by_index(i).unwrap();
-            zip.start_file(format!("{folder}/{}", entry.name().unwrap()), stored).unwrap();
-            std::io::copy(&mut entry, &mut zip).unwrap();
-        }
+        entries.extend(part.iter().map(|(name, content)| (format!("{folder}/{name}"), content.clone())));
     }
-    zip.finish().unwrap().into_inner()
+    zipped(entries)
 }
 
 fn parse_levels(bytes: &[u8]) {
@@ -94,17 +86,46 @@ fn in_gzip(bytes: &[u8], r: &mut Random) -> Vec<u8> {
     gzip.finish().unwrap()
 }
 
+/// Names and contents of a zip.
+fn unzipped(bytes: &[u8]) -> Vec<(String, Vec<u8>)> {
+    let mut zip = zip::ZipArchive::new(Cursor::new(bytes)).unwrap();
+    let count = zip.len();
+    let entry = |i: usize| {
+        let mut entry = zip.by_index(i).unwrap();
+        let mut content = Vec::new();
+        entry.read_to_end(&mut content).unwrap();
+        (entry.name().unwrap().into_owned(), content)
+    };
+    (0..count).map(entry).collect()
+}
+
+fn zipped(entries: Vec<(String, Vec<u8>)>) -> Vec<u8> {
+    let mut out = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    let stored = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    for (name, content) in entries {
+        out.start_file(name, stored).unwrap();
+        out.write_all(&content).unwrap();
+    }
+    out.finish().unwrap().into_inner()
+}
+
+/// One digit of a description, which leaves it readable and its numbers at odds; or any change to an entry.
+fn in_levels(bytes: &[u8], r: &mut Random) -> Vec<u8> {
+    if r.below(2) == 0 {
+        return in_zip(bytes, r);
+    }
+    let mut entries = unzipped(bytes);
+    let texts: Vec<usize> = (0..entries.len()).filter(|&i| entries[i].0.ends_with(".json")).collect();
+    let text = &mut entries[texts[r.below(texts.len())]].1;
+    // The counts come first; there are very many other numbers.
+    let digits: Vec<usize> = (0..text.len()).filter(|&i| text[i].is_ascii_digit()).take(60).collect();
+    text[digits[r.below(digits.len())]] = b'0' + r.below(10) as u8;
+    zipped(entries)
+}
+
 /// One entry of a zip changed, or two swapped.
 fn in_zip(bytes: &[u8], r: &mut Random) -> Vec<u8> {
-    let mut zip = zip::ZipArchive::new(Cursor::new(bytes)).unwrap();
-    let mut entries: Vec<(String, Vec<u8>)> = (0..zip.len())
-        .map(|i| {
-            let mut entry = zip.by_index(i).unwrap();
-            let mut content = Vec::new();
-            entry.read_to_end(&mut content).unwrap();
-            (entry.name().unwrap().into_owned(), content)
-        })
-        .collect();
+    let mut entries = unzipped(bytes);
     let (i, j) = (r.below(entries.len()), r.below(entries.len()));
     if r.below(8) == 0 {
         let content = entries[j].1.clone();
@@ -113,13 +134,7 @@ fn in_zip(bytes: &[u8], r: &mut Random) -> Vec<u8> {
         let content = std::mem::take(&mut entries[i].1);
         entries[i].1 = mutate(content, r);
     }
-    let mut out = zip::ZipWriter::new(Cursor::new(Vec::new()));
-    let stored = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
-    for (name, content) in entries {
-        out.start_file(name, stored).unwrap();
-        out.write_all(&content).unwrap();
-    }
-    out.finish().unwrap().into_inner()
+    zipped(entries)
 }
 
 fn parse_ply(bytes: &[u8]) {
@@ -219,7 +234,7 @@ fn targets() -> Vec<Target> {
             |b| drop(sog::parse(b, path()).map(|g| consistent(&g))),
             b"PK\x03\x04",
         ),
-        target("streamed sog", levels(), in_zip, parse_levels, b"PK\x03\x04"),
+        target("streamed sog", levels(), in_levels, parse_levels, b"PK\x03\x04"),
         target("gltf", bytes_of("a.glb"), plain, parse_gltf, b"glTF\x02\0\0\0"),
         target("gltf with spz", gltf_with_spz(true), plain, parse_gltf, b"glTF\x02\0\0\0"),
         target("gltf as text", gltf_with_spz(false), plain, parse_gltf, b"{\"buffers\":["),
