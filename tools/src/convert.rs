@@ -63,7 +63,10 @@ pub fn run(args: &ConvertArgs, global: &Global) -> Result<()> {
             "a .safetensors file, which holds motion",
         ));
     }
-    let loaded = model::load(&args.input)?;
+    let loaded = match args.level {
+        Some(level) => model::load_level(&args.input, level)?,
+        None => model::load(&args.input)?,
+    };
     let mut dropped = Vec::new();
     if loaded.rejected.total() > 0 {
         dropped.push(format!("{} Gaussians that cannot be drawn", loaded.rejected.total()));

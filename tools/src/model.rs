@@ -16,6 +16,13 @@ pub fn load(path: &Path) -> Result<Loaded> {
     Ok(loaded)
 }
 
+/// Loads one level of detail of a model that has several.
+pub fn load_level(path: &Path, level: u32) -> Result<Loaded> {
+    let loaded = engine::file::load_level(path, level)?;
+    loaded.warnings.iter().for_each(|w| log::warn!("{w}"));
+    Ok(loaded)
+}
+
 /// Loads cameras at the asked-for size: both sides, one of them (the other in proportion), or the cameras' own.
 pub fn load_cameras(path: &Path, split: Option<&str>, size: [Option<u32>; 2]) -> Result<CameraSet> {
     let both = match size {

@@ -53,6 +53,11 @@ impl<'a> Archive<'a> {
         Ok(start..end)
     }
 
+    /// Whether there is such an entry.
+    fn has(&self, name: &str) -> bool {
+        self.zip.index_for_name(name).is_some()
+    }
+
     /// The content of an entry, at most `limit` bytes.
     pub(crate) fn read(&mut self, name: &str, limit: u64) -> Result<Vec<u8>> {
         let path = self.path;
@@ -92,15 +97,20 @@ impl Files<'_> {
         }
     }
 
+    /// Whether there is such a file.
+    pub(crate) fn has(&self, name: &str) -> bool {
+        match self {
+            Self::Zip(archive, prefix) => archive.has(&format!("{prefix}{name}")),
+            Self::Folder(folder) => is_inside(name) && folder.join(name).is_file(),
+        }
+    }
+
     /// The content of a file, at most `limit` bytes.
     pub(crate) fn read(&mut self, name: &str, limit: u64) -> Result<Vec<u8>> {
         match self {
             Self::Zip(archive, prefix) => archive.read(&format!("{prefix}{name}"), limit),
             Self::Folder(folder) => {
-                // A name in a file may not lead out of its folder.
-                if name.is_empty()
-                    || Path::new(name).components().any(|c| !matches!(c, std::path::Component::Normal(_)))
-                {
+                if !is_inside(name) {
                     return Err(Error::corrupt(
                         folder,
                         "meta.json",
@@ -112,6 +122,12 @@ impl Files<'_> {
             }
         }
     }
+}
+
+/// Whether a name in a file is that of another file in its folder, or in a folder within: it may not lead out.
+pub(crate) fn is_inside(name: &str) -> bool {
+    let normal = |c| matches!(c, std::path::Component::Normal(_));
+    !name.is_empty() && !name.ends_with('/') && Path::new(name).components().all(normal)
 }
 
 /// Reads a regular file of at most `limit` bytes.

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::{Format, Loaded, checkpoint, clean, model, ply, read};
+use super::{Format, Loaded, checkpoint, clean, model, ply, read, sog};
 use crate::error::Result;
 use crate::gpu::mmap::map_file;
 use crate::scene::field::{DeformationField, FieldInput};
@@ -79,6 +79,8 @@ pub struct Description {
     pub tensors: Vec<model::TensorInfo>,
     /// Properties of a `.ply`'s vertices.
     pub properties: Vec<String>,
+    /// Levels of detail, the finest first, of a model that has several.
+    pub levels: Vec<sog::Level>,
     /// Warnings of the load.
     pub warnings: Vec<String>,
 }
@@ -104,6 +106,7 @@ pub fn describe(path: &Path) -> Result<Description> {
         }
         _ => (Vec::new(), Vec::new()),
     };
+    let levels = if format == Format::StreamedSog { sog::levels(path)? } else { Vec::new() };
     let bytes = if path.is_dir() { folder_bytes(path, 2) } else { std::fs::metadata(path).map_or(0, |m| m.len()) };
     let gaussians = scene.gaussians.len();
     let loaded = match format {
@@ -130,6 +133,7 @@ pub fn describe(path: &Path) -> Result<Description> {
         metadata: scene.metadata,
         tensors,
         properties,
+        levels,
         warnings: loaded.warnings,
     })
 }
@@ -245,6 +249,9 @@ impl fmt::Display for Description {
                 r.zero_rotation
             )?;
             writeln!(f, "{} absurd scale, {} out of range", r.absurd_scale, r.out_of_range)?;
+        }
+        for level in &self.levels {
+            writeln!(f, "  {level}")?;
         }
         for s in &self.statistics {
             writeln!(f, "  {:<24} min {:<12.5} mean {:<12.5} max {:.5}", s.name, s.min, s.mean, s.max)?;

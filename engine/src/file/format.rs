@@ -25,7 +25,9 @@ pub enum Format {
     Spz,
     /// SOG, a folder with `meta.json` or a zip: static.
     Sog,
-    /// glTF with `KHR_gaussian_splatting` (`.glb`): static.
+    /// SOG at several levels of detail, a folder with `lod-meta.json` or a zip: static.
+    StreamedSog,
+    /// glTF with `KHR_gaussian_splatting` (`.glb`, `.gltf`): static.
     Gltf,
     /// The output folder of a PyTorch training run: SP-GS, Deformable-3DGS, 4D-GS, SC-GS, 3DGS.
     Checkpoint,
@@ -47,7 +49,7 @@ impl Format {
         let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
         if metadata.is_dir() {
             return Self::of_folder(path).ok_or_else(|| {
-                let expected = "a SOG folder (meta.json) or a training run's (point_cloud/iteration_N/point_cloud.ply)";
+                let expected = "a SOG folder (meta.json or lod-meta.json) or a training run's (point_cloud/iteration_N/point_cloud.ply)";
                 Error::corrupt(path, "folder", "no model", expected)
             });
         }
@@ -71,20 +73,31 @@ impl Format {
         if (head.len() >= 9 && head[4..8] == [0; 4] && head[8] == b'{') || is_named("safetensors") {
             return Ok(Self::Safetensors);
         }
-        if path.file_name().is_some_and(|n| n == sog::META) && head.trim_ascii_start().starts_with(b"{") {
+        let is_json = head.trim_ascii_start().starts_with(b"{");
+        if is_json && is_named("gltf") {
+            return Ok(Self::Gltf);
+        }
+        if is_json && path.file_name().is_some_and(|n| n == sog::META) {
             return Ok(Self::Sog);
+        }
+        if is_json && path.file_name().is_some_and(|n| n == sog::LOD_META) {
+            return Ok(Self::StreamedSog);
         }
         if is_named("splat") || splat::is_plausible(&head, metadata.len()) {
             return Ok(Self::Splat);
         }
         let found = format!("{:?}", head[..head.len().min(9)].escape_ascii().to_string());
-        let expected = "a .safetensors model, a .ply, .splat, .spz, .sog, .glb or .pth";
+        let expected = "a .safetensors model, a .ply, .splat, .spz, .sog, .glb, .gltf or .pth";
         Err(Error::corrupt(path, "byte 0", found, expected))
     }
 
     fn of_zip(path: &Path) -> Result<Self> {
         let bytes = map_file(path)?;
         let names = Archive::open(&bytes, path)?.names();
+        // Each part of a scene with levels of detail has a `meta.json` of its own.
+        if sog::lod_prefix(&names).is_some() {
+            return Ok(Self::StreamedSog);
+        }
         if sog::prefix(&names).is_some() {
             return Ok(Self::Sog);
         }
@@ -100,7 +113,8 @@ impl Format {
         if checkpoint::is_run(path) {
             return Some(Self::Checkpoint);
         }
-        path.join(sog::META).is_file().then_some(Self::Sog)
+        let has = |name: &str| path.join(name).is_file();
+        if has(sog::META) { Some(Self::Sog) } else { has(sog::LOD_META).then_some(Self::StreamedSog) }
     }
 }
 
@@ -112,6 +126,7 @@ impl fmt::Display for Format {
             Self::Splat => ".splat",
             Self::Spz => ".spz",
             Self::Sog => "SOG",
+            Self::StreamedSog => "streamed SOG",
             Self::Gltf => "glTF KHR_gaussian_splatting",
             Self::Checkpoint => "training run",
             Self::Torch => "PyTorch .pth",

@@ -7,10 +7,11 @@
 //! | compressed `.ply` ([`ply::write_compressed`]) | yes | yes | Gaussians, 16 bytes each and SH in 8 bits |
 //! | `.splat` ([`splat`]) | yes | yes | Gaussians without view-dependent colour, 32 bytes each |
 //! | `.spz` ([`spz`]) | versions 2, 3, 4 | 3, 4 | Gaussians, 20 to 65 bytes each before gzip or zstd |
-//! | SOG ([`sog`]) | versions 1, 2; folder, zip | 2, zip | Gaussians in lossless pictures |
-//! | glTF ([`gltf`]) | `.glb` | `.glb` | Gaussians in f32, `KHR_gaussian_splatting` |
+//! | SOG ([`sog`]) | versions 1, 2; folder, zip; levels of detail | 2, zip | Gaussians in lossless pictures |
+//! | glTF ([`gltf`]) | `.glb`, `.gltf`; plain or holding `.spz` | `.glb` | Gaussians in f32, `KHR_gaussian_splatting` |
 //! | training runs of SP-GS, Deformable-3DGS, 4D-GS, SC-GS ([`checkpoint`]), by a reader of PyTorch files ([`torch`]) that runs no code | yes | no | Gaussians and motion |
 
+mod affine;
 pub(crate) mod archive;
 pub(crate) mod check;
 pub mod checkpoint;
@@ -34,12 +35,10 @@ pub mod torch;
 
 use std::path::Path;
 
-#[cfg(test)]
-use crate::error::Error;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gpu::mmap::map_file;
 use crate::scene::gaussians::retain_chunks;
-use crate::scene::{Rejected, Scene};
+use crate::scene::{Gaussians, Rejected, Scene};
 
 pub use describe::{Description, describe};
 pub use format::Format;
@@ -67,26 +66,42 @@ pub fn load(path: &Path) -> Result<Loaded> {
     Ok(clean(scene, warnings, path))
 }
 
+/// Loads one level of detail of a model that has several ([`Format::StreamedSog`]), 0 the finest; cleaned as by [`load`].
+///
+/// # Errors
+/// [`Error::Usage`] for a model without levels and for a level that is not there or lacks files; else as [`load`].
+pub fn load_level(path: &Path, level: u32) -> Result<Loaded> {
+    let format = Format::of_file(path)?;
+    if format != Format::StreamedSog {
+        return Err(Error::usage(format!("level of detail of {}", path.display()), format.to_string(), "streamed SOG"));
+    }
+    let (gaussians, warnings) = sog::read_level(path, Some(level))?;
+    Ok(clean(Scene { gaussians, ..Scene::default() }, warnings, path))
+}
+
 /// Reads a model whose kind is known; nothing is judged or dropped.
 fn read(path: &Path, format: Format) -> Result<(Scene, Vec<String>)> {
+    let mut warnings = Vec::new();
+    let mut with_warnings = |(gaussians, found): (Gaussians, Vec<String>)| {
+        warnings = found;
+        gaussians
+    };
     let gaussians = match format {
         Format::Safetensors => return model::read(path),
         Format::Checkpoint => return checkpoint::read(path),
         Format::Torch => return checkpoint::read_weights(path),
-        Format::Spz => {
-            let (gaussians, warnings) = spz::parse(&map_file(path)?, path)?;
-            return Ok((Scene { gaussians, ..Scene::default() }, warnings));
-        }
+        Format::Spz => with_warnings(spz::parse(&map_file(path)?, path)?),
+        Format::Gltf => with_warnings(gltf::parse(&map_file(path)?, path)?),
+        Format::StreamedSog => with_warnings(sog::read_level(path, None)?),
         Format::Ply | Format::CompressedPly => ply::read(path)?,
         Format::Splat => splat::parse(&map_file(path)?, path)?,
-        Format::Gltf => gltf::parse(&map_file(path)?, path)?,
         Format::Sog if path.is_dir() => sog::read_folder(path)?,
         Format::Sog if path.file_name().is_some_and(|n| n == sog::META) => {
             sog::read_folder(path.parent().unwrap_or(Path::new(".")))?
         }
         Format::Sog => sog::parse(&map_file(path)?, path)?,
     };
-    Ok((Scene { gaussians, ..Scene::default() }, Vec::new()))
+    Ok((Scene { gaussians, ..Scene::default() }, warnings))
 }
 
 /// Drops what cannot be rendered.

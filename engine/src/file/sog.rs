@@ -9,7 +9,10 @@
 //! | `sh0` | SH degree 0 likewise; alpha is opacity ·255 (version 2), or its logit between `mins` and `maxs` (version 1) |
 //! | `shN_labels` | red + 256·green: a row of the palette |
 //! | `shN_centroids` | palette, 64 rows per line of pixels, a pixel per SH coefficient: codebook indices, or between `mins` and `maxs` |
+//!
+//! A large scene is divided into several of them, at several levels of detail: [`levels`], [`read_level`].
 
+mod lod;
 mod meta;
 mod palette;
 mod picture;
@@ -24,7 +27,10 @@ use super::archive::{Archive, Files};
 use crate::error::{Error, Result};
 use crate::scene::Gaussians;
 
+pub use lod::{Level, levels, parse_level, read_level};
 pub use write::write;
+
+pub(crate) use lod::{LOD_META, lod_prefix};
 
 /// Name of the description.
 pub(crate) const META: &str = "meta.json";
@@ -34,7 +40,7 @@ pub(crate) const META: &str = "meta.json";
 /// # Errors
 /// [`Error::Corrupt`] naming the file and entry, [`Error::Io`], [`Error::Limit`].
 pub fn read_folder(folder: &Path) -> Result<Gaussians> {
-    read::read(&mut Files::Folder(folder.to_path_buf()), folder)
+    read::read(&mut Files::Folder(folder.to_path_buf()), "", folder)
 }
 
 /// Reads a zipped SOG (`.sog`), from memory; `path` only names it in errors.
@@ -46,13 +52,18 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<Gaussians> {
     let Some(prefix) = prefix(&archive.names()) else {
         return Err(Error::corrupt(path, "zip directory", "no `meta.json`", "a SOG archive"));
     };
-    read::read(&mut Files::Zip(archive, prefix), path)
+    read::read(&mut Files::Zip(archive, prefix), "", path)
 }
 
 /// The folder within an archive that holds `meta.json`.
 pub(crate) fn prefix(names: &[String]) -> Option<String> {
-    let found = names.iter().filter(|n| n.rsplit('/').next() == Some(META)).min_by_key(|n| n.len())?;
-    Some(found[..found.len() - META.len()].to_owned())
+    prefix_of(META, names)
+}
+
+/// The folder within an archive that holds a file, the outermost one.
+fn prefix_of(file: &str, names: &[String]) -> Option<String> {
+    let found = names.iter().filter(|n| n.rsplit('/').next() == Some(file)).min_by_key(|n| n.len())?;
+    Some(found[..found.len() - file.len()].to_owned())
 }
 
 /// How centres are stretched before they are stored: fine near 0, coarse far away.

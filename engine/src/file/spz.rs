@@ -16,7 +16,12 @@
 //!
 //! Its axes are right, up, back (RUB); ours and the `.ply` family's are right, down, front, so y and z change sign, in the
 //! quaternions and in the odd SH functions too, as in Niantic's own converters.
+//!
+//! Where flag 2 is set, extension records lie before the table (version 4) or after the attributes (2 and 3): u32 type, u32
+//! length, as many bytes (<https://github.com/nianticlabs/spz/blob/main/extensions/README.md>). The one that says other axes
+//! is followed; the rest cannot change how a scene looks, and are named and skipped.
 
+mod extensions;
 mod read;
 #[cfg(test)]
 mod tests;
@@ -39,6 +44,8 @@ const HEADER: usize = 16;
 const HEADER_4: usize = 32;
 /// Flag: trained with the antialiased rasteriser.
 const ANTIALIASED: u8 = 1;
+/// Flag: there are extension records.
+const HAS_EXTENSIONS: u8 = 2;
 /// Largest magnitude of a stored part of a quaternion: 9 bits for 0 to 1/√2.
 const PART_MAX: f64 = 511.0;
 /// SH functions that change sign with y and z: those odd in y plus z together, degrees 1 to 3 without 0.

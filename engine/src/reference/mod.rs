@@ -34,6 +34,7 @@ pub use motion::{
 };
 pub use network::{network_poses, nonrigid_offsets};
 pub use project::{Parameters, Splat, project};
+pub(crate) use sh::basis as sh_basis;
 pub use sh::color_of;
 
 use crate::error::{Error, Result};

@@ -26,7 +26,7 @@ pub(super) const C3: [f64; 7] = [
 ];
 
 /// The (degree + 1)² basis values at unit direction `d`; the rest of the array is 0.
-pub(super) fn basis(d: DVec3, degree: u32) -> [f64; 16] {
+pub(crate) fn basis(d: DVec3, degree: u32) -> [f64; 16] {
     let DVec3 { x, y, z } = d;
     let mut b = [0.0; 16];
     b[0] = C0;

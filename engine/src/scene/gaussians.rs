@@ -1,5 +1,7 @@
 //! The canonical Gaussians, as stored: raw parameters, one array per parameter.
 
+use std::ops::Range;
+
 use serde::Serialize;
 
 /// N Gaussians. Names carry their transform: `log_scale` is exponentiated, `opacity_logit` goes through a sigmoid,
@@ -101,6 +103,36 @@ impl Gaussians {
             return false;
         }
         true
+    }
+
+    /// Adds those of `other` in `range`. The lower SH degree of the two is raised, with zeros.
+    pub(crate) fn append(&mut self, other: &Self, range: Range<usize>) {
+        self.raise_degree(other.sh_degree);
+        self.mean.extend_from_slice(&other.mean[range.clone()]);
+        self.log_scale.extend_from_slice(&other.log_scale[range.clone()]);
+        self.rotation.extend_from_slice(&other.rotation[range.clone()]);
+        self.opacity_logit.extend_from_slice(&other.opacity_logit[range.clone()]);
+        let (k3, width) = (other.sh_coefficients() * 3, self.sh_coefficients() * 3);
+        for sh in other.sh[range.start * k3..range.end * k3].chunks_exact(k3) {
+            self.sh.extend_from_slice(sh);
+            self.sh.resize(self.sh.len() + width - k3, 0.0);
+        }
+    }
+
+    /// Makes the SH degree at least this, with zeros.
+    fn raise_degree(&mut self, degree: u32) {
+        if degree <= self.sh_degree {
+            return;
+        }
+        let k3 = self.sh_coefficients() * 3;
+        self.sh_degree = degree;
+        let width = self.sh_coefficients() * 3;
+        let mut raised = Vec::with_capacity(self.len() * width);
+        for sh in self.sh.chunks_exact(k3) {
+            raised.extend_from_slice(sh);
+            raised.resize(raised.len() + width - k3, 0.0);
+        }
+        self.sh = raised;
     }
 
     /// Keeps the Gaussians for which `keep` holds, in order.

@@ -74,3 +74,14 @@ fn mistakes_are_named_before_anything_is_written() {
         assert!(Cli::try_parse_from(all).is_err(), "{bad:?}");
     }
 }
+
+#[test]
+fn a_level_of_detail_is_converted() {
+    let Some(root) = tests_harness::data("splats/playbot_sog") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("coarse.ply");
+    convert(&[text(&root), text(&out), "--level", "4", "--views", "0"]).unwrap();
+    assert_eq!(file::load(&out).unwrap().scene.gaussians.len(), 8406);
+    let refused = convert(&[text(&root), text(&out), "--level", "5"]).unwrap_err();
+    assert!(refused.to_string().contains("which lacks 5_0/meta.json") && refused.exit_code() == 2, "{refused}");
+}

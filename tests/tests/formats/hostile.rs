@@ -52,6 +52,27 @@ fn weights() -> Vec<u8> {
     pickle::file(&Value::List(vec![inner, dict(vec![("c", floats(&[1], vec![2.0]))])]))
 }
 
+/// A zip with two levels of detail, the finer one in two parts.
+fn levels() -> Vec<u8> {
+    let part = unzipped(&bytes_of("a.sog"));
+    let text = br#"{"lodLevels":2,"environment":null,"filenames":["0_0/meta.json","0_1/meta.json","1_0/meta.json"],
+        "tree":{"children":[{"lods":{"0":{"file":0,"offset":0,"count":9},"1":{"file":2,"offset":0,"count":4}}},
+        {"lods":{"0":{"file":1,"offset":2,"count":7},"1":{"file":2,"offset":4,"count":5}}}]}}"#;
+    let mut entries = vec![("lod-meta.json".to_owned(), text.to_vec())];
+    for folder in ["0_0", "0_1", "1_0"] {
+        entries.extend(part.iter().map(|(name, content)| (format!("{folder}/{name}"), content.clone())));
+    }
+    zipped(entries)
+}
+
+fn parse_levels(bytes: &[u8]) {
+    for level in [None, Some(1)] {
+        if let Ok((g, _)) = sog::parse_level(bytes, path(), level) {
+            consistent(&g);
+        }
+    }
+}
+
 fn plain(bytes: &[u8], r: &mut Random) -> Vec<u8> {
     mutate(bytes.to_vec(), r)
 }
@@ -65,17 +86,46 @@ fn in_gzip(bytes: &[u8], r: &mut Random) -> Vec<u8> {
     gzip.finish().unwrap()
 }
 
+/// Names and contents of a zip.
+fn unzipped(bytes: &[u8]) -> Vec<(String, Vec<u8>)> {
+    let mut zip = zip::ZipArchive::new(Cursor::new(bytes)).unwrap();
+    let count = zip.len();
+    let entry = |i: usize| {
+        let mut entry = zip.by_index(i).unwrap();
+        let mut content = Vec::new();
+        entry.read_to_end(&mut content).unwrap();
+        (entry.name().unwrap().into_owned(), content)
+    };
+    (0..count).map(entry).collect()
+}
+
+fn zipped(entries: Vec<(String, Vec<u8>)>) -> Vec<u8> {
+    let mut out = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    let stored = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    for (name, content) in entries {
+        out.start_file(name, stored).unwrap();
+        out.write_all(&content).unwrap();
+    }
+    out.finish().unwrap().into_inner()
+}
+
+/// One digit of a description, which leaves it readable and its numbers at odds; or any change to an entry.
+fn in_levels(bytes: &[u8], r: &mut Random) -> Vec<u8> {
+    if r.below(2) == 0 {
+        return in_zip(bytes, r);
+    }
+    let mut entries = unzipped(bytes);
+    let texts: Vec<usize> = (0..entries.len()).filter(|&i| entries[i].0.ends_with(".json")).collect();
+    let text = &mut entries[texts[r.below(texts.len())]].1;
+    // The counts come first; there are very many other numbers.
+    let digits: Vec<usize> = (0..text.len()).filter(|&i| text[i].is_ascii_digit()).take(60).collect();
+    text[digits[r.below(digits.len())]] = b'0' + r.below(10) as u8;
+    zipped(entries)
+}
+
 /// One entry of a zip changed, or two swapped.
 fn in_zip(bytes: &[u8], r: &mut Random) -> Vec<u8> {
-    let mut zip = zip::ZipArchive::new(Cursor::new(bytes)).unwrap();
-    let mut entries: Vec<(String, Vec<u8>)> = (0..zip.len())
-        .map(|i| {
-            let mut entry = zip.by_index(i).unwrap();
-            let mut content = Vec::new();
-            entry.read_to_end(&mut content).unwrap();
-            (entry.name().unwrap().into_owned(), content)
-        })
-        .collect();
+    let mut entries = unzipped(bytes);
     let (i, j) = (r.below(entries.len()), r.below(entries.len()));
     if r.below(8) == 0 {
         let content = entries[j].1.clone();
@@ -84,13 +134,7 @@ fn in_zip(bytes: &[u8], r: &mut Random) -> Vec<u8> {
         let content = std::mem::take(&mut entries[i].1);
         entries[i].1 = mutate(content, r);
     }
-    let mut out = zip::ZipWriter::new(Cursor::new(Vec::new()));
-    let stored = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
-    for (name, content) in entries {
-        out.start_file(name, stored).unwrap();
-        out.write_all(&content).unwrap();
-    }
-    out.finish().unwrap().into_inner()
+    zipped(entries)
 }
 
 fn parse_ply(bytes: &[u8]) {
@@ -103,6 +147,58 @@ fn parse_spz(bytes: &[u8]) {
     if let Ok((g, _)) = spz::parse(bytes, path()) {
         consistent(&g);
     }
+}
+
+fn parse_gltf(bytes: &[u8]) {
+    if let Ok((g, _)) = gltf::parse(bytes, path()) {
+        consistent(&g);
+    }
+}
+
+/// A `.spz` within a `.glb`, or within a `.gltf` in base64, under a node that does everything.
+fn gltf_with_spz(binary: bool) -> Vec<u8> {
+    let mut stream = bytes_of("a.spz");
+    stream.resize(stream.len().next_multiple_of(3), 0);
+    let uri = if binary { String::new() } else { format!(r#","uri":"data:;base64,{}""#, base64(&stream)) };
+    let mut text = format!(
+        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1]}},{{"mesh":0,
+        "translation":[1,2,3],"rotation":[0.6,0,0,0.8],"scale":[1,2,3]}}],"meshes":[{{"primitives":[{{"attributes":{{}},
+        "extensions":{{"KHR_gaussian_splatting":{{"kernel":"ellipse","extensions":{{
+        "KHR_gaussian_splatting_compression_spz_2":{{"bufferView":0}}}}}}}}}}]}}],
+        "bufferViews":[{{"buffer":0,"byteLength":{length}}}],"buffers":[{{"byteLength":{length}{uri}}}]}}"#,
+        length = stream.len()
+    )
+    .into_bytes();
+    if !binary {
+        return text;
+    }
+    text.resize(text.len().next_multiple_of(4), b' ');
+    stream.resize(stream.len().next_multiple_of(4), 0);
+    let number = |n: usize| (n as u32).to_le_bytes();
+    let total = number(28 + text.len() + stream.len());
+    [b"glTF\x02\0\0\0", &total[..], &number(text.len()), b"JSON", &text, &number(stream.len()), b"BIN\0", &stream]
+        .concat()
+}
+
+/// Whole groups of three bytes.
+fn base64(bytes: &[u8]) -> String {
+    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let group = |b: &[u8]| u32::from_be_bytes([0, b[0], b[1], b[2]]);
+    let letters = |v: u32| [18, 12, 6, 0].map(|shift| char::from(LETTERS[(v >> shift & 63) as usize]));
+    bytes.chunks_exact(3).flat_map(|b| letters(group(b))).collect()
+}
+
+/// The seed of version 3 with two extension records, packed again.
+fn spz_with_extensions() -> Vec<u8> {
+    let mut inner = Vec::new();
+    flate2::read::GzDecoder::new(&bytes_of("a.spz")[..]).read_to_end(&mut inner).unwrap();
+    inner[14] |= 2;
+    for (kind, content) in [(0xadbe_0003u32, &[12, 0, 0, 0][..]), (0xadbe_0002, &[0; 12])] {
+        inner.extend([&kind.to_le_bytes(), &(content.len() as u32).to_le_bytes(), content].concat());
+    }
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    gzip.write_all(&inner).unwrap();
+    gzip.finish().unwrap()
 }
 
 fn parse_torch(bytes: &[u8]) {
@@ -129,6 +225,7 @@ fn targets() -> Vec<Target> {
         target("compressed ply", bytes_of("a.compressed.ply"), plain, parse_ply, b"ply\nformat ascii 1.0\n"),
         target("splat", bytes_of("a.splat"), plain, |b| drop(splat::parse(b, path()).map(|g| consistent(&g))), b""),
         target("spz 3", bytes_of("a.spz"), in_gzip, parse_spz, b"\x1f\x8b\x08\0\0\0\0\0\0\xff"),
+        target("spz with extensions", spz_with_extensions(), in_gzip, parse_spz, b"\x1f\x8b\x08\0\0\0\0\0\0\xff"),
         target("spz 4", spz4, plain, parse_spz, b"NGSP\x04\0\0\0"),
         target(
             "sog",
@@ -137,13 +234,10 @@ fn targets() -> Vec<Target> {
             |b| drop(sog::parse(b, path()).map(|g| consistent(&g))),
             b"PK\x03\x04",
         ),
-        target(
-            "gltf",
-            bytes_of("a.glb"),
-            plain,
-            |b| drop(gltf::parse(b, path()).map(|g| consistent(&g))),
-            b"glTF\x02\0\0\0",
-        ),
+        target("streamed sog", levels(), in_levels, parse_levels, b"PK\x03\x04"),
+        target("gltf", bytes_of("a.glb"), plain, parse_gltf, b"glTF\x02\0\0\0"),
+        target("gltf with spz", gltf_with_spz(true), plain, parse_gltf, b"glTF\x02\0\0\0"),
+        target("gltf as text", gltf_with_spz(false), plain, parse_gltf, b"{\"buffers\":["),
         target("torch", weights(), in_zip, parse_torch, b"PK\x03\x04"),
     ]
 }
@@ -201,6 +295,14 @@ fn files_cut_at_any_byte_are_errors() {
     assert!(splat::parse(&cut(&bytes_of("a.splat")), path()).is_err());
     assert!(spz::parse(&cut(&bytes_of("a.spz")), path()).is_err());
     assert!(sog::parse(&cut(&bytes_of("a.sog")), path()).is_err());
+    assert_eq!(sog::parse_level(&levels(), path(), None).unwrap().0.len(), 16);
+    assert!(sog::parse_level(&cut(&levels()), path(), None).is_err());
+    for binary in [true, false] {
+        assert_eq!(gltf::parse(&gltf_with_spz(binary), path()).unwrap().0.len(), 9);
+        assert!(gltf::parse(&cut(&gltf_with_spz(binary)), path()).is_err());
+    }
+    assert!(spz::parse(&spz_with_extensions(), path()).is_ok_and(|(_, warnings)| warnings.len() == 1));
+    assert!(spz::parse(&cut(&spz_with_extensions()), path()).is_err());
     assert!(gltf::parse(&cut(&bytes_of("a.glb")), path()).is_err());
     assert!(Weights::parse(&cut(&weights()), path()).is_err());
 }

@@ -136,3 +136,62 @@ fn a_sog_is_found_by_its_description_and_zipped() {
     assert_eq!(Format::of_file(&path).unwrap(), Format::Sog);
     assert_eq!(file::load(&path).unwrap().scene, by_meta);
 }
+
+#[test]
+fn the_finest_level_that_is_there_is_read() {
+    let Some(root) = data("splats/playbot_sog") else { return };
+    assert_eq!(Format::of_file(&root).unwrap(), Format::StreamedSog);
+    let finest = file::load(&root.join("0_0")).unwrap().scene;
+    for path in [root.clone(), root.join("lod-meta.json")] {
+        let loaded = file::load(&path).unwrap();
+        assert!(loaded.scene == finest, "{}", path.display());
+        let text = &loaded.warnings[0];
+        assert!(
+            text.contains("level of detail 0 is read (500000 Gaussians), the finest; others: 2 (2_0), 4 (4_0)"),
+            "{text}"
+        );
+        for level in [1, 3, 5, 6] {
+            assert!(text.contains(&format!("level {level} lacks {level}_0/meta.json")), "{text}");
+        }
+    }
+    for (level, folder) in [(2, "2_0"), (4, "4_0")] {
+        assert!(file::load_level(&root, level).unwrap().scene == file::load(&root.join(folder)).unwrap().scene);
+    }
+    let message = |path: &std::path::Path, level: u32| file::load_level(path, level).unwrap_err().to_string();
+    assert!(message(&root, 1).contains("1, which lacks 1_0/meta.json"));
+    assert!(message(&root, 7).contains("expected 0, 1, 2, 3, 4, 5, 6"));
+    assert!(message(&root.join("4_0"), 0).contains("found SOG, expected streamed SOG"));
+
+    let described = file::describe(&root).unwrap();
+    let counts: Vec<u64> = described.levels.iter().map(|l| l.gaussians).collect();
+    assert_eq!(counts, [500_000, 250_000, 125_000, 31_000, 8406, 3000, 1873]);
+    let text = described.to_string();
+    assert!(text.contains("500000 Gaussians in 0_0; this one is read"), "{text}");
+    assert!(text.contains("250000 Gaussians in 1_0; 1_0/meta.json is missing"), "{text}");
+
+    // Only the fifth level, as a folder and in a zip with a folder inside.
+    let place = tempfile::tempdir().unwrap();
+    let zipped = place.path().join("scene.zip");
+    let mut zip = zip::ZipWriter::new(std::fs::File::create(&zipped).unwrap());
+    std::fs::create_dir(place.path().join("4_0")).unwrap();
+    let names =
+        std::fs::read_dir(root.join("4_0")).unwrap().map(|e| format!("4_0/{}", e.unwrap().file_name().display()));
+    for name in names.chain(["lod-meta.json".to_owned()]) {
+        std::fs::copy(root.join(&name), place.path().join(&name)).unwrap();
+        zip.start_file(format!("inner/{name}"), zip::write::SimpleFileOptions::default()).unwrap();
+        std::io::Write::write_all(&mut zip, &std::fs::read(root.join(&name)).unwrap()).unwrap();
+    }
+    zip.finish().unwrap();
+    let expected = file::load(&root.join("4_0")).unwrap().scene;
+    for path in [place.path(), &zipped] {
+        assert_eq!(Format::of_file(path).unwrap(), Format::StreamedSog);
+        let loaded = file::load(path).unwrap();
+        assert!(loaded.scene == expected, "{}", path.display());
+        let text = &loaded.warnings[0];
+        assert!(
+            text.contains("level of detail 4 is read (8406 Gaussians), the finest whose files are all there"),
+            "{text}"
+        );
+        assert!(text.contains("level 0 lacks 0_0/meta.json"), "{text}");
+    }
+}

@@ -9,14 +9,17 @@ use crate::args::{MotionArg, finite};
 /// `spgs convert`.
 #[derive(Debug, Args)]
 pub struct ConvertArgs {
-    /// Model: .safetensors, 3DGS .ply, compressed .ply, .splat, .spz, SOG (folder, meta.json or .sog), .glb, or the folder of
-    /// a training run of SP-GS, Deformable-3DGS, 4D-GS, SC-GS or 3DGS
+    /// Model: .safetensors, 3DGS .ply, compressed .ply, .splat, .spz, SOG (folder, meta.json, lod-meta.json or .sog), .glb,
+    /// .gltf, or the folder of a training run of SP-GS, Deformable-3DGS, 4D-GS, SC-GS or 3DGS
     #[arg(value_name = "IN")]
     pub input: PathBuf,
     /// What to write, by its ending: .safetensors (everything), .ply, .compressed.ply, .splat, .spz, .sog, .glb (these hold
     /// Gaussians that stand still)
     #[arg(value_name = "OUT")]
     pub output: PathBuf,
+    /// Level of detail of a SOG that has several (lod-meta.json), 0 the finest [default: the finest whose files are all there]
+    #[arg(long, value_name = "N")]
+    pub level: Option<u32>,
     /// The scene as it is at this time, standing still
     #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = finite, conflicts_with = "times")]
     pub time: Option<f64>,

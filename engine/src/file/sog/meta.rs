@@ -142,6 +142,17 @@ pub(super) fn parse(bytes: &[u8], path: &Path) -> Result<Meta> {
 }
 
 impl Meta {
+    /// With the pictures in this folder (empty, or with a slash at its end).
+    pub(super) fn in_folder(mut self, folder: &str) -> Self {
+        let parts =
+            [&mut self.means, &mut self.scales, &mut self.quats, &mut self.sh0].into_iter().chain(&mut self.sh_n);
+        // An empty name stays one, which is refused.
+        for name in parts.flat_map(|part| &mut part.files).filter(|name| !name.is_empty()) {
+            name.insert_str(0, folder);
+        }
+        self
+    }
+
     /// Names of all pictures.
     pub(super) fn names(&self) -> Vec<&str> {
         let parts = [&self.means, &self.scales, &self.quats, &self.sh0].into_iter().chain(&self.sh_n);

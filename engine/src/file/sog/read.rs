@@ -31,12 +31,23 @@ struct Palette {
     coefficients: usize,
 }
 
-pub(super) fn read(files: &mut Files<'_>, path: &Path) -> Result<Gaussians> {
-    let meta = meta::parse(&files.read(META, MAX_META)?, path)?;
+/// The description in a folder within (empty, or with a slash at its end).
+pub(super) fn description(files: &mut Files<'_>, folder: &str, path: &Path) -> Result<Meta> {
+    let place = if folder.is_empty() { path.to_path_buf() } else { path.join(folder) };
+    Ok(meta::parse(&files.read(&format!("{folder}{META}"), MAX_META)?, &place)?.in_folder(folder))
+}
+
+/// Bytes in memory beside the Gaussians while they are read: up to six pictures and the decoder's copy of one.
+pub(super) fn picture_bytes(n: u64) -> u128 {
+    28 * u128::from(n)
+}
+
+/// Reads what is in a folder within (empty, or with a slash at its end).
+pub(super) fn read(files: &mut Files<'_>, folder: &str, path: &Path) -> Result<Gaussians> {
+    let meta = description(files, folder, path)?;
     let n = meta.gaussians(path)?;
-    // Beside the Gaussians, up to six pictures and the decoder's copy of one are in memory.
-    let pictures = 28 * n as u128;
-    check_memory(path, "its Gaussians", scene_bytes(n as u64, 3) + pictures, files.total_bytes(&meta.names()))?;
+    let need = scene_bytes(n as u64, 3) + picture_bytes(n as u64);
+    check_memory(path, "its Gaussians", need, files.total_bytes(&meta.names()))?;
     let most = 2 * n as u64 + MAX_EMPTY;
     let mut picture = |part: &meta::Part, name: &str, i: usize| -> Result<Picture> {
         let picture = picture::read(files, part.file(name, i, path)?, most, path)?;

@@ -3,10 +3,13 @@
 use std::io::Read;
 use std::path::Path;
 
+use glam::DAffine3;
 use rayon::prelude::*;
 
-use super::{ANTIALIASED, COLOR_SCALE, GZIP, HEADER, HEADER_4, MAGIC, PART_MAX, flip_axes};
+use super::extensions::{self, Extensions, MAX_EXTENSIONS};
+use super::{ANTIALIASED, COLOR_SCALE, GZIP, HAS_EXTENSIONS, HEADER, HEADER_4, MAGIC, PART_MAX};
 use crate::error::{Error, Result};
+use crate::file::affine;
 use crate::file::check::MAX_SH_DEGREE;
 use crate::file::codec::{Cursor, allocate, check_memory, from_smallest_three, logit, scene_bytes, u32_at};
 use crate::scene::Gaussians;
@@ -91,10 +94,16 @@ fn gzip(bytes: &[u8], path: &Path) -> Result<(Gaussians, Vec<String>)> {
     header.check_memory(path, bytes.len())?;
     let body_bytes: usize = header.sizes().iter().sum();
     let mut body = Vec::new();
+    let has_extensions = header.flags & HAS_EXTENSIONS != 0;
+    let most = body_bytes + if has_extensions { MAX_EXTENSIONS } else { 0 };
     // One byte more than there should be: too much is an error, and reading on also checks the stream's own checksum.
-    stream.take(body_bytes as u64 + 1).read_to_end(&mut body).map_err(damaged)?;
-    let extensions = header.flags & HAS_EXTENSIONS != 0;
-    if body.len() < body_bytes || (body.len() > body_bytes && !extensions) {
+    stream.take(most as u64 + 1).read_to_end(&mut body).map_err(damaged)?;
+    if body.len() > most && has_extensions {
+        let what = format!("{}: bytes of extension records", path.display());
+        let need = (body.len() - body_bytes) as u128;
+        return Err(Error::Limit { what, need, have: MAX_EXTENSIONS as u128 });
+    }
+    if body.len() < body_bytes || body.len() > most {
         let found = if body.len() < body_bytes { body.len().to_string() } else { format!("more than {body_bytes}") };
         let expected = format!("{body_bytes}, for {} Gaussians of SH degree {}", header.count, header.degree);
         return Err(Error::corrupt(path, "unpacked data", format!("{found} bytes after the header"), expected));
@@ -109,11 +118,9 @@ fn gzip(bytes: &[u8], path: &Path) -> Result<(Gaussians, Vec<String>)> {
         rotation: cursor.take(rotation, "rotations")?,
         sh: cursor.take(sh, "SH coefficients")?,
     };
-    Ok((decode(&header, &attributes), warnings(&header, path)))
+    let extensions = if has_extensions { extensions::after_attributes(&mut cursor)? } else { Extensions::default() };
+    Ok((decode(&header, &attributes, &extensions), warnings(&header, extensions, path)))
 }
-
-/// Flag: extension records follow (versions 2 and 3: the attributes; version 4: the header).
-const HAS_EXTENSIONS: u8 = 2;
 
 fn version_4(bytes: &[u8], path: &Path) -> Result<(Gaussians, Vec<String>)> {
     let mut cursor = Cursor::new(bytes, path);
@@ -130,6 +137,8 @@ fn version_4(bytes: &[u8], path: &Path) -> Result<(Gaussians, Vec<String>)> {
     if table < HEADER_4 {
         return Err(cursor.corrupt(4, "offset of the table", table.to_string(), format!("at least {HEADER_4}")));
     }
+    let has_extensions = header.flags & HAS_EXTENSIONS != 0;
+    let extensions = if has_extensions { extensions::before_table(bytes, table, path)? } else { Extensions::default() };
     cursor.at = table.min(bytes.len());
     let mut packed = Vec::with_capacity(streams);
     for size in sizes.iter().filter(|&&s| s > 0 || streams == 6) {
@@ -150,7 +159,8 @@ fn version_4(bytes: &[u8], path: &Path) -> Result<(Gaussians, Vec<String>)> {
         }
     }
     let [mean, opacity, color, log_scale, rotation, sh] = &parts;
-    Ok((decode(&header, &Attributes { mean, opacity, color, log_scale, rotation, sh }), warnings(&header, path)))
+    let attributes = Attributes { mean, opacity, color, log_scale, rotation, sh };
+    Ok((decode(&header, &attributes, &extensions), warnings(&header, extensions, path)))
 }
 
 fn unzstd(stream: &[u8], size: usize, at: usize, path: &Path) -> Result<Vec<u8>> {
@@ -164,22 +174,20 @@ fn unzstd(stream: &[u8], size: usize, at: usize, path: &Path) -> Result<Vec<u8>>
     if unpacked.len() == size { Ok(unpacked) } else { Err(corrupt(format!("{} bytes or more", unpacked.len()))) }
 }
 
-fn warnings(header: &Header, path: &Path) -> Vec<String> {
+fn warnings(header: &Header, extensions: Extensions, path: &Path) -> Vec<String> {
     let name = path.display();
     let mut warnings = Vec::new();
     if header.flags & ANTIALIASED != 0 {
         warnings.push(format!("{name}: trained with an antialiased rasteriser: small Gaussians look larger here"));
     }
-    if header.flags & HAS_EXTENSIONS != 0 {
-        warnings.push(format!("{name}: its extension records are left out"));
-    }
+    warnings.extend(extensions.left_out.iter().map(|what| format!("{name}: {what} is left out")));
     if header.degree > MAX_SH_DEGREE {
         warnings.push(format!("{name}: SH degree {} is left out above {MAX_SH_DEGREE}", header.degree));
     }
     warnings
 }
 
-fn decode(header: &Header, from: &Attributes<'_>) -> Gaussians {
+fn decode(header: &Header, from: &Attributes<'_>, extensions: &Extensions) -> Gaussians {
     let mut out = allocate(header.count, header.degree.min(MAX_SH_DEGREE));
     let k3 = out.sh_coefficients() * 3;
     let stored = 3 * ((header.degree + 1) * (header.degree + 1) - 1) as usize;
@@ -207,7 +215,7 @@ fn decode(header: &Header, from: &Attributes<'_>) -> Gaussians {
                 *value = (f32::from(byte) - 128.0) / 128.0;
             }
         });
-    flip_axes(&mut out);
+    affine::transform(&mut out, &DAffine3::from_mat3(extensions.axes));
     out
 }
 

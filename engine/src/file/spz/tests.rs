@@ -98,3 +98,96 @@ fn wrong_sizes_and_versions_are_named() {
     let bomb = gzipped(b"NGSP\x02\0\0\0\xff\xff\xff\xff\x03\x0c\0\0");
     assert!(matches!(parse(&bomb, Path::new("x")), Err(crate::Error::Limit { .. })));
 }
+
+/// A record of an extension.
+fn record(kind: u32, content: &[u8]) -> Vec<u8> {
+    [&kind.to_le_bytes(), &(content.len() as u32).to_le_bytes(), content].concat()
+}
+
+/// The file made by hand with something after its attributes, and the flag that says so.
+fn with_extensions(records: &[u8]) -> Vec<u8> {
+    let mut b = by_hand();
+    b[14] |= HAS_EXTENSIONS;
+    gzipped(&[&b[..], records].concat())
+}
+
+/// The same as version 4, where records lie before the table.
+fn version_4_with(records: &[u8]) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.spz");
+    write(&path, &random_gaussians(5, 3, 1), Version::Four).unwrap();
+    let mut b = std::fs::read(&path).unwrap();
+    b[14] |= HAS_EXTENSIONS;
+    let table = (HEADER_4 + records.len()) as u32;
+    b[16..20].copy_from_slice(&table.to_le_bytes());
+    b.splice(HEADER_4..HEADER_4, records.iter().copied());
+    b
+}
+
+#[test]
+fn extension_records_are_followed_or_skipped() {
+    let read = |bytes: &[u8]| parse(bytes, Path::new("x"));
+    let (plain, _) = read(&gzipped(&by_hand())).unwrap();
+    let (plain_4, warnings) = read(&version_4_with(&[])).unwrap();
+    assert!(warnings.is_empty());
+    let orbit = [record(0x4e41_0001, b"anything"), record(0xadbe_0002, &[0; 12])].concat();
+    for (bytes, expected) in [(with_extensions(&orbit), &plain), (version_4_with(&orbit), &plain_4)] {
+        let (g, warnings) = read(&bytes).unwrap();
+        assert_eq!(&g, expected);
+        assert_eq!(warnings.len(), 2, "{warnings:?}");
+        assert!(warnings[0].contains("0x4e410001 (8 bytes) is left out"), "{warnings:?}");
+        assert!(warnings[1].contains("0xadbe0002 (12 bytes, limits of an orbiting camera)"), "{warnings:?}");
+    }
+    // Right, down, front are our own axes: nothing is turned.
+    let axes = |code: u32| record(0xadbe_0003, &code.to_le_bytes());
+    for (bytes, expected) in [(with_extensions(&axes(6)), &plain), (version_4_with(&axes(6)), &plain_4)] {
+        let (mut g, warnings) = read(&bytes).unwrap();
+        assert!(warnings.is_empty(), "{warnings:?}");
+        assert_eq!(g.mean[0], [expected.mean[0][0], -expected.mean[0][1], -expected.mean[0][2]]);
+        flip_axes(&mut g);
+        assert_eq!(&g, expected);
+    }
+    for code in [0, 4] {
+        assert_eq!(read(&with_extensions(&axes(code))).unwrap().0, plain);
+    }
+    // Left, front, up: y and z change places, which the general map does.
+    let (g, _) = read(&with_extensions(&axes(11))).unwrap();
+    let [x, down, front] = plain.mean[0];
+    let far = g.mean[0].iter().zip([-x, front, -down]).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(far < 1e-6, "{:?} of {:?}", g.mean, plain.mean);
+
+    let message = |bytes: &[u8]| read(bytes).unwrap_err().to_string();
+    assert!(message(&with_extensions(&axes(17))).contains("found 17, expected 0 to 16"));
+    assert!(message(&version_4_with(&record(0xadbe_0003, &[6]))).contains("found 1 bytes"));
+    // Records without lengths, as the first writers had them: left out in versions 2 and 3, damage in version 4.
+    let old = [&0xadbe_0002u32.to_le_bytes()[..], &[0x3f; 12]].concat();
+    let (g, warnings) = read(&with_extensions(&old)).unwrap();
+    assert_eq!(g, plain);
+    assert!(warnings[0].contains("16 bytes, no extension records) is left out"), "{warnings:?}");
+    assert!(message(&version_4_with(&old)).contains("byte 40 (extension record): found 8 bytes to the end"));
+    let beyond = [&version_4_with(&[])[..16], &u32::MAX.to_le_bytes(), &[0; 12]].concat();
+    assert!(message(&beyond).contains("a place in the file"));
+    // Much after the attributes is a limit, and what the stream's own checksum finds is found.
+    let much = with_extensions(&vec![0; (16 << 20) + 1]);
+    assert!(matches!(read(&much), Err(crate::Error::Limit { .. })));
+    let mut damaged = with_extensions(&orbit);
+    let last = damaged.len() - 5;
+    damaged[last] ^= 1;
+    assert!(message(&damaged).contains("gzip stream"));
+}
+
+#[test]
+fn what_is_above_sh_degree_3_is_left_out_with_a_warning() {
+    let header = |version: u8, degree: u8| {
+        let mut b = b"NGSP".to_vec();
+        b.extend([version, 0, 0, 0, 2, 0, 0, 0, degree, 12, 0, 0]);
+        b
+    };
+    let rest: Vec<u8> = (0..2 * (9 + 1 + 3 + 3 + 4)).map(|i| i as u8).collect();
+    let sh = |k: usize| (0..2u8).flat_map(move |i| (0..3 * k as u8).map(move |c| 100 * i + c)).collect::<Vec<u8>>();
+    let (g, warnings) = parse(&gzipped(&[header(3, 4), rest.clone(), sh(24)].concat()), Path::new("x")).unwrap();
+    assert!(warnings.len() == 1 && warnings[0].contains("SH degree 4 is left out above 3"), "{warnings:?}");
+    let (expected, none) = parse(&gzipped(&[header(3, 3), rest, sh(15)].concat()), Path::new("x")).unwrap();
+    assert!(none.is_empty());
+    assert_eq!(g, expected);
+}
