@@ -84,8 +84,10 @@ fn open(path: &Path, of_folder: Option<&Path>) -> Result<Opened> {
     let file = match of_folder {
         Some(file) if file.starts_with(path.join("checkpoints")) => return open_checkpoint(path, file),
         Some(file) => file,
-        None if path.is_dir() => {
-            let expected = "a folder of `spgs train` with model.safetensors or checkpoints/";
+        // SOG and the runs of other programs are folders too.
+        None if path.is_dir() && engine::file::Format::of_folder(path).is_none() => {
+            let expected =
+                "a folder of `spgs train` with model.safetensors or checkpoints/, of SOG, or of another training run";
             return Err(Error::usage(path.display().to_string(), "a folder without a model", expected));
         }
         None => path,
@@ -128,6 +130,11 @@ mod tests {
         let error = open(folder.path(), None).unwrap_err();
         assert_eq!(error.exit_code(), 2, "{error}");
         assert_eq!(open(&folder.path().join("none.ply"), None).unwrap_err().exit_code(), 3);
+        let scene = engine::scene::synthetic::random_scene(5, 1, 0);
+        let cloud = folder.path().join("point_cloud/iteration_7");
+        std::fs::create_dir_all(&cloud).unwrap();
+        engine::file::ply::write(&cloud.join("point_cloud.ply"), &scene.gaussians).unwrap();
+        assert_eq!(open(folder.path(), None).unwrap().scene.gaussians.len(), 5);
         let model = folder.path().join("model.safetensors");
         std::fs::write(&model, b"x").unwrap();
         assert_eq!(newest(folder.path()).unwrap().0, model);
