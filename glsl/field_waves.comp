@@ -1,12 +1,13 @@
-// Input of a deformation field for the points from push.first_row on: [x, sin 2^k x, cos 2^k x, ..] of the point (10 octaves),
-// then of the time (10 octaves), or, with a network of time, its 30 outputs for 6 octaves of the time. [rows, 84 or 93]. A
-// workgroup runs the network of time for itself: 11,000 products beside the hundred thousand of each of its 64 points.
+// Input of a deformation field for the points from push.first_row on: [x, sin 2^k x, cos 2^k x, ..] of the point, then of
+// the time (10 octaves), or, with a network of time, its 30 outputs for 6 octaves of the time. [rows, 3 + 6 OCTAVES + 21 or
+// 30]. A workgroup runs the network of time for itself: 11,000 products beside the hundred thousand of each of its 64 points.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 256) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 1) const uint TIME_NETWORK = 0;
+layout(constant_id = 2) const uint OCTAVES = 10;
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
@@ -61,17 +62,19 @@ void main() {
         time_code[thread] = time_element(thread, time);
     }
     barrier();
-    uint columns = POSITION_ELEMENTS + (time_network == 1u ? TIME_OUTPUTS : 21u);
+    uint octaves = OCTAVES;
+    uint position_elements = 3u + 6u * octaves;
+    uint columns = position_elements + (time_network == 1u ? TIME_OUTPUTS : 21u);
     for (uint item = thread; item < columns * GROUP_POINTS; item += 256u) {
         uint row = item / columns;
         uint e = item % columns;
         if (first + row < push.rows) {
             float value;
-            if (e < POSITION_ELEMENTS) {
+            if (e < position_elements) {
                 EncodedElement element = encoded_element(e);
                 value = encoded_value(element, centres[row][element.axis]);
             } else {
-                value = time_code[e - POSITION_ELEMENTS];
+                value = time_code[e - position_elements];
             }
             encoding[first * columns + item] = value;
         }

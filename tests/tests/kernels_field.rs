@@ -5,9 +5,7 @@ use engine::render::field::{
     FIELD_NODES, FIELD_OFFSET, FIELD_PLANES, FIELD_WAVES, NodesPush, OffsetPush, PlanesPush, WavesPush, pack_planes,
 };
 use engine::render::frame::Frame;
-use engine::scene::field::{
-    ControlNodes, DeformationField, FIELD_POSITION_WIDTH, FIELD_TIME_NETWORK, FieldInput, FieldPlane, FieldPlanes,
-};
+use engine::scene::field::{ControlNodes, DeformationField, FIELD_TIME_NETWORK, FieldInput, FieldPlane, FieldPlanes};
 use engine::scene::synthetic::random_gaussians;
 use engine::scene::{Linear, Scene};
 use tests_harness::KernelCase;
@@ -39,13 +37,13 @@ fn waves_match_their_twin() {
     for count in COUNTS {
         let (input, frame) = input(count);
         for time_network in [0, 1] {
-            let columns = FIELD_POSITION_WIDTH + [21, 30][time_network as usize];
-            for first_row in [0, count / 2] {
+            for (first_row, octaves) in [(0, 10), (count / 2, 3)] {
+                let columns = 3 + 6 * octaves + FieldInput::time_width(time_network == 1);
                 let rows = count - first_row;
                 let push = WavesPush { first_row: first_row as u32, rows: rows as u32, points: count as u32 };
                 let case = KernelCase {
                     kernel: &FIELD_WAVES,
-                    spec: vec![time_network],
+                    spec: vec![time_network, octaves as u32],
                     push: bytemuck::bytes_of(&push).to_vec(),
                     buffers: vec![frame.clone(), words(&input.mean), words(&network), vec![0; rows * columns]],
                     groups: rows.div_ceil(64) as u32,
@@ -176,7 +174,7 @@ fn linear(r: &mut Random, inputs: usize, outputs: usize) -> Linear {
 /// A field whose layer `skip` sees the input again, with layers so wide that a chunk holds 16,000 points.
 fn field(skip: usize, wide: usize) -> DeformationField {
     let mut r = Random(skip as u64 + 1);
-    let input = FieldInput::Waves { time: None };
+    let input = FieldInput::Waves { octaves: 10, time: None };
     let seen = input.width();
     let widths = [wide, 8, 8, 8];
     let inputs = |i: usize| match i {

@@ -141,8 +141,8 @@ pub fn describe(path: &Path) -> Result<Description> {
 /// A deformation field in a line.
 fn field(field: &DeformationField) -> String {
     let input = match &field.input {
-        FieldInput::Waves { time: None } => "encoded centre and time".to_owned(),
-        FieldInput::Waves { time: Some(_) } => "encoded centre and a network of time".to_owned(),
+        FieldInput::Waves { octaves, time: None } => format!("centre in {octaves} octaves and time"),
+        FieldInput::Waves { octaves, time: Some(_) } => format!("centre in {octaves} octaves and a network of time"),
         FieldInput::Planes(planes) => {
             format!("planes of {} channels at {} resolutions", planes.channels, planes.scales.len())
         }

@@ -6,8 +6,7 @@ use rayon::prelude::*;
 use super::motion::Offset;
 use super::network::{Dense, Perceptron, encode};
 use crate::scene::field::{
-    ControlNodes, DeformationField, FIELD_PAIRS, FIELD_POSITION_OCTAVES, FIELD_TIME_OCTAVES, FieldInput, FieldPlane,
-    FieldPlanes, FieldRule,
+    ControlNodes, DeformationField, FIELD_PAIRS, FIELD_TIME_OCTAVES, FieldInput, FieldPlane, FieldPlanes, FieldRule,
 };
 use crate::scene::{Gaussians, Linear};
 
@@ -39,7 +38,8 @@ fn outputs(field: &DeformationField, points: &[[f32; 3]], time: f64) -> Vec<Vec<
 
 /// The input of the perceptron, as far as only time decides.
 enum Seen<'a> {
-    Waves(Vec<f64>),
+    /// Octaves of the point, and what stands for the time.
+    Waves(usize, Vec<f64>),
     Planes(&'a FieldPlanes, f64),
 }
 
@@ -47,19 +47,22 @@ impl<'a> Seen<'a> {
     fn new(input: &'a FieldInput, time: f64) -> Self {
         match input {
             FieldInput::Planes(planes) => Self::Planes(planes, time),
-            FieldInput::Waves { time: network } => {
+            FieldInput::Waves { octaves, time: network } => {
                 let mut code = Vec::new();
                 encode(&[time], FIELD_TIME_OCTAVES[usize::from(network.is_some())], &mut code);
-                Self::Waves(network.as_ref().map_or_else(|| code.clone(), |network| time_code(network, &code)))
+                Self::Waves(
+                    *octaves,
+                    network.as_ref().map_or_else(|| code.clone(), |network| time_code(network, &code)),
+                )
             }
         }
     }
 
     fn of(&self, point: [f64; 3]) -> Vec<f64> {
         match self {
-            Self::Waves(code) => {
+            Self::Waves(octaves, code) => {
                 let mut values = Vec::new();
-                encode(&point, FIELD_POSITION_OCTAVES, &mut values);
+                encode(&point, *octaves, &mut values);
                 values.extend(code);
                 values
             }

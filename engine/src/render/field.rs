@@ -39,7 +39,7 @@ const CHUNK_STEP: usize = 64;
 /// What the perceptron's input needs besides the points.
 #[derive(Debug)]
 enum Input {
-    Waves { time_network: Option<Buffer>, unused: Buffer },
+    Waves { octaves: u32, time_network: Option<Buffer>, unused: Buffer },
     Planes { plane: Buffer, plane_size: Buffer, push: PlanesPush },
 }
 
@@ -243,13 +243,17 @@ fn layers(gpu: &Gpu, field: &DeformationField) -> Result<(Vec<Layer>, Buffer)> {
 impl Input {
     fn new(gpu: &Gpu, input: &FieldInput) -> Result<Self> {
         match input {
-            FieldInput::Waves { time } => {
+            FieldInput::Waves { octaves, time } => {
                 let words = |network: &[Linear; 2]| -> Vec<f32> {
                     network.iter().flat_map(|l| l.weight.iter().chain(&l.bias).copied()).collect()
                 };
                 let upload = |network| gpu.buffer_with("field_time_network", bytemuck::cast_slice(&words(network)));
                 let unused = gpu.buffer("unused", SLICE_ALIGNMENT, Memory::Device)?;
-                Ok(Self::Waves { time_network: time.as_ref().map(upload).transpose()?, unused })
+                Ok(Self::Waves {
+                    octaves: *octaves as u32,
+                    time_network: time.as_ref().map(upload).transpose()?,
+                    unused,
+                })
             }
             FieldInput::Planes(planes) => {
                 let (values, sizes) = pack_planes(planes);
@@ -272,11 +276,11 @@ impl Input {
         encoding: &Slice,
     ) -> Result<()> {
         match self {
-            Self::Waves { time_network, unused } => {
+            Self::Waves { octaves, time_network, unused } => {
                 let push = WavesPush { first_row, rows, points };
                 let parameter = Slice::from(time_network.as_ref().unwrap_or(unused));
                 let buffers = [frame.clone(), point.clone(), parameter, encoding.clone()];
-                waves::record(r, time_network.is_some(), push, &buffers)
+                waves::record(r, time_network.is_some(), *octaves, push, &buffers)
             }
             Self::Planes { plane, plane_size, push } => {
                 let push = PlanesPush { first_row, rows, points, ..*push };

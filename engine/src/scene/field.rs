@@ -20,10 +20,8 @@
 use super::Linear;
 use crate::error::{Error, Result};
 
-/// Octaves of the centre's encoding.
-pub const FIELD_POSITION_OCTAVES: usize = 10;
-/// Values of an encoded centre.
-pub const FIELD_POSITION_WIDTH: usize = 3 + 6 * FIELD_POSITION_OCTAVES;
+/// Most octaves of the centre's encoding, and their number in the released codes.
+pub const FIELD_MOST_OCTAVES: usize = 10;
 /// Octaves of time where it enters directly, and before the network of time.
 pub const FIELD_TIME_OCTAVES: [usize; 2] = [10, 6];
 /// Hidden values and outputs of the network of time.
@@ -53,9 +51,11 @@ pub struct DeformationField {
 /// What the perceptron sees of a point and the time.
 #[derive(Debug, Clone, PartialEq)]
 pub enum FieldInput {
-    /// `[x, sin 2ᵏx, cos 2ᵏx, …]` of the centre with 10 octaves, then time: encoded with 10 octaves, or with 6 and then
-    /// by a network of its own, 13 → 256 → ReLU → 30 (Deformable-3DGS, SC-GS).
+    /// `[x, sin 2ᵏx, cos 2ᵏx, …]` of the centre, then time: encoded with 10 octaves, or with 6 and then by a network of its
+    /// own, 13 → 256 → ReLU → 30 (Deformable-3DGS, SC-GS).
     Waves {
+        /// Octaves of the centre, at most [`FIELD_MOST_OCTAVES`]; in the model file the first layer's inputs say it.
+        octaves: usize,
         /// The network of time.
         time: Option<[Linear; 2]>,
     },
@@ -65,7 +65,7 @@ pub enum FieldInput {
 
 impl Default for FieldInput {
     fn default() -> Self {
-        Self::Waves { time: None }
+        Self::Waves { octaves: FIELD_MOST_OCTAVES, time: None }
     }
 }
 
@@ -120,11 +120,21 @@ pub enum FieldRule {
 }
 
 impl FieldInput {
+    /// Values that stand for the time beside an encoded centre.
+    pub fn time_width(has_network: bool) -> usize {
+        if has_network { FIELD_TIME_NETWORK[1] } else { 1 + 2 * FIELD_TIME_OCTAVES[0] }
+    }
+
+    /// Octaves of the centre in an input of `width` values; `None` when no number of octaves gives it.
+    pub fn octaves_of(width: usize, has_time_network: bool) -> Option<usize> {
+        let waves = width.checked_sub(3 + Self::time_width(has_time_network))?;
+        (waves.is_multiple_of(6) && waves / 6 <= FIELD_MOST_OCTAVES).then_some(waves / 6)
+    }
+
     /// Values that the perceptron sees.
     pub fn width(&self) -> usize {
         match self {
-            Self::Waves { time: Some(_) } => FIELD_POSITION_WIDTH + FIELD_TIME_NETWORK[1],
-            Self::Waves { time: None } => FIELD_POSITION_WIDTH + 1 + 2 * FIELD_TIME_OCTAVES[0],
+            Self::Waves { octaves, time } => 3 + 6 * octaves + Self::time_width(time.is_some()),
             Self::Planes(planes) => planes.channels * planes.scales.len(),
         }
     }
@@ -162,7 +172,7 @@ impl DeformationField {
     pub fn named_layers(&self) -> Vec<(String, &Linear)> {
         let hidden = self.layers.iter().enumerate().map(|(i, l)| (format!("field.layer.{i}"), l));
         let time = match &self.input {
-            FieldInput::Waves { time: Some(layers) } => &layers[..],
+            FieldInput::Waves { time: Some(layers), .. } => &layers[..],
             _ => &[],
         };
         let time = time.iter().enumerate().map(|(i, l)| (format!("field.time.{i}"), l));
@@ -186,8 +196,13 @@ impl DeformationField {
 
     fn check_input(&self) -> Result<()> {
         match &self.input {
-            FieldInput::Waves { time: None } => Ok(()),
-            FieldInput::Waves { time: Some([first, second]) } => {
+            FieldInput::Waves { octaves, .. } if *octaves > FIELD_MOST_OCTAVES => Err(Error::usage(
+                "field, octaves of the centre",
+                octaves.to_string(),
+                format!("0 to {FIELD_MOST_OCTAVES}"),
+            )),
+            FieldInput::Waves { time: None, .. } => Ok(()),
+            FieldInput::Waves { time: Some([first, second]), .. } => {
                 let [hidden, outputs] = FIELD_TIME_NETWORK;
                 first.check("field.time.0", [1 + 2 * FIELD_TIME_OCTAVES[1], hidden])?;
                 second.check("field.time.1", [hidden, outputs])

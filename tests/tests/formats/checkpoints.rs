@@ -176,9 +176,12 @@ fn what_cannot_be_played_is_named() {
     let other = pickle::file(&dict(vec![("weight", floats(&[1], vec![0.0]))]));
     assert!(message(&[("deform/iteration_300/deform.pth", other)]).contains("no known method"));
     let mut small = deformable(false, false);
-    small[0].1 = floats(&[256, 42], vec![0.0; 256 * 42]);
+    small[0].1 = floats(&[256, 43], vec![0.0; 256 * 43]);
     let small = pickle::file(&Value::Dict(small));
-    assert!(message(&[("deform/iteration_300/deform.pth", small)]).contains("found [256, 42], expected [256, 84]"));
+    assert!(
+        message(&[("deform/iteration_300/deform.pth", small)])
+            .contains("found [256, 43], expected [256, 3 + 6 L + 21]")
+    );
     // Gaussians without weights stand still, with a warning.
     let still = file::load(run_folder(&g, &[]).path()).unwrap();
     assert!(!still.scene.is_dynamic() && still.warnings[0].contains("stands still"), "{:?}", still.warnings);

@@ -3,12 +3,15 @@
 
 use std::path::Path;
 
+use engine::file::torch::Weights;
 use engine::file::{self, ply};
 use engine::reference::{self, ReferenceOptions, freeze, freeze_with};
 use engine::render::{FieldEvaluator, RenderOptions, Renderer};
+use engine::scene::field::FieldInput;
 use engine::scene::synthetic::{demo_camera, random_gaussians};
 use engine::scene::{Gaussians, MotionSource, Scene};
 use glam::{DMat3, DQuat, DVec3};
+use tests_harness::data;
 
 use crate::checkpoints::{N, close, layer, many, quat, run_folder, same_turn};
 use crate::pickle::{self, Numbers, Value, floats};
@@ -142,10 +145,11 @@ pub(crate) fn deformable(timenet: bool, screw: bool) -> Vec<(String, Value)> {
     out
 }
 
-/// The hidden values of `deformable`'s network.
+/// The hidden values of Deformable-3DGS's network; the first layer says how many octaves the point has.
 fn hidden(net: &Plain<'_>, prefix: &str, point: [f64; 3], t: f64, timenet: bool) -> Vec<f64> {
     let linear = |name: &str, x: &[f64]| net.linear(&format!("{prefix}{name}"), x);
-    let mut encoding = encode(&point, 10);
+    let inputs = net.get(&format!("{prefix}linear.0.weight")).len() / 256;
+    let mut encoding = encode(&point, ((inputs - if timenet { 30 } else { 21 }) / 6) as u32);
     encoding.extend(if timenet {
         linear("timenet.2", &relu(linear("timenet.0", &encode(&[t], 6))))
     } else {
@@ -174,29 +178,34 @@ fn exponential(w: DVec3, v: DVec3, theta: f64, x: DVec3) -> DVec3 {
     sum
 }
 
+/// Where Deformable-3DGS's formulas put the Gaussians.
+fn deformable_at(net: &Plain<'_>, g: &Gaussians, t: f64, timenet: bool, screw: bool) -> Vec<Expected> {
+    let at = |i: usize| {
+        let h = hidden(net, "", g.mean[i].map(f64::from), t, timenet);
+        let vector = |name: &str| DVec3::from_slice(&net.linear(name, &h));
+        let x = promote(g.mean[i]);
+        let mean = if screw {
+            let (w, v) = (vector("branch_w"), vector("branch_v"));
+            let theta = w.length();
+            exponential(w / theta + 1e-5, v / theta + 1e-5, theta, x)
+        } else {
+            x + vector("gaussian_warp")
+        };
+        let (dq, ds) = (net.linear("gaussian_rotation", &h), net.linear("gaussian_scaling", &h));
+        let own = spread(g, i);
+        let scale = [0, 1, 2].map(|a| own[a] + ds[a]);
+        Expected { mean, rotation: turned(quat(g.rotation[i]), &dq), scale }
+    };
+    (0..g.len()).map(at).collect()
+}
+
 #[test]
 fn deformable_3dgs_is_where_its_network_says() {
     for (timenet, screw) in [(false, false), (true, false), (false, true)] {
         let g = random_gaussians(N, 8, 1);
         let weights = deformable(timenet, screw);
         let net = Plain(&weights);
-        let at = |i: usize, t: f64| {
-            let h = hidden(&net, "", g.mean[i].map(f64::from), t, timenet);
-            let vector = |name: &str| DVec3::from_slice(&net.linear(name, &h));
-            let x = promote(g.mean[i]);
-            let mean = if screw {
-                let (w, v) = (vector("branch_w"), vector("branch_v"));
-                let theta = w.length();
-                exponential(w / theta + 1e-5, v / theta + 1e-5, theta, x)
-            } else {
-                x + vector("gaussian_warp")
-            };
-            let (dq, ds) = (net.linear("gaussian_rotation", &h), net.linear("gaussian_scaling", &h));
-            let own = spread(&g, i);
-            let scale = [0, 1, 2].map(|a| own[a] + ds[a]);
-            Expected { mean, rotation: turned(quat(g.rotation[i]), &dq), scale }
-        };
-        let expected = [0.0, 0.25, 1.0].map(|t| (t, (0..N).map(|i| at(i, t)).collect::<Vec<_>>()));
+        let expected = [0.0, 0.25, 1.0].map(|t| (t, deformable_at(&net, &g, t, timenet, screw)));
         let moved = (0..N).map(|i| expected[1].1[i].mean.distance(promote(g.mean[i]))).fold(0.0, f64::max);
         assert!(moved > 0.02, "the test's network must move something: {moved}");
         let folder = run_folder(&g, &[("deform/iteration_300/deform.pth", pickle::file(&Value::Dict(weights)))]);
@@ -207,6 +216,29 @@ fn deformable_3dgs_is_where_its_network_says() {
         }
         check_file(&scene);
     }
+}
+
+/// Real weights (3 octaves of the centre) around Gaussians that they were not trained with.
+#[test]
+fn the_real_sample_plays() {
+    let Some(path) = data("checkpoint_samples/deformable3dgs_deform_iter20000.pth") else { return };
+    let bytes = std::fs::read(&path).unwrap();
+    let weights = Weights::parse(&bytes, &path).unwrap();
+    let value = |name: &str| {
+        let shape = weights.shape(name).unwrap();
+        let any: Vec<Option<usize>> = shape.iter().map(|_| None).collect();
+        (name.to_owned(), floats(&shape, weights.floats(name, &any).unwrap().0))
+    };
+    let named: Vec<(String, Value)> = weights.names().map(value).collect();
+    let g = random_gaussians(N, 8, 1);
+    let folder = run_folder(&g, &[("deform/iteration_300/deform.pth", bytes.clone())]);
+    let scene = file::load(folder.path()).unwrap().scene;
+    let field = scene.field.as_ref().unwrap();
+    assert!(matches!(field.input, FieldInput::Waves { octaves: 3, time: None }), "{:?}", field.input.width());
+    for t in [0.0, 0.4, 1.0] {
+        check(&scene, t, &deformable_at(&Plain(&named), &g, t, false, false));
+    }
+    check_file(&scene);
 }
 
 #[test]

@@ -2,8 +2,8 @@
 //!
 //! `linear.{0..7}` of width 256 with ReLU, the encoding again before layer 5, heads `gaussian_warp` (3; 6-DoF: `branch_w` and
 //! `branch_v`, 3 each), `gaussian_rotation` (4, added to the unit quaternion), `gaussian_scaling` (3, added to the scale).
-//! Centres are encoded with 10 octaves; time with 10, or, for synthetic data, with 6 and then by `timenet` to 30 values.
-//! Other numbers of octaves do not show in the weights' shapes one by one, and are refused.
+//! Time is encoded with 10 octaves, or, for synthetic data, with 6 and then by `timenet` to 30 values (fixed in the released
+//! code); centres with 10 octaves or what the first layer's inputs say (an argument there).
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use super::sp_gs::linear;
 use crate::error::{Error, Result};
 use crate::file::torch::Weights;
 use crate::scene::Linear;
-use crate::scene::field::{DeformationField, FIELD_POSITION_WIDTH, FIELD_TIME_NETWORK, FIELD_TIME_OCTAVES, FieldInput};
+use crate::scene::field::{DeformationField, FIELD_TIME_NETWORK, FIELD_TIME_OCTAVES, FieldInput};
 
 const WIDTH: usize = 256;
 const LAYERS: usize = 8;
@@ -23,14 +23,14 @@ pub(super) fn read(weights: &Weights<'_>, prefix: &str, path: &Path) -> Result<D
     let named = |name: &str| format!("{prefix}{name}");
     let has = |name: &str| weights.has(&named(name));
     let [hidden, code] = FIELD_TIME_NETWORK;
-    let time = if has("timenet.0.weight") { code } else { 1 + 2 * FIELD_TIME_OCTAVES[0] };
-    let encoding = FIELD_POSITION_WIDTH + time;
     let found = weights.shape(&named("linear.0.weight")).unwrap_or_default();
-    if found != [WIDTH, encoding] {
-        let octaves = if has("timenet.0.weight") { "6" } else { "10" };
-        let expected = format!("[{WIDTH}, {encoding}]: 10 octaves of the centre, {octaves} of time");
+    let encoding = found.get(1).copied().unwrap_or(0);
+    let octaves = FieldInput::octaves_of(encoding, has("timenet.0.weight"));
+    let (Some(octaves), [WIDTH, _]) = (octaves, &found[..]) else {
+        let time = FieldInput::time_width(has("timenet.0.weight"));
+        let expected = format!("[{WIDTH}, 3 + 6 L + {time}], L up to 10 octaves of the centre");
         return Err(Error::corrupt(path, "tensor `linear.0.weight`", format!("{found:?}"), expected));
-    }
+    };
     let layer = |name: &str, inputs: usize, outputs: usize| linear(weights, &named(name), inputs, outputs, path);
     let inputs = |i: usize| match i {
         0 => encoding,
@@ -51,7 +51,7 @@ pub(super) fn read(weights: &Weights<'_>, prefix: &str, path: &Path) -> Result<D
     }
     let heads = heads.into_iter().map(|(name, outputs)| layer(name, WIDTH, outputs)).collect::<Result<Vec<_>>>()?;
     Ok(DeformationField {
-        input: FieldInput::Waves { time },
+        input: FieldInput::Waves { octaves, time },
         layers: (0..LAYERS).map(|i| layer(&format!("linear.{i}"), inputs(i), WIDTH)).collect::<Result<_>>()?,
         head: stacked(&heads),
         nodes: None,

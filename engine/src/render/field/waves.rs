@@ -1,4 +1,4 @@
-//! Kernel `field_waves`: encoded points and time, `[rows, 84]` or, with a network of time, `[rows, 93]`.
+//! Kernel `field_waves`: encoded points and time, `[rows, 3 + 6 octaves + 21]` or, with a network of time, 30 instead of 21.
 
 use crate::error::Result;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
@@ -6,7 +6,8 @@ use crate::gpu::{Groups, Recorder, Slice};
 use crate::render::frame::Frame;
 use crate::render::nonrigid_network::encoded;
 use crate::render::twin::{f32_at, push, set_f32, spec, struct_at};
-use crate::scene::field::{FIELD_POSITION_WIDTH, FIELD_TIME_NETWORK, FIELD_TIME_OCTAVES};
+use crate::scene::field::{FIELD_TIME_NETWORK, FIELD_TIME_OCTAVES};
+use crate::scene::network::POSITION_FREQUENCIES;
 
 crate::gpu_struct! {
     /// Push constants of [`FIELD_WAVES`].
@@ -22,6 +23,8 @@ crate::gpu_struct! {
 
 /// Points per workgroup.
 const GROUP_POINTS: u32 = 64;
+/// Element of [`encoded`] with which time begins.
+const TIME_ELEMENT: usize = 3 + 6 * POSITION_FREQUENCIES;
 /// Inputs of the network of time.
 const TIME_INPUTS: usize = 1 + 2 * FIELD_TIME_OCTAVES[1];
 
@@ -30,7 +33,7 @@ pub static FIELD_WAVES: Kernel = Kernel {
     name: "field_waves",
     doc: "deformation field: encoded points and time",
     local_size: 256,
-    spec: &["SUBGROUP_SIZE", "TIME_NETWORK"],
+    spec: &["SUBGROUP_SIZE", "TIME_NETWORK", "OCTAVES"],
     push: WavesPush::FIELDS,
     bindings: &[
         Binding::of_struct("frame", Access::Read, Frame::FIELDS),
@@ -46,28 +49,34 @@ pub static FIELD_WAVES: Kernel = Kernel {
 };
 
 /// Records it.
-pub(super) fn record(r: &mut Recorder, time_network: bool, push: WavesPush, buffers: &[Slice; 4]) -> Result<()> {
+pub(super) fn record(
+    r: &mut Recorder,
+    time_network: bool,
+    octaves: u32,
+    push: WavesPush,
+    buffers: &[Slice; 4],
+) -> Result<()> {
     let groups = Groups::Direct(push.rows.div_ceil(GROUP_POINTS).into());
-    r.dispatch(&FIELD_WAVES, &[u32::from(time_network)], bytemuck::bytes_of(&push), buffers, groups)
+    r.dispatch(&FIELD_WAVES, &[u32::from(time_network), octaves], bytemuck::bytes_of(&push), buffers, groups)
 }
 
 fn waves_twin(call: &mut TwinCall<'_>) {
     let p: WavesPush = push(call);
     let frame: Frame = struct_at(&call.buffers[0], 0);
     let time = frame.background[3];
-    let direct =
-        |count: usize| (0..count).map(|e| encoded([0.0; 3], time, FIELD_POSITION_WIDTH + e)).collect::<Vec<_>>();
+    let direct = |count: usize| (0..count).map(|e| encoded([0.0; 3], time, TIME_ELEMENT + e)).collect::<Vec<_>>();
     let code = if spec(call, 1) == 1 {
         time_network(&call.buffers[2], &direct(TIME_INPUTS))
     } else {
         direct(1 + 2 * FIELD_TIME_OCTAVES[0])
     };
-    let columns = FIELD_POSITION_WIDTH + code.len();
+    let position = 3 + 6 * spec(call, 2) as usize;
+    let columns = position + code.len();
     for row in 0..p.rows as usize {
         let at = |axis: usize| f32_at(&call.buffers[1], axis * p.points as usize + p.first_row as usize + row);
         let point = [at(0), at(1), at(2)];
         for e in 0..columns {
-            let value = if e < FIELD_POSITION_WIDTH { encoded(point, time, e) } else { code[e - FIELD_POSITION_WIDTH] };
+            let value = if e < position { encoded(point, time, e) } else { code[e - position] };
             set_f32(&mut call.buffers[3], row * columns + e, value);
         }
     }

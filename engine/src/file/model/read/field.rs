@@ -20,10 +20,12 @@ pub(super) fn field(tensors: &mut Tensors<'_>, gaussians: usize) -> Result<Optio
     let head = linear(tensors, "field.head")?;
     let input = if tensors.has("field.plane.0.0") {
         FieldInput::Planes(planes(tensors)?)
-    } else if tensors.has("field.time.0.weight") {
-        FieldInput::Waves { time: Some([linear(tensors, "field.time.0")?, linear(tensors, "field.time.1")?]) }
     } else {
-        FieldInput::Waves { time: None }
+        let networks = |t: &mut Tensors<'_>| Ok([linear(t, "field.time.0")?, linear(t, "field.time.1")?]);
+        let time = tensors.has("field.time.0.weight").then(|| networks(tensors)).transpose()?;
+        // A width that no number of octaves has is found when all is checked.
+        let width = layers.first().map_or(0, |l| l.inputs);
+        FieldInput::Waves { octaves: FieldInput::octaves_of(width, time.is_some()).unwrap_or(0), time }
     };
     let nodes = if tensors.has("field.node.position") { Some(nodes(tensors, gaussians)?) } else { None };
     Ok(Some(DeformationField { input, layers, head, nodes }))
