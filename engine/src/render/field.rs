@@ -128,44 +128,50 @@ impl FieldBuffers {
 
     /// Records the offsets of all Gaussians at the frame's time.
     pub(crate) fn record(&self, gpu: &Gpu, r: &mut Recorder, scene: &SceneBuffers, frame: &Buffer) -> Result<Slice> {
+        for first in self.parts(scene) {
+            self.record_part(gpu, r, scene, frame, first)?;
+        }
+        Ok(Slice::from(&self.offset))
+    }
+
+    /// First Gaussians of the parts that are evaluated one after another.
+    fn parts(&self, scene: &SceneBuffers) -> impl Iterator<Item = u32> + use<> {
+        let step = if self.nodes.is_some() { scene.gaussians.max(1) as usize } else { self.chunk };
+        (0..scene.gaussians).step_by(step)
+    }
+
+    /// Records the offsets of the Gaussians from `first` on, as many as a part has.
+    fn record_part(&self, gpu: &Gpu, r: &mut Recorder, scene: &SceneBuffers, frame: &Buffer, first: u32) -> Result<()> {
         let (stage, frame) = (Stage::of(gpu), Slice::from(frame));
-        let offset = Slice::from(&self.offset);
-        let gaussians = scene.gaussians;
-        if gaussians == 0 {
-            return Ok(offset);
-        }
-        if let Some(nodes) = &self.nodes {
-            self.evaluate(r, stage, &frame, &Slice::from(&nodes.position), [0, nodes.count, nodes.count])?;
-            let push = NodesPush { nodes: nodes.count, neighbors: nodes.neighbors, outputs: self.outputs() };
-            let buffers = [
-                frame,
-                self.head_output(nodes.count),
-                Slice::from(&scene.mean),
-                Slice::from(&scene.rotation),
-                Slice::from(&nodes.position),
-                Slice::from(&nodes.neighbor),
-                Slice::from(&nodes.weight),
-                Slice::from(&nodes.share),
-                offset.clone(),
-            ];
-            nodes::record(r, gaussians, nodes.turn, push, &buffers)?;
-            return Ok(offset);
-        }
-        for first in (0..gaussians).step_by(self.chunk) {
+        let (gaussians, offset) = (scene.gaussians, Slice::from(&self.offset));
+        let Some(nodes) = &self.nodes else {
             let rows = (gaussians - first).min(self.chunk as u32);
             self.evaluate(r, stage, &frame, &Slice::from(&scene.mean), [first, rows, gaussians])?;
             let push = OffsetPush { first_row: first, rows, outputs: self.outputs() };
             let buffers = [
-                frame.clone(),
+                frame,
                 self.head_output(rows),
                 Slice::from(&scene.mean),
                 Slice::from(&scene.log_scale),
                 Slice::from(&scene.rotation),
-                offset.clone(),
+                offset,
             ];
-            offset::record(r, self.rule, push, &buffers)?;
-        }
-        Ok(offset)
+            return offset::record(r, self.rule, push, &buffers);
+        };
+        self.evaluate(r, stage, &frame, &Slice::from(&nodes.position), [0, nodes.count, nodes.count])?;
+        let push = NodesPush { nodes: nodes.count, neighbors: nodes.neighbors, outputs: self.outputs() };
+        let buffers = [
+            frame,
+            self.head_output(nodes.count),
+            Slice::from(&scene.mean),
+            Slice::from(&scene.rotation),
+            Slice::from(&nodes.position),
+            Slice::from(&nodes.neighbor),
+            Slice::from(&nodes.weight),
+            Slice::from(&nodes.share),
+            offset,
+        ];
+        nodes::record(r, gaussians, nodes.turn, push, &buffers)
     }
 
     /// Records the perceptron for points `first..first + rows` of `points`.
@@ -345,9 +351,14 @@ impl FieldEvaluator {
         let camera = crate::scene::Camera::look_at(glam::DVec3::Z, glam::DVec3::ZERO, glam::DVec3::Y, 1.0, [16, 16]);
         let frame = self.scene.frame(&camera, FrameOptions { time, ..FrameOptions::default() }, 32)?;
         self.frame.write(0, bytemuck::bytes_of(&frame))?;
+        // Part by part: a submission then stays far from the time-out, however slow the device.
+        for first in self.field.parts(&self.scene) {
+            let mut r = self.gpu.recorder("deformation field");
+            self.field.record_part(&self.gpu, &mut r, &self.scene, &self.frame, first)?;
+            self.gpu.run(r)?;
+        }
         let mut r = self.gpu.recorder("deformation field");
-        let offset = self.field.record(&self.gpu, &mut r, &self.scene, &self.frame)?;
-        r.copy(offset, self.readback.slice(0, self.readback.bytes()))?;
+        r.copy(&self.field.offset, self.readback.slice(0, self.readback.bytes()))?;
         r.host_read(&self.readback);
         self.gpu.run(r)?;
         let n = self.scene.gaussians as usize;
