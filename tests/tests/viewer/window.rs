@@ -13,7 +13,7 @@ fn drawn(picture: &image::RgbImage) -> f64 {
     lit as f64 / f64::from(picture.width() * picture.height())
 }
 
-fn moving_model(folder: &std::path::Path, gaussians: usize) -> std::path::PathBuf {
+pub fn moving_model(folder: &std::path::Path, gaussians: usize) -> std::path::PathBuf {
     let path = folder.join("scene.safetensors");
     file::save(&path, &synthetic::moving_scene(gaussians, 12, 9, 3, false)).unwrap();
     path
