@@ -8,7 +8,7 @@ use engine::scene::synthetic;
 use crate::desktop::{Desktop, Window, difference, spgs};
 
 /// Share of pixels that are not the background's black.
-fn drawn(picture: &image::RgbImage) -> f64 {
+pub fn drawn(picture: &image::RgbImage) -> f64 {
     let lit = picture.pixels().filter(|p| p.0.iter().any(|v| *v > 12)).count();
     lit as f64 / f64::from(picture.width() * picture.height())
 }
