@@ -38,12 +38,25 @@ layout(std430, set = 0, binding = 6) readonly buffer GaussianOfSlotBlock { uint 
 // Largest finite half.
 const float HALF_MAX = 65504.0;
 
+// Four halves, rounded to nearest, ties to even. packHalf2x16 may round otherwise, and is slow where it is no instruction
+// (lavapipe).
+uvec2 pack_halves(vec4 value) {
+    uvec4 bits = floatBitsToUint(clamp(value, -HALF_MAX, HALF_MAX));
+    uvec4 size = bits & 0x7fffffffu;
+    // The exponent's bias goes from 127 to 15, and 13 bits of the mantissa are rounded away.
+    uvec4 normal = (size + 0xc8000fffu + ((size >> 13u) & 1u)) >> 13u;
+    // Below 2^-14 halves lie 2^-24 apart, as floats from 0.5 on do.
+    uvec4 small = floatBitsToUint(uintBitsToFloat(size) + 0.5) - 0x3f000000u;
+    uvec4 halves = mix(normal, small, lessThan(size, uvec4(0x38800000u))) | ((bits >> 16u) & 0x8000u);
+    return uvec2(halves.x | halves.y << 16u, halves.z | halves.w << 16u);
+}
+
 void store_pixel(uint at, vec4 value) {
     uint format = FORMAT;
     if (format == 2u) {
-        vec4 limited = clamp(value, -HALF_MAX, HALF_MAX);
-        pixels[2u * at] = packHalf2x16(limited.xy);
-        pixels[2u * at + 1u] = packHalf2x16(limited.zw);
+        uvec2 words = pack_halves(value);
+        pixels[2u * at] = words.x;
+        pixels[2u * at + 1u] = words.y;
     } else {
         vec4 ordered = format == 1u ? value.zyxw : value;
         pixels[at] = packUnorm4x8(clamp(ordered, 0.0, 1.0));

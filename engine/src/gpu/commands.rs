@@ -94,6 +94,11 @@ impl Commands {
         if self.last == Submission(0) { Ok(Vec::new()) } else { self.sequence.timings(0) }
     }
 
+    /// [`Commands::timings`] one by one: label and microseconds. Allocates nothing.
+    pub fn each_timing(&self, each: impl FnMut(&str, f64)) -> Result<()> {
+        if self.last == Submission(0) { Ok(()) } else { self.sequence.each_timing(0, each) }
+    }
+
     /// Last finished and next operation, from the breadcrumbs.
     fn trace(&self) -> (String, String) {
         let Some(buffer) = &self.breadcrumbs else {
@@ -193,7 +198,7 @@ impl Gpu {
             return Err(commands.device_lost());
         }
         if let Some(buffer) = &commands.breadcrumbs {
-            buffer.write_readback(0, &vec![0; 4 * commands.sequence.operations.len()])?;
+            buffer.clear_readback()?;
         }
         match self.submit_raw(commands.raw) {
             Ok(submission) => commands.last = submission,

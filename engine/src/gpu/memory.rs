@@ -144,6 +144,14 @@ impl Buffer {
         Ok(())
     }
 
+    /// Fills mapped read-back memory with zeros.
+    pub(super) fn clear_readback(&self) -> Result<()> {
+        let (pointer, bytes) = self.mapped(0, self.0.bytes, Memory::Readback)?;
+        // SAFETY: as in `write`.
+        unsafe { std::ptr::write_bytes(pointer, 0, bytes as usize) };
+        Ok(())
+    }
+
     fn mapped(&self, offset: u64, bytes: u64, expected: Memory) -> Result<(*mut u8, u64)> {
         if self.0.memory != expected {
             return Err(Error::usage(

@@ -122,23 +122,32 @@ impl Presenter {
 
     /// Makes images for a window of this size. Blocks until the device is idle.
     pub fn resize(&mut self, size: [u32; 2], vsync: bool) -> Result<()> {
-        let unused = self.acquired.take().is_some();
+        self.release()?;
         self.swapchain.resize(size, vsync)?;
         self.stale = false;
-        if unused {
-            // Its semaphore was signalled for an image that is gone.
-            let device = &self.gpu.0.device;
-            let slot = &mut self.slots[self.turn];
-            // SAFETY: the device is idle.
-            unsafe {
-                device.destroy_semaphore(slot.acquired, None);
-                slot.acquired = vk::Semaphore::null();
-                slot.acquired = device
-                    .create_semaphore(&vk::SemaphoreCreateInfo::default(), None)
-                    .map_err(vk_error("vkCreateSemaphore"))?;
-            }
-        }
         Ok(())
+    }
+
+    /// Lets go of an image that was taken and will not be shown: its semaphore is waited for, so that it can be signalled again
+    /// or destroyed.
+    fn release(&mut self) -> Result<()> {
+        if self.acquired.take().is_none() {
+            return Ok(());
+        }
+        let (waits, stages) = ([self.slots[self.turn].acquired], [vk::PipelineStageFlags::TRANSFER]);
+        let submit = [vk::SubmitInfo::default().wait_semaphores(&waits).wait_dst_stage_mask(&stages)];
+        let queue = self.gpu.0.lock_queue();
+        // SAFETY: the semaphore is signalled by the image's acquisition and nobody waits for it; the queue is locked.
+        unsafe { self.gpu.0.device.queue_submit(*queue, &submit, vk::Fence::null()) }
+            .map_err(|code| self.gpu.vulkan_error("vkQueueSubmit", code))
+    }
+
+    /// Blocks until the device is idle; an image that was taken will not be shown. For the end: errors are only logged.
+    pub fn rest(&mut self) {
+        let (released, idle) = (self.release(), self.gpu.wait_idle());
+        for error in [released, idle].into_iter().filter_map(Result::err) {
+            log::debug!("closing the window: {error}");
+        }
     }
 
     /// Takes an image of the window; false when there is none (minimised, or [`Presenter::resize`] is due).
@@ -162,6 +171,15 @@ impl Presenter {
                 Ok(false)
             }
         }
+    }
+
+    /// Frames that were shown and that the device has not finished.
+    pub fn in_flight(&self) -> Result<u64> {
+        let mut count = 0;
+        for slot in &self.slots {
+            count += u64::from(!self.gpu.is_finished(slot.last)?);
+        }
+        Ok(count)
     }
 
     /// Shows `picture`, `uint[H,W]` of 8-bit values packed as [`Presenter::is_bgra`] says, with `overlay` on top. An
@@ -308,9 +326,7 @@ impl Gpu {
 
 impl Drop for Presenter {
     fn drop(&mut self) {
-        if let Err(error) = self.gpu.wait_idle() {
-            log::debug!("closing the window: {error}");
-        }
+        self.rest();
         let device = &self.gpu.0.device;
         for slot in self.slots.drain(..) {
             // SAFETY: the device is idle or lost; null handles are ignored.

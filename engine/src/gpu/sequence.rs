@@ -305,26 +305,37 @@ impl Sequence {
     /// Device time of each operation in the encoding of `slot`, which has finished; empty without timestamps, or when it
     /// was never executed.
     pub fn timings(&self, slot: u32) -> Result<Vec<Timing>> {
+        let mut timings = Vec::new();
+        self.each_timing(slot, |label, us| timings.push(Timing { label: label.to_owned(), us }))?;
+        Ok(timings)
+    }
+
+    /// [`Sequence::timings`] one by one: label and microseconds. Allocates nothing.
+    pub fn each_timing(&self, slot: u32, mut each: impl FnMut(&str, f64)) -> Result<()> {
         if self.queries == vk::QueryPool::null() || slot >= self.slots {
-            return Ok(Vec::new());
+            return Ok(());
         }
         let count = self.queries_per_slot();
-        let mut ticks = vec![0_u64; count as usize];
-        // SAFETY: the pool has that many queries.
-        let read = unsafe {
-            let flags = vk::QueryResultFlags::TYPE_64;
-            self.gpu.device.get_query_pool_results(self.queries, slot * count, &mut ticks, flags)
-        };
-        match read {
-            Ok(()) => {}
-            Err(vk::Result::NOT_READY) => return Ok(Vec::new()),
-            Err(code) => return Err(vk_error("vkGetQueryPoolResults")(code)),
-        }
         let ns = self.gpu.info.capabilities.timestamp_ns;
-        let named = self.operations.iter().zip(ticks.windows(2));
-        Ok(named
-            .map(|(o, t)| Timing { label: o.label.clone(), us: t[1].wrapping_sub(t[0]) as f64 * ns / 1e3 })
-            .collect())
+        let mut ticks = [0_u64; 64];
+        // Parts of the list, each from where the last one ended.
+        let mut first = 0;
+        while first + 1 < count {
+            let part = &mut ticks[..(count - first).min(64) as usize];
+            let flags = vk::QueryResultFlags::TYPE_64;
+            // SAFETY: the pool has that many queries.
+            let read =
+                unsafe { self.gpu.device.get_query_pool_results(self.queries, slot * count + first, part, flags) };
+            match read {
+                Ok(()) => {}
+                Err(vk::Result::NOT_READY) => return Ok(()),
+                Err(code) => return Err(vk_error("vkGetQueryPoolResults")(code)),
+            }
+            let named = self.operations.iter().skip(first as usize).zip(part.windows(2));
+            named.for_each(|(o, t)| each(&o.label, t[1].wrapping_sub(t[0]) as f64 * ns / 1e3));
+            first += part.len() as u32 - 1;
+        }
+        Ok(())
     }
 
     /// The barrier plan.

@@ -253,6 +253,11 @@ impl Renderer {
         self.slot(frame)?.commands.timings()
     }
 
+    /// [`Renderer::timings`] one by one: label and microseconds. Allocates nothing.
+    pub fn each_timing(&self, frame: FrameId, each: impl FnMut(&str, f64)) -> Result<()> {
+        self.slot(frame)?.commands.each_timing(each)
+    }
+
     /// The recorded commands of the current image size, for plans and counts; `None` before the first frame.
     pub fn commands(&self) -> Option<&Commands> {
         self.targets.as_ref().and_then(|t| t.slots.first()).map(|s| &s.commands)

@@ -144,10 +144,7 @@ fn an_embedded_frame_costs_what_the_engines_own_does() {
                 processor[1] += (processor_ms() - busy_middle) / f64::from(frames);
             }
         }
-        let [own, embedded] = times.map(|mut t| {
-            t.sort_by(f64::total_cmp);
-            t[t.len() / 2]
-        });
+        let [own, embedded] = times.map(median);
         let percent = |own: f64, embedded: f64| 100.0 * (embedded / own.max(1e-9) - 1.0);
         println!(
             "{format:?} {}x{}: own {own:.3} ms, embedded {embedded:.3} ms, {:+.1} %; processor {:+.1} %",
@@ -157,7 +154,29 @@ fn an_embedded_frame_costs_what_the_engines_own_does() {
             percent(processor[0], processor[1]),
         );
         drop(view);
+        let options = ViewOptions { profile: true, ..options };
+        let mut view = View::new(host.gpu(), &handle, &options).unwrap();
+        view.warm_up(&camera, 0.0).unwrap();
+        let (mut blend, mut copy) = (Vec::new(), Vec::new());
+        for i in 0..frames.min(30) {
+            submit(&host, frame, &mut view, &camera, f64::from(i) / f64::from(frames), &target);
+            host.vulkan.wait(frame).unwrap();
+            for timing in view.timings().unwrap() {
+                match timing.label.as_str() {
+                    "blend" | "blend_packed" => blend.push(timing.us / 1e3),
+                    label if label.starts_with("copy") && label.ends_with("to image") => copy.push(timing.us / 1e3),
+                    _ => {}
+                }
+            }
+        }
+        println!("  of which blend {:.3} ms, copy to the image {:.3} ms", median(blend), median(copy));
+        drop(view);
         host.vulkan.destroy(color);
     }
     host.vulkan.destroy_frame(frame);
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }

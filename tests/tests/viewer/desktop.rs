@@ -12,6 +12,9 @@ const ARGUMENTS: &str = "SPGS_VIEWER_TEST_ARGUMENTS";
 /// Longest that anything may take: validation layers on a busy machine are slow.
 const PATIENCE: Duration = Duration::from_secs(120);
 
+/// Before the number of allocations that the program says at its end.
+pub const ALLOCATIONS: &str = "allocations: ";
+
 /// The body of `spgs`; does nothing in an ordinary test run.
 #[test]
 fn spgs_process() {
@@ -20,10 +23,12 @@ fn spgs_process() {
         let cli = Cli::try_parse_from(std::iter::once("spgs").chain(arguments.lines())).unwrap();
         match &cli.command {
             Subcommand::View(args) => tools::viewer::run(args, &cli.global)?,
+            Subcommand::Render(args) => tools::render::run(args, &cli.global)?,
             other => panic!("no test uses {other:?}"),
         }
         Ok(std::process::ExitCode::SUCCESS)
     });
+    eprintln!("{ALLOCATIONS}{}", crate::ALLOCATOR.stats().allocations);
     std::process::exit((0..=9).find(|&k| code == std::process::ExitCode::from(k)).unwrap_or(1).into());
 }
 
@@ -109,6 +114,11 @@ impl Capture {
         all.collect::<std::collections::BTreeSet<_>>().len()
     }
 
+    /// Number of pixels whose channels are within `most` of a colour.
+    pub fn near(&self, color: [u8; 3], most: u8) -> usize {
+        self.rgb.iter().filter(|p| p.iter().zip(color).all(|(a, b)| a.abs_diff(b) <= most)).count()
+    }
+
     /// Keeps it for people to look at, when `SPGS_SCREENSHOTS` names a folder.
     pub fn keep(&self, name: &str) {
         let Some(folder) = std::env::var_os("SPGS_SCREENSHOTS") else { return };
@@ -144,9 +154,9 @@ impl<'a> Window<'a> {
         window.wait("its window", |w| {
             let found = w.desktop.tool("xdotool", &["search", "--name", name]).output().unwrap();
             w.id = String::from_utf8_lossy(&found.stdout).lines().next().unwrap_or_default().to_owned();
-            !w.id.is_empty()
+            // It may not be on the screen yet.
+            !w.id.is_empty() && w.desktop.tool("xdotool", &["windowfocus", &w.id]).output().unwrap().status.success()
         });
-        window.tool(&["windowfocus", &window.id.clone()]);
         window
     }
 
@@ -181,6 +191,12 @@ impl<'a> Window<'a> {
 
     pub fn id(&self) -> &str {
         &self.id
+    }
+
+    /// What stands above the window.
+    pub fn title(&self) -> String {
+        let out = self.desktop.tool("xdotool", &["getwindowname", &self.id]).output().unwrap();
+        String::from_utf8_lossy(&out.stdout).trim().to_owned()
     }
 
     /// Waits until something is so; fails when the program has ended.

@@ -8,12 +8,12 @@ use engine::scene::synthetic;
 use crate::desktop::{Desktop, Window, difference, spgs};
 
 /// Share of pixels that are not the background's black.
-fn drawn(picture: &image::RgbImage) -> f64 {
+pub fn drawn(picture: &image::RgbImage) -> f64 {
     let lit = picture.pixels().filter(|p| p.0.iter().any(|v| *v > 12)).count();
     lit as f64 / f64::from(picture.width() * picture.height())
 }
 
-fn moving_model(folder: &std::path::Path, gaussians: usize) -> std::path::PathBuf {
+pub fn moving_model(folder: &std::path::Path, gaussians: usize) -> std::path::PathBuf {
     let path = folder.join("scene.safetensors");
     file::save(&path, &synthetic::moving_scene(gaussians, 12, 9, 3, false)).unwrap();
     path

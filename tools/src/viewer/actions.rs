@@ -114,7 +114,10 @@ fn pick(gui: &mut Gui, state: &mut State, at: [f32; 2], go: bool) -> Result<()> 
     let rendered = gui.info.rendered;
     let pixel = [0, 1].map(|k| (at[k] * scale * rendered[k] as f32 / size[k] as f32).max(0.0) as u32);
     let Some(picked) = gui.model.current().pick(pixel)? else {
-        state.selection = None;
+        if state.selection.take().is_none() {
+            // Nothing of it will be seen.
+            gui.latency.rest();
+        }
         gui.info.selected = None;
         return Ok(());
     };

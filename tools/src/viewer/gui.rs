@@ -4,30 +4,29 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use egui::epaint::{ImageData, Primitive};
 use engine::error::Result;
-use engine::gpu::painter::{Mesh, TextureUpdate};
-use engine::gpu::presenter::{Overlay, Presenter};
+use engine::gpu::presenter::Presenter;
 use engine::gpu::{Buffer, Gpu, GpuOptions, WindowHandle};
 use engine::render::FrameId;
 use engine::render::display::{DisplayOptions, Screen};
 use engine::scene::{Camera, Scene};
+use winit::event::WindowEvent;
 use winit::window::Window;
 
 use super::adaptive::Adaptive;
-use super::input;
+use super::interface::Interface;
+use super::latency::{Latency, Visible};
 use super::load::Opened;
 use super::model::Model;
-use super::navigator::Thrust;
-use super::overlay::{self, Projection};
-use super::panel::{self, Info};
+use super::panel::Info;
 use super::record::Recording;
-use super::state::{Request, State};
+use super::state::State;
 use super::statistics::{StageTimes, stage_of};
-use super::theme;
 
 /// Longest time that one frame lets pass, seconds: after a pause nothing jumps.
 const MAX_STEP_S: f64 = 0.25;
+/// Time that the first frame of a movement lets pass: it shows the movement already.
+const FIRST_STEP_S: f64 = 1.0 / 60.0;
 /// Gaussians of a tile that get the last colour of the heat map.
 const TILE_RANGE: f32 = 2000.0;
 
@@ -36,8 +35,8 @@ pub(super) struct Gui {
     screen: Screen,
     pub(super) model: Model,
     presenter: Presenter,
-    pub(super) egui: egui_winit::State,
-    context: egui::Context,
+    pub(super) interface: Interface,
+    pub(super) latency: Latency,
     /// The latest frame, when it was not finished yet.
     pending: Option<FrameId>,
     /// The latest finished frame had room; otherwise the window still shows an older one.
@@ -73,20 +72,15 @@ impl Gui {
         let handle: Arc<dyn WindowHandle> = Arc::clone(&window) as Arc<dyn WindowHandle>;
         let (gpu, surface) = Gpu::with_window(options, &handle)?;
         let presenter = Presenter::new(surface, state.settings.vsync)?;
-        let context = egui::Context::default();
-        theme::apply(&context);
-        // Frames may be slow, and a long press means nothing else: what does not move is a click.
-        context.options_mut(|o| o.input_options.max_click_duration = f64::INFINITY);
-        let scale = Some(window.scale_factor() as f32);
-        let egui = egui_winit::State::new(context.clone(), egui::ViewportId::ROOT, &window, scale, None, Some(8192));
+        let interface = Interface::new(&window);
         let model = Model::new(&gpu, PathBuf::new(), Scene::default(), &state.settings)?;
         let info = Info { device: gpu.info().name.clone(), ..Info::default() };
         Ok(Self {
             screen: Screen::new(&gpu)?,
             model,
             presenter,
-            egui,
-            context,
+            interface,
+            latency: Latency::new(),
             pending: None,
             complete: true,
             fresh: true,
@@ -146,65 +140,64 @@ impl Gui {
             return Ok(if self.presenter.is_stale() { Next::Now } else { Next::WhenAsked });
         }
         let dt = self.tick(state);
-        let input = self.egui.take_egui_input(&self.window);
-        for file in &input.dropped_files {
-            state.requests.extend(file.path.clone().map(Request::Open));
+        let ran = self.interface.is_due(state);
+        if ran {
+            let Self { interface, model, info, latency, window, presenter, .. } = self;
+            interface.run(window, presenter.size(), (state, model, info), dt, latency)?;
+        } else {
+            self.interface.pass(state, &mut self.model, dt)?;
         }
-        let output = self.interface(input, state, dt)?;
         let picture = self.scene(state)?;
-        self.show(&picture, output.textures_delta, output.shapes, output.pixels_per_point)?;
-        self.egui.handle_platform_output(&self.window, output.platform_output);
+        let shown = self.interface.show(&mut self.presenter, &picture)?;
+        self.latency.presented(Visible::of(state, self.interface.thrust()), shown);
         self.was_animated = state.is_animated();
-        let delay = output.viewport_output.get(&egui::ViewportId::ROOT).map_or(Duration::MAX, |v| v.repaint_delay);
-        if self.was_animated || delay.is_zero() {
-            return Ok(Next::Now);
+        let moves_on = self.was_animated || self.interface.delay().is_some_and(|d| d.is_zero());
+        if !moves_on {
+            // The last frame of a movement must be right: nobody will look after it otherwise.
+            let fits = self.finish(state)?;
+            self.gpu.wait(shown)?;
+            self.landed();
+            if fits && ran {
+                self.latency.rest();
+                return Ok(self.interface.delay().map_or(Next::WhenAsked, Next::After));
+            }
+            // What stands still is drawn with the numbers of its end.
+            self.interface.want();
         }
-        // The last frame of a movement must be right: nobody will look after it otherwise.
-        if !self.finish(state)? {
-            return Ok(Next::Now);
-        }
-        Ok(if delay < Duration::from_secs(3600) { Next::After(delay) } else { Next::WhenAsked })
+        // What is done from now on is seen in the next frame: it is taken when the window has given an image, which may
+        // take a refresh of the display, and when the frame before the one on its way has been finished.
+        self.presenter.begin()?;
+        self.landed();
+        Ok(Next::Now)
     }
 
-    /// Seconds since the last frame; 0 after a pause.
+    /// Frames that the device has finished have reached the window.
+    fn landed(&mut self) {
+        let gpu = &self.gpu;
+        self.latency.finished(|submission| gpu.is_finished(submission).unwrap_or(false));
+    }
+
+    /// An event that may change the picture, before anything is done about it.
+    pub(super) fn event(&mut self, event: &WindowEvent) -> Result<()> {
+        if self.latency.is_input(event) {
+            self.latency.take(Instant::now(), self.presenter.in_flight()?);
+        }
+        Ok(())
+    }
+
+    /// Seconds since the last frame; little after a pause.
     fn tick(&mut self, state: &mut State) -> f64 {
         let now = Instant::now();
         let passed = self.last.map_or(0.0, |last| now.duration_since(last).as_secs_f64());
         self.last = Some(now);
         if !self.was_animated {
-            return 0.0;
+            return FIRST_STEP_S;
         }
         state.statistics.frame(passed);
         if self.share == self.adaptive.share() {
             self.adaptive.frame(passed);
         }
         passed.min(MAX_STEP_S)
-    }
-
-    fn interface(&mut self, input: egui::RawInput, state: &mut State, dt: f64) -> Result<egui::FullOutput> {
-        let Self { context, model, info, presenter, .. } = self;
-        let (size, scale) = (presenter.size(), f64::from(context.pixels_per_point()));
-        state.interacting = false;
-        state.age_messages();
-        let mut moved = Ok(());
-        let output = context.run(input, |context| {
-            panel::draw(context, state, info);
-            egui::CentralPanel::default().frame(egui::Frame::NONE).show(context, |ui| {
-                let area = ui.max_rect();
-                let response = ui.interact(area, ui.id().with("scene"), egui::Sense::click_and_drag());
-                let thrust = input::scene_input(ui, &response, state);
-                state.view_center = [f64::from(area.center().x) * scale, f64::from(area.center().y) * scale];
-                moved = advance(state, model, dt, thrust);
-                let camera = state.view(size);
-                let projection = Projection::new(camera, state.navigator.pose.distance, 1.0 / scale);
-                let painter = context.layer_painter(egui::LayerId::background()).with_clip_rect(area);
-                overlay::draw(&painter, &projection, state, model);
-            });
-            if !state.messages.is_empty() {
-                context.request_repaint_after(Duration::from_millis(500));
-            }
-        });
-        moved.map(|()| output)
     }
 
     /// Submits the scene; the pixels are complete for what follows in the queue.
@@ -257,51 +250,11 @@ impl Gui {
         let Some(statistics) = finished else { return Ok(false) };
         state.frame = statistics;
         let mut stages: StageTimes = [0.0; 6];
-        for timing in renderer.timings(frame)? {
-            stages[stage_of(&timing.label)] += (timing.us / 1e3) as f32;
-        }
+        renderer.each_timing(frame, |label, us| stages[stage_of(label)] += (us / 1e3) as f32)?;
         state.statistics.stages(stages);
         self.info.rendered = renderer.rendered_size();
         self.info.memory = renderer.memory();
         Ok(true)
-    }
-
-    fn show(
-        &mut self,
-        picture: &Buffer,
-        textures: egui::TexturesDelta,
-        shapes: Vec<egui::epaint::ClippedShape>,
-        pixels_per_point: f32,
-    ) -> Result<()> {
-        let primitives = self.context.tessellate(shapes, pixels_per_point);
-        let updates: Vec<TextureUpdate<'_>> = textures
-            .set
-            .iter()
-            .map(|(id, delta)| {
-                let ImageData::Color(image) = &delta.image;
-                TextureUpdate {
-                    id: texture_id(*id),
-                    part: delta.pos.map(|p| p.map(|v| v as u32)),
-                    size: image.size.map(|v| v as u32),
-                    rgba: bytemuck::cast_slice(&image.pixels),
-                }
-            })
-            .collect();
-        let forget: Vec<u64> = textures.free.iter().map(|id| texture_id(*id)).collect();
-        let meshes = || {
-            primitives.iter().filter_map(|p| match &p.primitive {
-                Primitive::Mesh(mesh) => Some(Mesh {
-                    vertices: bytemuck::cast_slice(&mesh.vertices),
-                    indices: &mesh.indices,
-                    clip: [p.clip_rect.min.x, p.clip_rect.min.y, p.clip_rect.max.x, p.clip_rect.max.y],
-                    texture: texture_id(mesh.texture_id),
-                }),
-                Primitive::Callback(_) => None,
-            })
-        };
-        let overlay = Overlay { updates: &updates, forget: &forget, meshes, pixels_per_point };
-        self.presenter.show(picture, overlay)?;
-        Ok(())
     }
 
     /// The pixels of the latest frame and their size, without the interface.
@@ -309,41 +262,21 @@ impl Gui {
         self.screen.pixels().map(|(buffer, size)| (buffer, size, self.presenter.is_bgra()))
     }
 
-    /// Size of the window, pixels.
+    /// Size of the window, pixels; never zero, be there images of it yet or not.
     pub(super) fn size(&self) -> [u32; 2] {
-        self.presenter.size()
+        let shown = self.presenter.size();
+        if shown.contains(&0) { <[u32; 2]>::from(self.window.inner_size()).map(|s| s.max(1)) } else { shown }
     }
 
     /// Pixels per point of the interface.
     pub(super) fn scale(&self) -> f32 {
-        self.context.pixels_per_point()
+        self.interface.scale()
     }
 }
 
 impl Drop for Gui {
     /// Nothing may be freed while the device works with it, be it said to be lost or not.
     fn drop(&mut self) {
-        if let Err(error) = self.gpu.wait_idle() {
-            log::debug!("closing the window: {error}");
-        }
-    }
-}
-
-/// Lets time pass for the scene and the camera.
-fn advance(state: &mut State, model: &mut Model, dt: f64, thrust: Thrust) -> Result<()> {
-    state.step = dt;
-    state.interacting |=
-        state.navigator.advance(dt, thrust) || thrust != Thrust { fast: thrust.fast, ..Thrust::default() };
-    state.timeline.advance(dt);
-    if state.settings.centers || state.selection.is_some() {
-        model.pose(state.timeline.time, state.settings.motion)?;
-    }
-    Ok(())
-}
-
-fn texture_id(id: egui::TextureId) -> u64 {
-    match id {
-        egui::TextureId::Managed(n) => n << 1,
-        egui::TextureId::User(n) => n << 1 | 1,
+        self.presenter.rest();
     }
 }

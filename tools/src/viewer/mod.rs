@@ -7,12 +7,15 @@
 //! ```
 //!
 //! Camera, time, statistics and input are plain code without window or device (`navigator`, `timeline`, `statistics`,
-//! `input`). Frames are drawn while something moves; a still picture costs nothing.
+//! `input`). Frames are drawn while something moves; a still picture costs nothing. The interface runs when something happened
+//! to it, and is drawn as it was in the frames between; `latency` measures how soon input is seen.
 
 mod actions;
 mod adaptive;
 mod gui;
 mod input;
+mod interface;
+mod latency;
 mod load;
 mod model;
 mod navigator;
@@ -201,13 +204,27 @@ impl Viewer {
     fn redraw(&mut self, event_loop: &ActiveEventLoop) {
         let Some(gui) = &mut self.gui else { return };
         let next = gui.frame(&mut self.state);
-        let done = next.and_then(|next| self.do_requests().map(|more| if more { Next::Now } else { next }));
+        let done = next.and_then(|next| {
+            let more = self.do_requests()?;
+            if more {
+                self.gui.iter_mut().for_each(|g| g.interface.want());
+            }
+            Ok(if more { Next::Now } else { next })
+        });
         match done {
             Ok(next) => {
                 self.drawn += u64::from(self.opened_once);
                 self.schedule(next, event_loop);
             }
             Err(error) => self.fail(error, event_loop),
+        }
+    }
+
+    /// A frame with the interface as it is now.
+    fn redraw_all(&mut self) {
+        if let Some(gui) = &mut self.gui {
+            gui.interface.want();
+            gui.window.request_redraw();
         }
     }
 
@@ -239,9 +256,11 @@ impl Viewer {
         let statistics = &self.state.statistics;
         let measured = (statistics.fps(), statistics.low_fps(), self.state.frame);
         let (mut messages, mut device, mut rendered) = (0, None, [0; 2]);
+        let (mut input, mut interface_frames) = (None, 0);
         if let Some(gui) = self.gui.take() {
             let gpu = gui.gpu.clone();
             rendered = gui.info.rendered;
+            (input, interface_frames) = (gui.latency.measured(), gui.interface.runs);
             drop(gui);
             device = Some(gpu.info().name.clone());
             let all = gpu.take_validation_messages();
@@ -256,6 +275,7 @@ impl Viewer {
             return output::json(&json!({
                 "device": device,
                 "frames": self.drawn,
+                "interface_frames": interface_frames,
                 "seconds": self.started.elapsed().as_secs_f64(),
                 "fps": fps,
                 "fps_low_1_percent": low,
@@ -263,6 +283,13 @@ impl Viewer {
                 "visible": frame.visible,
                 "instances": frame.instances,
                 "stages_ms": statistics::STAGES.iter().zip(self.state.statistics.mean_stages()).collect::<std::collections::BTreeMap<_, _>>(),
+                "input_to_photon": input.map(|m| json!({
+                    "events": m.events,
+                    "frames_median": m.frames[0],
+                    "frames_max": m.frames[1],
+                    "ms_median": m.ms[0],
+                    "ms_max": m.ms[1],
+                })),
                 "validation_messages": messages,
             }));
         }
@@ -313,7 +340,7 @@ impl ApplicationHandler<News> for Viewer {
         if let Err(error) = result {
             self.fail(error, event_loop);
         }
-        self.gui.iter().for_each(|g| g.window.request_redraw());
+        self.redraw_all();
     }
 
     fn new_events(&mut self, _: &ActiveEventLoop, cause: winit::event::StartCause) {
@@ -323,11 +350,14 @@ impl ApplicationHandler<News> for Viewer {
     }
 
     fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
+        if let Some(Err(error)) = self.gui.as_mut().map(|g| g.event(&event)) {
+            return self.fail(error, event_loop);
+        }
         match &event {
             WindowEvent::CloseRequested => return event_loop.exit(),
             WindowEvent::RedrawRequested => return self.redraw(event_loop),
             WindowEvent::KeyboardInput { event, .. } if special_key(event, &mut self.state) => {
-                self.gui.iter().for_each(|g| g.window.request_redraw());
+                self.redraw_all();
                 return;
             }
             _ => {}
@@ -336,9 +366,10 @@ impl ApplicationHandler<News> for Viewer {
         if matches!(event, WindowEvent::Resized(_) | WindowEvent::ScaleFactorChanged { .. } | WindowEvent::Occluded(_))
         {
             gui.resized();
+            gui.interface.want();
             gui.window.request_redraw();
         }
-        if gui.egui.on_window_event(&gui.window, &event).repaint {
+        if gui.interface.event(&gui.window, &event) {
             gui.window.request_redraw();
         }
     }
