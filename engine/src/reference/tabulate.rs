@@ -3,7 +3,7 @@
 //! A Gaussian that is at μ(t) with rotation q(t) has the pose r = log(q(t) q⁻¹), τ = μ(t) − Exp(r)μ: exact at the key times.
 //! Times are halved until no Gaussian's centre is farther from the line between two keys than the bound; then the finer
 //! table is kept. Gaussians that never leave their place share one superpoint. Sizes that change over time have no place
-//! in a table: each Gaussian keeps its mean log scale, and the largest change is said.
+//! in a table: each Gaussian gets its mean size, and how much sizes change is said.
 
 use glam::{DQuat, DVec3};
 
@@ -62,7 +62,7 @@ pub struct Tabulated {
     /// Largest distance of a centre from the line between its neighbours among the times, relative to the extent: what a
     /// table of half as many times would be off by. 0 for given times.
     pub error: f64,
-    /// Largest change of a size over time against the mean that each Gaussian now has, as a share.
+    /// How far the sizes of 95 % of the Gaussians are at most from the mean that each now has, as a share of it.
     pub size_change: f64,
 }
 
@@ -108,7 +108,7 @@ pub fn tabulate(
     if let Some(i) = (0..n).find(|&i| table.placed.iter().any(|p| !finite(&p[i]))) {
         return Err(Error::usage(what, format!("Gaussian {i} is moved to no finite place"), "finite numbers"));
     }
-    let size_change = fix_scales(gaussians, &table).exp_m1();
+    let size_change = fix_scales(gaussians, &table);
     let (motion, superpoints) = poses(gaussians, &table, extent);
     Ok(Tabulated { motion, superpoints, error, size_change })
 }
@@ -173,18 +173,26 @@ fn off_the_line(w: &[Vec<PlacedGaussian>]) -> f64 {
     (0..w[1].len()).map(distance).filter(|d| d.is_finite()).fold(0.0, f64::max)
 }
 
-/// Gives every Gaussian its mean log scale; returns the largest difference from it.
+/// Gives every Gaussian its mean size; returns how far those of 95 % are from it at most, as a share.
 fn fix_scales(g: &mut Gaussians, table: &Table) -> f64 {
-    let mut largest: f64 = 0.0;
+    let mut changes: Vec<f64> = Vec::with_capacity(g.len());
     for (i, log_scale) in g.log_scale.iter_mut().enumerate() {
+        let mut change: f64 = 0.0;
         for (axis, value) in log_scale.iter_mut().enumerate() {
-            let all = table.placed.iter().map(|p| f64::from(p[i].log_scale[axis]));
+            let first = table.placed.first().map_or(*value, |p| p[i].log_scale[axis]);
+            if table.placed.iter().all(|p| p[i].log_scale[axis].to_bits() == first.to_bits()) {
+                *value = first;
+                continue;
+            }
+            let all = table.placed.iter().map(|p| f64::from(p[i].log_scale[axis]).exp());
             let mean = all.clone().sum::<f64>() / table.placed.len() as f64;
-            largest = all.fold(largest, |l, v| l.max((v - mean).abs()));
-            *value = mean as f32;
+            change = all.fold(change, |c, scale| c.max((scale / mean - 1.0).abs()));
+            *value = mean.ln() as f32;
         }
+        changes.push(change);
     }
-    largest
+    changes.sort_unstable_by(f64::total_cmp);
+    changes.get(changes.len().saturating_sub(1) * 19 / 20).copied().unwrap_or(0.0)
 }
 
 /// One superpoint for each Gaussian that moves, and one for all others.

@@ -238,7 +238,7 @@ fn cameras_at<'a>(cameras: &'a [Camera], times: &[f32], k: usize, time: f64) -> 
 }
 
 /// Distance of two points in the image of a camera, pixels; 0 where neither falls into it.
-fn pixel_distance(c: &Camera, one: DVec3, two: DVec3, near: f64) -> f64 {
+pub fn pixel_distance(c: &Camera, one: DVec3, two: DVec3, near: f64) -> f64 {
     let (a, b) = (c.rotation * (one - c.position), c.rotation * (two - c.position));
     if a.z <= near || b.z <= near {
         return 0.0;
