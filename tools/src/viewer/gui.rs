@@ -53,6 +53,8 @@ pub(super) struct Gui {
     /// The next frame has all pixels even if something moves.
     pub(super) wants_full: bool,
     resized: bool,
+    /// Pixels; zero while it is minimised.
+    window_size: [u32; 2],
     vsync: bool,
     pub(super) gpu: Gpu,
     pub(super) window: Arc<Window>,
@@ -92,6 +94,7 @@ impl Gui {
             share: 1.0,
             wants_full: false,
             resized: true,
+            window_size: [0, 0],
             vsync: state.settings.vsync,
             gpu,
             window,
@@ -128,7 +131,11 @@ impl Gui {
 
     /// One frame. Nothing happens while the window is minimised.
     pub(super) fn frame(&mut self, state: &mut State) -> Result<Next> {
-        let size: [u32; 2] = self.window.inner_size().into();
+        // Asked for only when it may be another: the answer comes from the X server.
+        if self.resized || self.presenter.is_stale() {
+            self.window_size = self.window.inner_size().into();
+        }
+        let size = self.window_size;
         if size.contains(&0) {
             return Ok(Next::WhenAsked);
         }
