@@ -250,6 +250,10 @@ fn select_motion(scene: &Scene, source: MotionSource) -> Result<Selected> {
     let Some(superpoints) = &scene.superpoints else {
         return match source {
             MotionSource::Auto => Ok(Selected::None),
+            MotionSource::Network if scene.field.is_some() => Ok(Selected::None),
+            MotionSource::Table if scene.field.is_some() => {
+                missing("table, but a deformation field moves the model (`spgs convert --bake` makes a table)")
+            }
             MotionSource::Table => missing("table, but the model does not move"),
             MotionSource::Network => missing("network, but the model does not move"),
         };

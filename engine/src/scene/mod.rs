@@ -67,6 +67,8 @@ impl Scene {
             MotionSource::Auto => Ok(None),
             MotionSource::Table if table => Ok(Some(MotionSource::Table)),
             MotionSource::Network if network => Ok(Some(MotionSource::Network)),
+            // A deformation field is a network; it moves no superpoints.
+            MotionSource::Network if self.field.is_some() => Ok(None),
             MotionSource::Table => Err(Error::usage("motion source `table`", "no motion.times", "a key-time table")),
             MotionSource::Network => Err(Error::usage("motion source `network`", "no deform.*", "network F")),
         }

@@ -454,6 +454,10 @@ fn fields_that_do_not_fit_are_refused_by_name() {
     });
     assert!(found.contains("only one of them"), "{found}");
     let gpu = tests_harness::gpu();
+    let source = |motion| Renderer::new(&gpu, &scene, &RenderOptions { motion, ..RenderOptions::default() });
+    assert!(source(MotionSource::Table).unwrap_err().to_string().contains("--bake"));
+    source(MotionSource::Network).unwrap();
+    freeze(&scene, 0.5, MotionSource::Network).unwrap();
     let mut broken = scene.clone();
     broken.field.as_mut().unwrap().layers[1].inputs = 7;
     assert_eq!(Renderer::new(&gpu, &broken, &RenderOptions::default()).unwrap_err().exit_code(), 2);
