@@ -242,9 +242,14 @@ impl Presenter {
         // SAFETY: recording; the framebuffer belongs to the render pass.
         unsafe { device.cmd_begin_render_pass(commands, &pass, vk::SubpassContents::INLINE) };
         self.painter.draw(commands, &slot.kept, (overlay.meshes)(), size, overlay.pixels_per_point);
+        // What is later made where the overlay's vertices lay, once their buffer is gone, is written after they were read. The
+        // host has waited for that already, which the validation layer does not see.
+        let (read, written) = (vk::PipelineStageFlags::VERTEX_INPUT, vk::PipelineStageFlags::TRANSFER);
+        let written = written | vk::PipelineStageFlags::COMPUTE_SHADER;
         // SAFETY: as above.
         unsafe {
             device.cmd_end_render_pass(commands);
+            device.cmd_pipeline_barrier(commands, read, written, vk::DependencyFlags::empty(), &[], &[], &[]);
             device.end_command_buffer(commands).map_err(vk_error("vkEndCommandBuffer"))
         }
     }
