@@ -191,5 +191,5 @@ fn frames_between_two_of_the_interface_allocate_next_to_nothing() {
 }
 
 /// Most allocations of a frame, and of a run of the interface.
-const PER_FRAME: f64 = 2.0;
-const PER_RUN: f64 = 130.0;
+const PER_FRAME: f64 = 8.0;
+const PER_RUN: f64 = 200.0;
