@@ -63,7 +63,7 @@ pub struct TextureUpdate<'a> {
 pub(super) struct Kept {
     vertices: Option<Buffer>,
     indices: Option<Buffer>,
-    staging: Vec<Buffer>,
+    staging: Vec<Option<Buffer>>,
     retired: Vec<Texture>,
 }
 
@@ -208,13 +208,12 @@ impl Painter {
         kept: &mut Kept,
         updates: &[TextureUpdate<'_>],
     ) -> Result<()> {
-        kept.staging.clear();
         kept.retired.clear();
-        for update in updates {
-            if update.size.contains(&0) {
-                continue;
+        for (i, update) in updates.iter().filter(|u| !u.size.contains(&0)).enumerate() {
+            if i == kept.staging.len() {
+                kept.staging.push(None);
             }
-            let staging = self.gpu.buffer("texture staging", update.rgba.len() as u64, Memory::Upload)?;
+            let staging = self.room(&mut kept.staging[i], "texture staging", update.rgba.len() as u64)?.clone();
             staging.write(0, update.rgba)?;
             let offset = match update.part {
                 Some(offset) => offset,
@@ -228,7 +227,6 @@ impl Painter {
             if let Some(texture) = self.textures.get_mut(&update.id) {
                 texture.record_copy(commands, &staging, offset, update.size);
             }
-            kept.staging.push(staging);
         }
         Ok(())
     }

@@ -12,13 +12,11 @@ const ARGUMENTS: &str = "SPGS_VIEWER_TEST_ARGUMENTS";
 /// Longest that anything may take: validation layers on a busy machine are slow.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Before the number of allocations that the program says at its end.
-pub const ALLOCATIONS: &str = "allocations: ";
-
 /// The body of `spgs`; does nothing in an ordinary test run.
 #[test]
 fn spgs_process() {
     let Ok(arguments) = std::env::var(ARGUMENTS) else { return };
+    tools::viewer::ALLOCATIONS.set(allocations).unwrap();
     let code = tools::output::run_main("spgs", move || {
         let cli = Cli::try_parse_from(std::iter::once("spgs").chain(arguments.lines())).unwrap();
         match &cli.command {
@@ -28,7 +26,6 @@ fn spgs_process() {
         }
         Ok(std::process::ExitCode::SUCCESS)
     });
-    eprintln!("{ALLOCATIONS}{}", crate::ALLOCATOR.stats().allocations);
     std::process::exit((0..=9).find(|&k| code == std::process::ExitCode::from(k)).unwrap_or(1).into());
 }
 
@@ -39,6 +36,11 @@ pub fn spgs(arguments: &[&str]) -> Command {
     command.env(ARGUMENTS, arguments.join("\n")).stdin(Stdio::null());
     command.env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
     command
+}
+
+fn allocations() -> usize {
+    let stats = crate::ALLOCATOR.stats();
+    stats.allocations + stats.reallocations
 }
 
 /// An X server.

@@ -26,6 +26,7 @@ mod state;
 mod statistics;
 mod theme;
 mod timeline;
+mod turn;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -48,6 +49,8 @@ use self::load::{News, Opened};
 use self::navigator::{Navigator, Pose};
 use self::state::{Settings, Show, State};
 use self::timeline::Timeline;
+pub use self::turn::ALLOCATIONS;
+use self::turn::{Allocations, Turn};
 use crate::args::{Global, ViewerArgs, motion_source};
 use crate::{gpu_session, model as model_file, output, view};
 
@@ -60,6 +63,7 @@ struct Viewer {
     watching: Option<Arc<AtomicBool>>,
     state: State,
     gui: Option<Gui>,
+    turn: Turn,
     drawn: u64,
     opened_once: bool,
     started: Instant,
@@ -90,6 +94,7 @@ pub fn run(args: &ViewerArgs, global: &Global) -> Result<()> {
         watching: None,
         state,
         gui: None,
+        turn: Turn::default(),
         drawn: 0,
         opened_once: false,
         started: Instant::now(),
@@ -203,6 +208,7 @@ impl Viewer {
 
     fn redraw(&mut self, event_loop: &ActiveEventLoop) {
         let Some(gui) = &mut self.gui else { return };
+        self.turn.drew();
         let next = gui.frame(&mut self.state);
         let done = next.and_then(|next| {
             let more = self.do_requests()?;
@@ -233,14 +239,12 @@ impl Viewer {
             event_loop.exit();
             return;
         }
-        event_loop.set_control_flow(ControlFlow::Wait);
-        match next {
-            Next::After(delay) => {
-                event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + delay));
-            }
-            Next::WhenAsked => {}
-            Next::Now => self.gui.iter().for_each(|g| g.window.request_redraw()),
-        }
+        self.turn.draw_again(next == Next::Now);
+        event_loop.set_control_flow(match next {
+            Next::After(delay) => ControlFlow::WaitUntil(Instant::now() + delay),
+            Next::WhenAsked => ControlFlow::Wait,
+            Next::Now => ControlFlow::Poll,
+        });
     }
 
     fn fail(&mut self, error: Error, event_loop: &ActiveEventLoop) {
@@ -256,7 +260,7 @@ impl Viewer {
         let statistics = &self.state.statistics;
         let measured = (statistics.fps(), statistics.low_fps(), self.state.frame);
         let (mut messages, mut device, mut rendered) = (0, None, [0; 2]);
-        let (mut input, mut interface_frames) = (None, 0);
+        let (mut input, mut interface_frames, allocations) = (None, 0, self.turn.allocations());
         if let Some(gui) = self.gui.take() {
             let gpu = gui.gpu.clone();
             rendered = gui.info.rendered;
@@ -272,7 +276,7 @@ impl Viewer {
         }
         if self.args.json {
             let (fps, low, frame) = measured;
-            return output::json(&json!({
+            let mut report = json!({
                 "device": device,
                 "frames": self.drawn,
                 "interface_frames": interface_frames,
@@ -291,7 +295,13 @@ impl Viewer {
                     "ms_max": m.ms[1],
                 })),
                 "validation_messages": messages,
-            }));
+            });
+            if let Some(counted) = allocations {
+                let Allocations { frames, allocations } = counted;
+                report["allocations_between_interface_frames"] =
+                    json!({ "frames": frames, "allocations": allocations });
+            }
+            return output::json(&report);
         }
         Ok(())
     }
@@ -328,6 +338,7 @@ impl ApplicationHandler<News> for Viewer {
     }
 
     fn user_event(&mut self, event_loop: &ActiveEventLoop, news: News) {
+        self.turn.event();
         let result = match news {
             News::Opened(opened) => self.show(*opened),
             News::Failed(path, error) if self.opened_once || self.args.model.as_ref() != Some(&path) => {
@@ -344,12 +355,23 @@ impl ApplicationHandler<News> for Viewer {
     }
 
     fn new_events(&mut self, _: &ActiveEventLoop, cause: winit::event::StartCause) {
+        self.turn.begin();
         if let winit::event::StartCause::ResumeTimeReached { .. } = cause {
             self.gui.iter().for_each(|g| g.window.request_redraw());
         }
     }
 
+    fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        if self.turn.is_due() && !event_loop.exiting() {
+            self.redraw(event_loop);
+        }
+        self.turn.end(self.gui.as_ref().map_or(0, |g| g.interface.runs));
+    }
+
     fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
+        if event != WindowEvent::RedrawRequested {
+            self.turn.event();
+        }
         if let Some(Err(error)) = self.gui.as_mut().map(|g| g.event(&event)) {
             return self.fail(error, event_loop);
         }
