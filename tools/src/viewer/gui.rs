@@ -53,6 +53,8 @@ pub(super) struct Gui {
     /// The next frame has all pixels even if something moves.
     pub(super) wants_full: bool,
     resized: bool,
+    /// How often the window got images of another size.
+    pub(super) resizes: u64,
     /// Pixels; zero while it is minimised.
     window_size: [u32; 2],
     vsync: bool,
@@ -94,6 +96,7 @@ impl Gui {
             share: 1.0,
             wants_full: false,
             resized: true,
+            resizes: 0,
             window_size: [0, 0],
             vsync: state.settings.vsync,
             gpu,
@@ -141,6 +144,7 @@ impl Gui {
         }
         if self.resized || self.presenter.is_stale() || self.vsync != state.settings.vsync {
             (self.resized, self.vsync) = (false, state.settings.vsync);
+            self.resizes += u64::from(size != self.presenter.size());
             self.presenter.resize(size, self.vsync)?;
         }
         if !self.presenter.begin()? {

@@ -260,11 +260,12 @@ impl Viewer {
         let statistics = &self.state.statistics;
         let measured = (statistics.fps(), statistics.low_fps(), self.state.frame);
         let (mut messages, mut device, mut rendered) = (0, None, [0; 2]);
-        let (mut input, mut interface_frames, allocations) = (None, 0, self.turn.allocations());
+        let (mut input, mut interface_frames, mut resizes) = (None, 0, 0);
+        let allocations = self.turn.allocations();
         if let Some(gui) = self.gui.take() {
             let gpu = gui.gpu.clone();
             rendered = gui.info.rendered;
-            (input, interface_frames) = (gui.latency.measured(), gui.interface.runs);
+            (input, interface_frames, resizes) = (gui.latency.measured(), gui.interface.runs, gui.resizes);
             drop(gui);
             device = Some(gpu.info().name.clone());
             let all = gpu.take_validation_messages();
@@ -280,6 +281,7 @@ impl Viewer {
                 "device": device,
                 "frames": self.drawn,
                 "interface_frames": interface_frames,
+                "resizes": resizes,
                 "seconds": self.started.elapsed().as_secs_f64(),
                 "fps": fps,
                 "fps_low_1_percent": low,
