@@ -33,6 +33,6 @@ layout(std430, set = 0, binding = 6) readonly buffer GaussianOfSlotBlock { uint 
 
 #include "lib/blend_tile.glsl"
 
-void store_pixel(uint at, vec4 value) {
+void store_pixel(uvec2 pixel, uint at, vec4 value) {
     color[at] = value;
 }

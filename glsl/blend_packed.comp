@@ -41,17 +41,20 @@ const float HALF_MAX = 65504.0;
 // Four halves, rounded to nearest, ties to even. packHalf2x16 may round otherwise, and is slow where it is no instruction
 // (lavapipe).
 uvec2 pack_halves(vec4 value) {
-    uvec4 bits = floatBitsToUint(clamp(value, -HALF_MAX, HALF_MAX));
-    uvec4 size = bits & 0x7fffffffu;
-    // The exponent's bias goes from 127 to 15, and 13 bits of the mantissa are rounded away.
-    uvec4 normal = (size + 0xc8000fffu + ((size >> 13u) & 1u)) >> 13u;
-    // Below 2^-14 halves lie 2^-24 apart, as floats from 0.5 on do.
-    uvec4 small = floatBitsToUint(uintBitsToFloat(size) + 0.5) - 0x3f000000u;
-    uvec4 halves = mix(normal, small, lessThan(size, uvec4(0x38800000u))) | ((bits >> 16u) & 0x8000u);
+    vec4 clamped = clamp(value, -HALF_MAX, HALF_MAX);
+    vec4 size = abs(clamped);
+    // 2^E, at least 2^-14, below which halves lie as far apart as there. Floats from 2^(E + 13) on lie as halves from 2^E on do:
+    // the sum is rounded to a half's mantissa, in its last bits.
+    uvec4 exponent = max(floatBitsToUint(size) & 0x7f800000u, 0x38800000u);
+    uvec4 far = exponent + (13u << 23u);
+    precise vec4 sum = size + uintBitsToFloat(far);
+    // The exponent's bias goes from 127 to 15; the mantissa carries into it.
+    uvec4 halves = ((exponent - 0x38800000u) >> 13u) + (floatBitsToUint(sum) - far);
+    halves |= (floatBitsToUint(clamped) >> 16u) & 0x8000u;
     return uvec2(halves.x | halves.y << 16u, halves.z | halves.w << 16u);
 }
 
-void store_pixel(uint at, vec4 value) {
+void store_pixel(uvec2 pixel, uint at, vec4 value) {
     uint format = FORMAT;
     if (format == 2u) {
         uvec2 words = pack_halves(value);

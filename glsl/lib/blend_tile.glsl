@@ -17,7 +17,7 @@
 #define SPGS_BLEND_TILE
 
 // What becomes of a finished pixel: at = row * width + column; value: colour over the background, 1 - transmittance.
-void store_pixel(uint at, vec4 value);
+void store_pixel(uvec2 pixel, uint at, vec4 value);
 
 shared vec4 staged[3 * 128];
 
@@ -171,7 +171,7 @@ void main() {
         if (own.x < frame.size.x && y < frame.size.y) {
             uint at = y * frame.size.x + own.x;
             float rest = abs(transmittance[j]);
-            store_pixel(at, vec4(sum_colour[j] + rest * frame.background.xyz, 1.0 - rest));
+            store_pixel(uvec2(own.x, y), at, vec4(sum_colour[j] + rest * frame.background.xyz, 1.0 - rest));
             if (with_depth == 1u) {
                 depth[at] = sum_depth[j];
             }

@@ -18,7 +18,7 @@
  *
  * Synchronisation. spgs_view_record submits nothing, waits for nothing, and, once a view has seen its size and its largest
  * frame, allocates nothing. It waits on the device for what spgs_image names before, moves the image to
- * TRANSFER_DST_OPTIMAL, writes it, and moves it to new_layout, visible to what spgs_image names after. Semaphores are the host's; for a
+ * TRANSFER_DST_OPTIMAL (GENERAL when it is written through a view), writes it, and moves it to new_layout, visible to what spgs_image names after. Semaphores are the host's; for a
  * swapchain, wait for the acquisition at stage TRANSFER. Command buffers that share a view (or a scene with network F
  * or G) must execute one after another. Views, scenes and images stay until the commands that use them have finished.
  *
@@ -190,13 +190,15 @@ typedef struct spgs_view_options {
     uint64_t max_instances;   /* 0: what the device holds */
     float background[3];      /* black for premultiplied colour */
     float near_plane;         /* world units; 0: 0.2 */
+    uint32_t storage;         /* not 0: the colour image is written through storage_view, not copied to; not with SPGS_BGRA8 */
+    uint32_t reserved;
 } spgs_view_options;
 
 SPGS_API spgs_status spgs_view_create(
     const spgs_gpu *gpu, const spgs_scene *scene, const spgs_view_options *options, spgs_view **view);
 
-/* An image with usage TRANSFER_DST, one sample, colour aspect, at least as large as the camera's. Layouts, stages and accesses are
- * values of VkImageLayout, VkPipelineStageFlags2 and VkAccessFlags2. */
+/* An image with usage TRANSFER_DST (STORAGE when it is written through a view), one sample, colour aspect, at least as large as
+ * the camera's. Layouts, stages and accesses are values of VkImageLayout, VkPipelineStageFlags2 and VkAccessFlags2. */
 typedef struct spgs_image {
     uint64_t image;           /* VkImage */
     uint32_t x, y;            /* first pixel that is written */
@@ -205,6 +207,8 @@ typedef struct spgs_image {
     int32_t new_layout;
     uint64_t before_stages, before_access; /* earlier uses that are waited for */
     uint64_t after_stages, after_access;   /* later uses that see the pixels */
+    uint64_t storage_view;    /* VkImageView, 2D, of that layer and level and of the view's format; 0 unless the view has storage.
+                                 It stays until the commands have finished. */
 } spgs_image;
 
 /* Colour: sum of c alpha T + T background, A = 1 - T. Depth (R32_SFLOAT, null for none): sum of z alpha T, camera-space z;

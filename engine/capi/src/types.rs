@@ -92,6 +92,8 @@ c_struct! {
         pub max_instances: u64,
         pub background: [f32; 3],
         pub near_plane: f32,
+        pub storage: u32,
+        pub reserved: u32,
     }
     pub struct spgs_image {
         pub image: u64,
@@ -105,6 +107,7 @@ c_struct! {
         pub before_access: u64,
         pub after_stages: u64,
         pub after_access: u64,
+        pub storage_view: u64,
     }
     pub struct spgs_target {
         pub color: spgs_image,
@@ -132,13 +135,13 @@ impl spgs_camera {
 
 impl spgs_image {
     /// # Safety
-    /// As [`HostImage::from_raw`].
+    /// As [`HostImage::from_raw`] and [`HostImage::with_storage_view`].
     pub(crate) unsafe fn host_image(&self) -> HostImage {
         let side = |layout, stages, access| ImageUse { layout, stages, access };
         let before = side(self.old_layout, self.before_stages, self.before_access);
         let after = side(self.new_layout, self.after_stages, self.after_access);
         // SAFETY: promised by the caller.
-        let image = unsafe { HostImage::from_raw(self.image, before, after) };
+        let image = unsafe { HostImage::from_raw(self.image, before, after).with_storage_view(self.storage_view) };
         image.at(self.x, self.y).layer(self.layer).level(self.level)
     }
 }

@@ -29,6 +29,7 @@ fn view_options(given: &spgs_view_options) -> Result<ViewOptions> {
         background: given.background,
         near: if given.near_plane == 0.0 { default.near } else { given.near_plane },
         format,
+        storage: given.storage != 0,
         depth: given.depth != 0,
         in_flight: if given.in_flight == 0 { default.in_flight } else { given.in_flight },
         max_instances: (given.max_instances > 0).then_some(given.max_instances),

@@ -196,6 +196,7 @@ impl Vulkan {
         let memory = self.memory(needs, vk::MemoryPropertyFlags::empty())?;
         unsafe { self.device.bind_image_memory(image, memory, 0)? };
         let viewable = vk::ImageUsageFlags::SAMPLED
+            | vk::ImageUsageFlags::STORAGE
             | vk::ImageUsageFlags::COLOR_ATTACHMENT
             | vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT;
         let mut view = vk::ImageView::null();

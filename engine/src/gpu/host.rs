@@ -270,10 +270,13 @@ impl ImageUse {
 }
 
 /// A rectangle of one layer of a host's image, to be written. The image has usage `TRANSFER_DST`, one sample and a colour
-/// format of the size that the engine writes; a swapchain's image will do.
+/// format of the size that the engine writes; a swapchain's image will do. With [`HostImage::with_storage_view`] kernels write
+/// it instead.
 #[derive(Debug, Clone, Copy)]
 pub struct HostImage {
     pub(super) raw: vk::Image,
+    /// Null: it is copied to.
+    pub(super) view: vk::ImageView,
     pub(super) offset: [u32; 2],
     pub(super) layer: u32,
     pub(super) level: u32,
@@ -291,7 +294,24 @@ impl HostImage {
     /// - `before` is true when the commands execute: that is its layout (or `UNDEFINED`), and whatever else uses the image
     ///   is covered by those stages and accesses or by a semaphore.
     pub unsafe fn from_raw(image: u64, before: ImageUse, after: ImageUse) -> Self {
-        Self { raw: vk::Image::from_raw(image), offset: [0, 0], layer: 0, level: 0, before, after }
+        let (raw, view) = (vk::Image::from_raw(image), vk::ImageView::null());
+        Self { raw, view, offset: [0, 0], layer: 0, level: 0, before, after }
+    }
+
+    /// A kernel writes the pixels through this `VkImageView`; no copy is made.
+    ///
+    /// # Safety
+    /// - The image has usage `STORAGE` (it needs no `TRANSFER_DST` then).
+    /// - It is a valid 2D view of the image's layer and level, of the format that the engine is told, with no swizzle, and stays
+    ///   until the commands have finished.
+    #[must_use]
+    pub unsafe fn with_storage_view(self, view: u64) -> Self {
+        Self { view: vk::ImageView::from_raw(view), ..self }
+    }
+
+    /// Whether kernels write it.
+    pub fn is_storage(&self) -> bool {
+        self.view != vk::ImageView::null()
     }
 
     /// The rectangle's first pixel, for several views beside one another in one image. The whole layer changes its layout:
@@ -314,9 +334,14 @@ impl HostImage {
     }
 
     pub(super) fn barrier(&self, first: bool) -> vk::ImageMemoryBarrier2<'static> {
-        let (stages, access) = (vk::PipelineStageFlags2::TRANSFER, vk::AccessFlags2::TRANSFER_WRITE);
-        let transfer = ImageUse::new(vk::ImageLayout::TRANSFER_DST_OPTIMAL, stages, access);
-        let (from, to) = if first { (self.before, transfer) } else { (transfer, self.after) };
+        let written = if self.is_storage() {
+            let (stages, access) = (vk::PipelineStageFlags2::COMPUTE_SHADER, vk::AccessFlags2::SHADER_STORAGE_WRITE);
+            ImageUse::new(vk::ImageLayout::GENERAL, stages, access)
+        } else {
+            let (stages, access) = (vk::PipelineStageFlags2::TRANSFER, vk::AccessFlags2::TRANSFER_WRITE);
+            ImageUse::new(vk::ImageLayout::TRANSFER_DST_OPTIMAL, stages, access)
+        };
+        let (from, to) = if first { (self.before, written) } else { (written, self.after) };
         vk::ImageMemoryBarrier2::default()
             .image(self.raw)
             .subresource_range(vk::ImageSubresourceRange {

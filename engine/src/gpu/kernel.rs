@@ -26,15 +26,17 @@ pub enum Element {
     F32,
     /// A struct of several types, laid out as the binding's `layout` says.
     Struct,
+    /// Not a buffer: a storage image of a host's, given when a sequence is encoded. Only written; the last binding.
+    Image,
 }
 
 /// A member of a struct shared between GLSL and Rust: name and byte offset. Checked against the SPIR-V.
 pub type Field = (&'static str, u32);
 
-/// One storage buffer of a kernel, in binding order (set 0, binding = index in [`Kernel::bindings`]).
+/// One storage buffer (or the image) of a kernel, in binding order (set 0, binding = index in [`Kernel::bindings`]).
 #[derive(Debug, Clone, Copy)]
 pub struct Binding {
-    /// Buffer name, equal to the block's instance or block name in the GLSL.
+    /// Buffer name, equal to the block's instance or block name in the GLSL; an image's own name.
     pub name: &'static str,
     /// What the kernel does with it.
     pub access: Access,
@@ -122,6 +124,16 @@ pub struct Kernel {
     pub bytes: fn(&Workload) -> u64,
     /// The committed SPIR-V.
     pub spirv: &'static [u8],
+}
+
+impl Kernel {
+    /// Its bindings that are buffers; and whether it writes an image too, whose first pixel is pushed (`x`, `y`).
+    pub fn buffers(&self) -> (&'static [Binding], bool) {
+        match self.bindings {
+            [buffers @ .., Binding { element: Element::Image, .. }] => (buffers, true),
+            buffers => (buffers, false),
+        }
+    }
 }
 
 /// Declares a `#[repr(C)]` plain-data struct shared with GLSL, with its member table in `Self::FIELDS`.

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use ash::vk;
 
 use super::device::{Gpu, lock, vk_error};
-use super::kernel::Kernel;
+use super::kernel::{Element, Kernel};
 use super::spirv;
 use crate::error::{Error, Result};
 
@@ -81,11 +81,16 @@ impl Gpu {
         spirv::check(kernel, &spirv::reflect(kernel)?)?;
         let device = &self.0.device;
         let words = spirv::words(kernel)?;
-        let bindings: Vec<_> = (0..kernel.bindings.len() as u32)
-            .map(|binding| {
+        let bindings: Vec<_> = (0..)
+            .zip(kernel.bindings)
+            .map(|(binding, declared)| {
+                let ty = match declared.element {
+                    Element::Image => vk::DescriptorType::STORAGE_IMAGE,
+                    _ => vk::DescriptorType::STORAGE_BUFFER,
+                };
                 vk::DescriptorSetLayoutBinding::default()
                     .binding(binding)
-                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                    .descriptor_type(ty)
                     .descriptor_count(1)
                     .stage_flags(vk::ShaderStageFlags::COMPUTE)
             })

@@ -51,6 +51,8 @@ pub(super) enum Work {
         push: Vec<u8>,
         slices: Vec<Slice>,
         grid: Grid,
+        /// It writes an image that is given when the sequence is encoded, and gets its first pixel as push constants.
+        to_image: bool,
     },
     HostRead,
 }
@@ -177,7 +179,8 @@ impl Recorder {
         self.push(format!("host read {}", buffer.name()), Work::HostRead, uses);
     }
 
-    /// Runs a kernel. `spec` holds the specialisation constants from id 1 on; `buffers` are in binding order.
+    /// Runs a kernel. `spec` holds the specialisation constants from id 1 on; `buffers` are in binding order. An image that it
+    /// writes, and its push constants then, are given each time that the [`Sequence`] is encoded.
     pub fn dispatch(
         &mut self,
         kernel: &'static Kernel,
@@ -200,14 +203,16 @@ impl Recorder {
         groups: Groups,
     ) -> Result<()> {
         let fail = |why: String| Err(Error::Kernel { kernel: kernel.name.into(), why });
-        if buffers.len() != kernel.bindings.len() {
-            return fail(format!("{} buffers given, {} declared", buffers.len(), kernel.bindings.len()));
+        let (bindings, to_image) = kernel.buffers();
+        if buffers.len() != bindings.len() {
+            return fail(format!("{} buffers given, {} declared", buffers.len(), bindings.len()));
         }
-        if push.len() != kernel.push_bytes() as usize {
-            return fail(format!("{} bytes of push constants given, {} declared", push.len(), kernel.push_bytes()));
+        let push_bytes = if to_image { 0 } else { kernel.push_bytes() };
+        if push.len() != push_bytes as usize {
+            return fail(format!("{} bytes of push constants given, {push_bytes} expected", push.len()));
         }
         let mut uses = Vec::with_capacity(buffers.len() + 1);
-        for (slice, binding) in buffers.iter().zip(kernel.bindings) {
+        for (slice, binding) in buffers.iter().zip(bindings) {
             self.check_binding(slice, binding.name, kernel)?;
             uses.push(access(slice, Stages::COMPUTE, binding.access != Access::Read));
         }
@@ -230,7 +235,8 @@ impl Recorder {
             }
         };
         let pipeline = self.gpu.pipeline(kernel, spec)?;
-        let work = Work::Dispatch { kernel, pipeline, push: push.to_vec(), slices: buffers.to_vec(), grid };
+        let (push, slices) = (push.to_vec(), buffers.to_vec());
+        let work = Work::Dispatch { kernel, pipeline, push, slices, grid, to_image };
         self.push(label.to_owned(), work, uses);
         Ok(())
     }
@@ -294,7 +300,7 @@ impl Recorder {
     /// Derives nothing new: encodes the list with its barriers.
     ///
     /// # Errors
-    /// `Usage` when something is only known at encoding ([`Recorder::update`], [`Recorder::copy_to_image`]).
+    /// `Usage` when something is only known at encoding ([`Recorder::update`], [`Recorder::copy_to_image`], a kernel's image).
     pub fn finish(self) -> Result<Commands> {
         Commands::encode(self.finish_sequence(1)?)
     }

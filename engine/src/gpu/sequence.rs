@@ -9,7 +9,8 @@ use super::access::{Barrier, Stages};
 use super::commands::Timing;
 use super::device::{Gpu, Shared, Sync2, vk_error};
 use super::host::{HostCommandBuffer, HostImage};
-use super::memory::Buffer;
+use super::memory::{Buffer, Slice};
+use super::pipeline::Pipeline;
 use super::recorder::{Grid, Operation, Work};
 use crate::error::{Error, Result};
 
@@ -27,8 +28,10 @@ pub struct Sequence {
     plan: String,
     begin_barrier: bool,
     descriptors: vk::DescriptorPool,
-    /// One per operation; null for what is no dispatch.
+    /// One per operation; null for what is no dispatch, or one to an image.
     sets: Vec<vk::DescriptorSet>,
+    /// Of dispatches to images: operation, and a set per slot, written when it is encoded.
+    image_sets: Vec<(usize, Vec<vk::DescriptorSet>)>,
     queries: vk::QueryPool,
     slots: u32,
 }
@@ -63,6 +66,7 @@ impl Sequence {
             gpu: Arc::clone(&gpu.0),
             name,
             sets: vec![vk::DescriptorSet::null(); operations.len()],
+            image_sets: Vec::new(),
             operations,
             plan,
             begin_barrier,
@@ -87,54 +91,67 @@ impl Sequence {
     }
 
     fn create_sets(&mut self) -> Result<()> {
-        let device = &self.gpu.device;
-        let dispatches = self.dispatches() as u32;
-        let buffers: u32 = self
-            .operations
-            .iter()
-            .map(|o| if let Work::Dispatch { slices, .. } = &o.work { slices.len() as u32 } else { 0 })
-            .sum();
-        if dispatches == 0 {
+        // Sets and buffers of each dispatch: one to an image has a set per slot.
+        let counts = self.operations.iter().filter_map(|o| match &o.work {
+            Work::Dispatch { slices, to_image, .. } => {
+                let sets = if *to_image { self.slots } else { 1 };
+                Some([sets, sets * slices.len() as u32, if *to_image { sets } else { 0 }])
+            }
+            _ => None,
+        });
+        let [sets, buffers, images] = counts.fold([0; 3], |a, b| std::array::from_fn(|i| a[i] + b[i]));
+        if sets == 0 {
             return Ok(());
         }
+        let size = |ty, count: u32| vk::DescriptorPoolSize::default().ty(ty).descriptor_count(count.max(1));
         let sizes =
-            [vk::DescriptorPoolSize::default().ty(vk::DescriptorType::STORAGE_BUFFER).descriptor_count(buffers.max(1))];
-        let create = vk::DescriptorPoolCreateInfo::default().max_sets(dispatches).pool_sizes(&sizes);
+            [size(vk::DescriptorType::STORAGE_BUFFER, buffers), size(vk::DescriptorType::STORAGE_IMAGE, images)];
+        let create = vk::DescriptorPoolCreateInfo::default().max_sets(sets).pool_sizes(&sizes);
         // SAFETY: plain creation; `Drop` destroys the pool.
-        self.descriptors =
-            unsafe { device.create_descriptor_pool(&create, None) }.map_err(vk_error("vkCreateDescriptorPool"))?;
-        for (operation, set) in self.operations.iter().zip(&mut self.sets) {
-            let Work::Dispatch { pipeline, slices, .. } = &operation.work else { continue };
-            let layouts = [pipeline.set_layout];
-            let allocate =
-                vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.descriptors).set_layouts(&layouts);
-            // SAFETY: the pool was sized for all dispatches.
-            *set =
-                unsafe { device.allocate_descriptor_sets(&allocate) }.map_err(vk_error("vkAllocateDescriptorSets"))?[0];
-            let infos: Vec<_> = slices
-                .iter()
-                .map(|s| vk::DescriptorBufferInfo { buffer: s.buffer.raw(), offset: s.start, range: s.bytes })
-                .collect();
-            let updates: Vec<_> = infos
-                .iter()
-                .enumerate()
-                .map(|(binding, info)| {
-                    vk::WriteDescriptorSet::default()
-                        .dst_set(*set)
-                        .dst_binding(binding as u32)
-                        .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
-                        .buffer_info(std::slice::from_ref(info))
-                })
-                .collect();
-            // SAFETY: the set is new, the buffers are live and kept by the operation.
-            unsafe { device.update_descriptor_sets(&updates, &[]) };
+        self.descriptors = unsafe { self.gpu.device.create_descriptor_pool(&create, None) }
+            .map_err(vk_error("vkCreateDescriptorPool"))?;
+        for index in 0..self.operations.len() {
+            let Work::Dispatch { pipeline, slices, to_image, .. } = &self.operations[index].work else { continue };
+            if *to_image {
+                let sets = (0..self.slots).map(|_| self.create_set(pipeline, slices)).collect::<Result<_>>()?;
+                self.image_sets.push((index, sets));
+            } else {
+                self.sets[index] = self.create_set(pipeline, slices)?;
+            }
         }
         Ok(())
     }
 
+    /// A set with these buffers.
+    fn create_set(&self, pipeline: &Pipeline, slices: &[Slice]) -> Result<vk::DescriptorSet> {
+        let layouts = [pipeline.set_layout];
+        let allocate = vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.descriptors).set_layouts(&layouts);
+        // SAFETY: the pool was sized for all dispatches.
+        let set = unsafe { self.gpu.device.allocate_descriptor_sets(&allocate) }
+            .map_err(vk_error("vkAllocateDescriptorSets"))?[0];
+        let infos: Vec<_> = slices
+            .iter()
+            .map(|s| vk::DescriptorBufferInfo { buffer: s.buffer.raw(), offset: s.start, range: s.bytes })
+            .collect();
+        let updates: Vec<_> = infos
+            .iter()
+            .enumerate()
+            .map(|(binding, info)| {
+                vk::WriteDescriptorSet::default()
+                    .dst_set(set)
+                    .dst_binding(binding as u32)
+                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                    .buffer_info(std::slice::from_ref(info))
+            })
+            .collect();
+        // SAFETY: the set is new, the buffers are live and kept by the operation.
+        unsafe { self.gpu.device.update_descriptor_sets(&updates, &[]) };
+        Ok(set)
+    }
+
     /// Writes all operations into a host's command buffer. `updates`: the bytes of each [`super::Recorder::update`], in
-    /// order; `images`: where each [`super::Recorder::copy_to_image`] goes, `None` to leave it out. `slot` may be used
-    /// again once the encoding before it has finished executing.
+    /// order; `images`: where each [`super::Recorder::copy_to_image`] and each kernel that writes an image goes, in order, `None` to
+    /// leave it out. `slot` may be used again once the encoding before it has finished executing.
     ///
     /// # Errors
     /// `Usage` when the lists do not fit what was recorded.
@@ -186,7 +203,13 @@ impl Sequence {
                         unsafe { device.cmd_copy_buffer_to_image(to.raw, from, image.raw, layout, &regions) };
                     }
                 }
-                work => self.operation(to, work, self.sets[index]),
+                Work::Dispatch { slices, to_image: true, .. } => {
+                    if let Some(Some(image)) = images.next() {
+                        let set = self.image_set(index, to.slot, slices.len() as u32, image);
+                        self.operation(to, &operation.work, set, bytemuck::cast_slice(&image.offset));
+                    }
+                }
+                work => self.operation(to, work, self.sets[index], &[]),
             }
             self.timestamp(to.raw, first_query + index as u32 + 1);
         }
@@ -207,6 +230,19 @@ impl Sequence {
             let expected = format!("{images}, at most {MAX_IMAGES}");
             return Err(Error::usage("images of a sequence", to.images.len().to_string(), expected));
         }
+        let wanted = self.operations.iter().filter_map(|o| match &o.work {
+            Work::CopyToImage { .. } => Some(false),
+            Work::Dispatch { to_image: true, .. } => Some(true),
+            _ => None,
+        });
+        for (storage, image) in wanted.zip(to.images) {
+            if let Some(image) = image
+                && image.is_storage() != storage
+            {
+                let said = |storage| if storage { "one with a storage view" } else { "one without a storage view" };
+                return Err(Error::usage("image of a sequence", said(!storage), said(storage)));
+            }
+        }
         if to.slot >= self.slots {
             return Err(Error::usage("slot of a sequence", to.slot.to_string(), format!("below {}", self.slots)));
         }
@@ -215,7 +251,8 @@ impl Sequence {
 
     /// How many images it writes.
     pub(super) fn images(&self) -> usize {
-        self.operations.iter().filter(|o| matches!(o.work, Work::CopyToImage { .. })).count()
+        let writes = |work: &Work| matches!(work, Work::CopyToImage { .. } | Work::Dispatch { to_image: true, .. });
+        self.operations.iter().filter(|o| writes(&o.work)).count()
     }
 
     /// One pipeline barrier: of memory, and of the images' layouts before the first operation or after the last.
@@ -270,7 +307,23 @@ impl Sequence {
         }
     }
 
-    fn operation(&self, to: &Encoding<'_>, work: &Work, set: vk::DescriptorSet) {
+    /// The set of a dispatch to an image, which is its last binding. The slot's earlier commands have finished.
+    fn image_set(&self, index: usize, slot: u32, binding: u32, image: &HostImage) -> vk::DescriptorSet {
+        let of_operation = self.image_sets.iter().find(|(operation, _)| *operation == index);
+        let set = of_operation.map_or(vk::DescriptorSet::null(), |(_, sets)| sets[slot as usize]);
+        let info = [vk::DescriptorImageInfo::default().image_view(image.view).image_layout(vk::ImageLayout::GENERAL)];
+        let write = vk::WriteDescriptorSet::default()
+            .dst_set(set)
+            .dst_binding(binding)
+            .descriptor_type(vk::DescriptorType::STORAGE_IMAGE)
+            .image_info(&info);
+        // SAFETY: the set is not in use; the host vouches for the view.
+        unsafe { self.gpu.device.update_descriptor_sets(&[write], &[]) };
+        set
+    }
+
+    /// `at_image`: push constants of a dispatch to an image.
+    fn operation(&self, to: &Encoding<'_>, work: &Work, set: vk::DescriptorSet, at_image: &[u8]) {
         let device = &self.gpu.device;
         match work {
             // SAFETY: recording; ranges were checked.
@@ -283,7 +336,8 @@ impl Sequence {
                 // SAFETY: as above.
                 unsafe { device.cmd_copy_buffer(to.raw, source.buffer.raw(), destination.buffer.raw(), &regions) };
             }
-            Work::Dispatch { pipeline, push, grid, .. } => {
+            Work::Dispatch { pipeline, push, grid, to_image, .. } => {
+                let push = if *to_image { at_image } else { push.as_slice() };
                 let (point, sets) = (vk::PipelineBindPoint::COMPUTE, [set]);
                 // SAFETY: recording; all handles are live and kept by `self`.
                 unsafe {

@@ -5,7 +5,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::kernel::{Access, Field, Kernel};
+use super::kernel::{Access, Element, Field, Kernel};
 use crate::error::{Error, Result};
 
 const OP_NAME: u32 = 5;
@@ -13,7 +13,7 @@ const OP_MEMBER_DECORATE: u32 = 72;
 const DECORATION_NON_WRITABLE: u32 = 24;
 const DECORATION_NON_READABLE: u32 = 25;
 
-/// A storage buffer as the shader declares it.
+/// A storage buffer or image as the shader declares it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ReflectedBinding {
     /// Name of the block, without the suffix `Block`, in snake case as written.
@@ -22,6 +22,8 @@ pub struct ReflectedBinding {
     pub readonly: bool,
     /// Declared `writeonly`.
     pub writeonly: bool,
+    /// An image.
+    pub image: bool,
     /// Members of the block's struct element, when the block holds one struct: name and byte offset.
     pub members: Vec<(String, u32)>,
 }
@@ -29,7 +31,7 @@ pub struct ReflectedBinding {
 /// Interface of a compute shader.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Reflection {
-    /// Storage buffers of set 0 by binding.
+    /// Storage buffers and images of set 0 by binding.
     pub bindings: BTreeMap<u32, ReflectedBinding>,
     /// Members of the push-constant block: name and byte offset.
     pub push: Vec<(String, u32)>,
@@ -82,7 +84,21 @@ pub fn reflect(kernel: &Kernel) -> Result<Reflection> {
                 let (readonly, writeonly) = qualifiers.get(&block).copied().unwrap_or((false, false));
                 let members = block_members(&module, ty);
                 let name = block.strip_suffix("Block").unwrap_or(&block).to_owned();
-                out.bindings.insert(at.binding, ReflectedBinding { block: name, readonly, writeonly, members });
+                let found = ReflectedBinding { block: name, readonly, writeonly, image: false, members };
+                out.bindings.insert(at.binding, found);
+            }
+            (naga::AddressSpace::Handle, Some(at)) => {
+                let block = global.name.clone().unwrap_or_default();
+                // naga knows it from the image's own type.
+                let writeonly = matches!(
+                    ty.inner,
+                    naga::TypeInner::Image {
+                        class: naga::ImageClass::Storage { access: naga::StorageAccess::STORE, .. },
+                        ..
+                    }
+                );
+                let found = ReflectedBinding { block, readonly: false, writeonly, image: true, members: Vec::new() };
+                out.bindings.insert(at.binding, found);
             }
             (naga::AddressSpace::Immediate, _) => {
                 out.push = struct_members(ty);
@@ -116,7 +132,11 @@ pub fn check(kernel: &Kernel, found: &Reflection) -> Result<()> {
         return fail(format!("workgroup size {:?}, declared {}", found.local_size, kernel.local_size));
     }
     if found.bindings.len() != kernel.bindings.len() {
-        return fail(format!("{} storage buffers, declared {}", found.bindings.len(), kernel.bindings.len()));
+        return fail(format!(
+            "{} storage buffers and images, declared {}",
+            found.bindings.len(),
+            kernel.bindings.len()
+        ));
     }
     for (index, declared) in kernel.bindings.iter().enumerate() {
         let Some(b) = found.bindings.get(&(index as u32)) else {
@@ -124,6 +144,9 @@ pub fn check(kernel: &Kernel, found: &Reflection) -> Result<()> {
         };
         if snake(&b.block) != declared.name {
             return fail(format!("binding {index} is `{}`, declared `{}`", snake(&b.block), declared.name));
+        }
+        if b.image != (declared.element == Element::Image) {
+            return fail(format!("`{}`: image {}, declared {:?}", declared.name, b.image, declared.element));
         }
         let expected = (declared.access == Access::Read, declared.access == Access::Write);
         if (b.readonly, b.writeonly) != expected {

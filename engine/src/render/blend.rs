@@ -48,7 +48,10 @@ impl Stage {
 }
 
 /// Blends each tile's splats front to back.
-pub static BLEND: Kernel = Kernel {
+pub static BLEND: Kernel = BASE;
+
+/// What all kernels have that blend tiles.
+pub(super) const BASE: Kernel = Kernel {
     name: "blend",
     doc: "front-to-back blending, one subgroup per subtile of pixels",
     local_size: BLEND_THREADS,
@@ -63,15 +66,7 @@ pub static BLEND: Kernel = Kernel {
         "PACKING",
     ],
     push: &[],
-    bindings: &[
-        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
-        Binding::new("ranges", Access::Read, Element::U32),
-        Binding::new("values", Access::Read, Element::U32),
-        Binding::new("splats", Access::Read, Element::F32),
-        Binding::new("color", Access::Write, Element::F32),
-        Binding::new("depth", Access::Write, Element::F32),
-        Binding::new("gaussian_of_slot", Access::Read, Element::U32),
-    ],
+    bindings: &bindings(Binding::new("color", Access::Write, Element::F32)),
     twin: blend_twin,
     // exp2 may be off by units in the last place; a splat at the threshold of 1/255, or a pixel at the transmittance stop,
     // may flip.
@@ -79,6 +74,18 @@ pub static BLEND: Kernel = Kernel {
     bytes: blend_bytes,
     spirv: include_bytes!("../../../spirv_cache/blend.spv"),
 };
+
+const fn bindings(pixels: Binding) -> [Binding; 7] {
+    [
+        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
+        Binding::new("ranges", Access::Read, Element::U32),
+        Binding::new("values", Access::Read, Element::U32),
+        Binding::new("splats", Access::Read, Element::F32),
+        pixels,
+        Binding::new("depth", Access::Write, Element::F32),
+        Binding::new("gaussian_of_slot", Access::Read, Element::U32),
+    ]
+}
 
 /// Format of the pixels that a frame ends in; always R, G, B = Σ c α T + T·background and A = 1 − T, which is premultiplied
 /// colour when the background is black.
@@ -132,7 +139,6 @@ impl PixelFormat {
 pub static BLEND_PACKED: Kernel = Kernel {
     name: "blend_packed",
     doc: "blend, pixels stored in the format of a host's image",
-    local_size: BLEND_THREADS,
     spec: &[
         "SUBGROUP_SIZE",
         "WITH_DEPTH",
@@ -144,25 +150,16 @@ pub static BLEND_PACKED: Kernel = Kernel {
         "PACKING",
         "FORMAT",
     ],
-    push: &[],
-    bindings: &[
-        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
-        Binding::new("ranges", Access::Read, Element::U32),
-        Binding::new("values", Access::Read, Element::U32),
-        Binding::new("splats", Access::Read, Element::F32),
-        Binding::new("pixels", Access::Write, Element::U32),
-        Binding::new("depth", Access::Write, Element::F32),
-        Binding::new("gaussian_of_slot", Access::Read, Element::U32),
-    ],
+    bindings: &bindings(Binding::new("pixels", Access::Write, Element::U32)),
+    // The tolerance is that of the depth, as for `blend`; a pixel's level may be the next one.
     twin: blend_packed_twin,
-    // Of the depth, as for `blend`; a pixel's level may be the next one.
-    tolerance: Tolerance { absolute: 1e-4, relative: 1e-4, flips: 1e-3 },
     bytes: blend_packed_bytes,
     spirv: include_bytes!("../../../spirv_cache/blend_packed.spv"),
+    ..BASE
 };
 
 /// As `blend`, with the pixels' own size.
-fn blend_packed_bytes(work: &Workload) -> u64 {
+pub(super) fn blend_packed_bytes(work: &Workload) -> u64 {
     blend_bytes(work) - work.get("pixels") * 16 + work.get("pixels") * work.get("pixel_bytes")
 }
 
@@ -232,6 +229,11 @@ fn blend_twin(call: &mut TwinCall<'_>) {
 
 fn blend_packed_twin(call: &mut TwinCall<'_>) {
     let format = [PixelFormat::Rgba8, PixelFormat::Bgra8, PixelFormat::Rgba16F][spec(call, 8) as usize];
+    blend_into(call, format);
+}
+
+/// Blends into pixels of a format.
+pub(super) fn blend_into(call: &mut TwinCall<'_>, format: PixelFormat) {
     let words = format.bytes() as usize / 4;
     blend_tiles(call, |target, at, value| {
         target[words * at..words * (at + 1)].copy_from_slice(&format.pack(value)[..words]);

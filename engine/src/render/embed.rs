@@ -39,17 +39,23 @@
 //!
 //! # What is recorded, and what the host does around it
 //!
-//! A frame is about 15 compute dispatches between barriers, then one copy per image from a buffer in which `blend_packed`
-//! has left the pixels in the image's format. A copy works for every colour format, for swapchains too (a storage image
-//! would need formats that many devices do not write, sRGB and BGRA among them), needs neither views nor descriptors of the
-//! host's images, and moves no more bytes than the engine's own float image would.
+//! A frame is about 15 compute dispatches between barriers. Its pixels reach the image in one of two ways:
+//!
+//! - **Copied** (the default): one copy per image from a buffer in which `blend_packed` has left the pixels in the image's format.
+//!   That works for every colour format, for swapchains too (sRGB and BGRA among them), and needs no view of the host's images.
+//! - **Stored** ([`ViewOptions::storage`]): the last kernel writes the host's image through a view that comes with it
+//!   ([`HostImage::with_storage_view`](crate::gpu::HostImage::with_storage_view)). No copy, a third of the bytes. For RGBA8, RGBA16F and RGBA32F, which every device can
+//!   store; of half floats the device rounds to nearest or towards zero. Depth is always copied.
+//!
+//! Around it:
 //!
 //! - **Before**: the image is in [`ImageUse::layout`](crate::gpu::ImageUse) of `before`; its stages and accesses are waited for, then the
-//!   layout becomes `TRANSFER_DST_OPTIMAL`. The wait is at the start of the frame, so that it overlaps with nothing of it.
+//!   layout becomes `TRANSFER_DST_OPTIMAL` (`GENERAL` when it is stored to). The wait is at the start of the frame, so that it
+//!   overlaps with nothing of it.
 //! - **After**: the layout is that of `after`, and the pixels are visible to its stages and accesses. No further barrier is
 //!   needed on the same queue; another queue waits for a semaphore, and another family takes ownership.
 //! - **Semaphores** are the host's: the engine neither waits for nor signals any in `record`. For a swapchain, wait for the
-//!   acquisition at stage `TRANSFER` (or `ALL_COMMANDS`).
+//!   acquisition at stage `TRANSFER`, `COMPUTE_SHADER` for an image that is stored to (or `ALL_COMMANDS`).
 //! - **Memory**: each view has its own intermediate buffers, shared by its frames: the barrier at the start of each frame
 //!   orders them after one another. One view may be recorded several times into one command buffer.
 //! - **Nothing waits and nothing is allocated** in `record`, on the host or on the device, once a view has seen its image

@@ -18,6 +18,7 @@
 
 pub mod angle;
 pub mod blend;
+pub mod blend_image;
 pub(crate) mod bounds;
 mod capacity;
 pub mod compact;

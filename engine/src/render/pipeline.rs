@@ -5,6 +5,7 @@ use crate::gpu::kernel::Kernel;
 use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, SLICE_ALIGNMENT, Slice};
 
 use super::blend::{self, BLEND, BLEND_PACKED, PixelFormat};
+use super::blend_image;
 use super::compact::{
     COMPACT, COMPACT_GAUSSIANS, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT, INDIRECT_RANGES, INDIRECT_TILE_SORT,
 };
@@ -49,6 +50,8 @@ pub(crate) struct Shape {
     pub(crate) quality: Quality,
     /// `frame.color` holds pixels of this format; `None`: floats.
     pub(crate) format: Option<PixelFormat>,
+    /// Pixels go straight to an image that is given when the sequence is encoded; only with a format that can be stored.
+    pub(crate) to_image: bool,
 }
 
 /// Records a frame that the host looks at.
@@ -308,6 +311,11 @@ fn ranges_and_blend(
         gaussian_of_slot,
     ];
     let groups = Groups::Direct(blend::groups(shape.tiles, size, pixels_per_lane));
+    if let (true, Some(kernel)) = (shape.to_image, shape.format.and_then(blend_image::kernel_of)) {
+        let [frame, ranges, values, splats, _, depth, gaussian_of_slot] = buffers;
+        let buffers = [frame, ranges, values, splats, depth, gaussian_of_slot];
+        return r.dispatch(kernel, &spec, &[], &buffers, groups);
+    }
     match shape.format {
         None | Some(PixelFormat::Rgba32F) => r.dispatch(&BLEND, &spec, &[], &buffers, groups),
         Some(format) => {
@@ -340,6 +348,9 @@ pub static KERNELS: &[&Kernel] = &[
     &TILE_RANGES,
     &BLEND,
     &BLEND_PACKED,
+    &blend_image::BLEND_RGBA8,
+    &blend_image::BLEND_RGBA16F,
+    &blend_image::BLEND_RGBA32F,
     &super::display::DISPLAY,
     &super::rate::ARITHMETIC_RATE,
 ];

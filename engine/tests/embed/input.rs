@@ -64,6 +64,18 @@ fn views_and_targets_without_sense_are_refused() {
     let camera = demo_camera(0.0, 32, 32);
     let both = Target { depth: Some(to_read(picture)), ..target };
     assert!(view.record(&commands, &camera, 0.0, &both).unwrap_err().to_string().contains("depth"));
+    let stored = Target { color: to_store(picture), depth: None };
+    let error = view.record(&commands, &camera, 0.0, &stored).unwrap_err().to_string();
+    assert!(error.contains("expected one without a storage view"), "{error}");
+    let deep = ViewOptions { depth: true, ..ViewOptions::default() };
+    let stored = Target { depth: Some(to_store(picture)), ..target };
+    let error = View::new(host.gpu(), &handle, &deep).unwrap().record(&commands, &camera, 0.0, &stored).unwrap_err();
+    assert!(error.to_string().contains("depth image"), "{error}");
+    let options = ViewOptions { storage: true, ..ViewOptions::default() };
+    let error = View::new(host.gpu(), &handle, &options).unwrap().record(&commands, &camera, 0.0, &target).unwrap_err();
+    assert!(error.to_string().contains("expected one with a storage view"), "{error}");
+    let options = ViewOptions { format: PixelFormat::Bgra8, ..options };
+    assert!(View::new(host.gpu(), &handle, &options).unwrap_err().to_string().contains("Rgba16F"));
     let mut broken = camera.clone();
     broken.fx = f64::NAN;
     assert!(matches!(view.record(&commands, &broken, 0.0, &target), Err(Error::NonFinite { .. })));

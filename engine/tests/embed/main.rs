@@ -41,7 +41,12 @@ impl Host {
 
     /// An image that the engine writes and the host reads.
     fn picture(&self, size: [u32; 2], format: vk::Format) -> Picture {
-        let usage = vk::ImageUsageFlags::TRANSFER_DST | vk::ImageUsageFlags::TRANSFER_SRC;
+        let stored = if format == vk::Format::B8G8R8A8_UNORM {
+            vk::ImageUsageFlags::empty()
+        } else {
+            vk::ImageUsageFlags::STORAGE
+        };
+        let usage = vk::ImageUsageFlags::TRANSFER_DST | vk::ImageUsageFlags::TRANSFER_SRC | stored;
         self.vulkan.picture(size, format, usage).unwrap()
     }
 }
@@ -59,6 +64,11 @@ impl Drop for Host {
 /// Written whatever it held, then read by the host.
 fn to_read(picture: Picture) -> HostImage {
     unsafe { HostImage::from_raw(picture.image.as_raw(), READ_BEFORE, ImageUse::TRANSFER_SOURCE) }
+}
+
+/// The same, written by a kernel.
+fn to_store(picture: Picture) -> HostImage {
+    unsafe { to_read(picture).with_storage_view(picture.view.as_raw()) }
 }
 
 /// An earlier copy out of the image is waited for.

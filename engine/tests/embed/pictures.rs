@@ -42,13 +42,16 @@ fn every_format_holds_the_engines_own_image() {
     let handle = SceneHandle::upload(host.gpu(), &scene, &SceneOptions::default()).unwrap();
     let truth = expected(host.gpu(), &scene, &camera, 0.3, DEMO_BACKGROUND);
     let frame = host.vulkan.frame().unwrap();
-    for format in FORMATS {
+    let ways = FORMATS.into_iter().flat_map(|f| [(f, false), (f, true)]);
+    for (format, storage) in ways.filter(|way| *way != (PixelFormat::Bgra8, true)) {
         let color = host.picture(size, vk_format(format));
         let depth = host.picture(size, vk::Format::R32_SFLOAT);
-        let options = ViewOptions { format, depth: true, background: DEMO_BACKGROUND, ..ViewOptions::default() };
+        let options =
+            ViewOptions { format, storage, depth: true, background: DEMO_BACKGROUND, ..ViewOptions::default() };
         let mut view = View::new(host.gpu(), &handle, &options).unwrap();
         view.warm_up(&camera, 0.3).unwrap();
-        let target = Target { color: to_read(color), depth: Some(to_read(depth)) };
+        let image = if storage { to_store(color) } else { to_read(color) };
+        let target = Target { color: image, depth: Some(to_read(depth)) };
         submit(&host, frame, &mut view, &camera, 0.3, &target);
         host.vulkan.wait(frame).unwrap();
         assert_stored(&host.vulkan.read(color, format.bytes()).unwrap(), format, &truth, &format!("{format:?}"));
@@ -109,7 +112,14 @@ fn views_beside_one_another_in_one_image() {
     let host = Host::new();
     let scene = demo_scene();
     let handle = SceneHandle::upload(host.gpu(), &scene, &SceneOptions::default()).unwrap();
-    let mut view = View::new(host.gpu(), &handle, &ViewOptions::default()).unwrap();
+    for storage in [false, true] {
+        beside_one_another(&host, &scene, &handle, storage);
+    }
+}
+
+fn beside_one_another(host: &Host, scene: &Scene, handle: &SceneHandle, storage: bool) {
+    let options = ViewOptions { storage, ..ViewOptions::default() };
+    let mut view = View::new(host.gpu(), handle, &options).unwrap();
     // Two eyes, 6 cm apart, side by side; one view is recorded twice.
     let eyes = [-0.03, 0.03].map(|x| {
         let mut camera = demo_camera(0.5, 80, 60);
@@ -122,7 +132,10 @@ fn views_beside_one_another_in_one_image() {
     host.vulkan.begin(frame).unwrap();
     let between = ImageUse { layout: ImageUse::TRANSFER_SOURCE.layout, ..ImageUse::UNDEFINED };
     let second = unsafe { HostImage::from_raw(image.image.as_raw(), between, ImageUse::TRANSFER_SOURCE) };
-    for (i, color) in [to_read(image), second.at(80, 0)].into_iter().enumerate() {
+    for (i, mut color) in [to_read(image), second.at(80, 0)].into_iter().enumerate() {
+        if storage {
+            color = unsafe { color.with_storage_view(image.view.as_raw()) };
+        }
         view.record(&commands_of(frame), &eyes[i], 0.5, &Target { color, depth: None }).unwrap();
     }
     host.vulkan.submit(frame).unwrap();
@@ -130,8 +143,8 @@ fn views_beside_one_another_in_one_image() {
     let bytes = host.vulkan.read(image, 4).unwrap();
     for (i, eye) in eyes.iter().enumerate() {
         let half: Vec<u8> = bytes.chunks_exact(640).flat_map(|row| row[320 * i..320 * (i + 1)].to_vec()).collect();
-        let truth = expected(host.gpu(), &scene, eye, 0.5, [0.0; 3]);
-        assert_stored(&half, PixelFormat::Rgba8, &truth, &format!("eye {i}"));
+        let truth = expected(host.gpu(), scene, eye, 0.5, [0.0; 3]);
+        assert_stored(&half, PixelFormat::Rgba8, &truth, &format!("eye {i}, storage {storage}"));
     }
     drop(view);
     host.vulkan.destroy(image);

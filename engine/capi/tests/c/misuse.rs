@@ -79,6 +79,7 @@ fn nonsense_is_refused_by_name() {
         let size = size_of::<spgs_view_options>() as u32;
         for (field, options) in [
             ("format", spgs_view_options { format: 4, ..Default::default() }),
+            ("format", spgs_view_options { format: 1, storage: 1, ..Default::default() }),
             ("in flight", spgs_view_options { in_flight: 99, ..Default::default() }),
         ] {
             let options = spgs_view_options { struct_size: size, ..options };

@@ -16,6 +16,9 @@ pub struct ViewOptions {
     pub near: f32,
     /// Format of the colour image.
     pub format: PixelFormat,
+    /// Whether the colour image is written through a storage view
+    /// ([`HostImage::with_storage_view`](crate::gpu::HostImage::with_storage_view)): no copy follows the frame. Not with [`PixelFormat::Bgra8`].
+    pub storage: bool,
     /// Whether depth is rendered too (see the [module's page](super)).
     pub depth: bool,
     /// Calls of [`View::record`](super::View::record) whose commands may not have finished when the next one is made, plus one: with two frames
@@ -33,6 +36,7 @@ impl Default for ViewOptions {
             background: [0.0; 3],
             near: 0.2,
             format: PixelFormat::Rgba8,
+            storage: false,
             depth: false,
             in_flight: 2,
             max_instances: None,
@@ -44,7 +48,7 @@ impl Default for ViewOptions {
 /// Where a frame goes. Both images are at least as large as the camera's.
 #[derive(Debug, Clone, Copy)]
 pub struct Target {
-    /// Colour, in the view's format.
+    /// Colour, in the view's format; with a storage view if, and only if, the view wants one.
     pub color: HostImage,
     /// Depth, `R32_SFLOAT`; only of a view with depth.
     pub depth: Option<HostImage>,

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use super::super::blend_image;
 use super::super::capacity;
 use super::super::frame::{Frame, FrameOptions};
 use super::super::limits::TILE_SIZE;
@@ -75,6 +76,14 @@ impl View {
                 format!("1 to {MAX_IN_FLIGHT}"),
             ));
         }
+        if options.storage && blend_image::kernel_of(options.format).is_none() {
+            let found = format!("{:?} with a storage view", options.format);
+            return Err(Error::usage(
+                "format of a view",
+                found,
+                "Rgba8, Rgba16F or Rgba32F, or an image that is copied to",
+            ));
+        }
         let ring = gpu.buffer("counter ring", RING_BYTES * u64::from(options.in_flight), Memory::Readback)?;
         ring.write_readback(0, &vec![0; ring.bytes() as usize])?;
         let capacity = capacity::first(scene.gaussians()).min(capacity::limit(gpu, options.max_instances));
@@ -108,6 +117,14 @@ impl View {
     ) -> Result<Recorded> {
         if target.depth.is_some() && !self.options.depth {
             return Err(Error::usage("depth image", "one", "none: the view was made without depth"));
+        }
+        let said = |storage| if storage { "with a storage view" } else { "without a storage view" };
+        if target.color.is_storage() != self.options.storage {
+            let expected = format!("one {}: the view was made so", said(self.options.storage));
+            return Err(Error::usage("colour image", format!("one {}", said(!self.options.storage)), expected));
+        }
+        if target.depth.is_some_and(|d| d.is_storage()) {
+            return Err(Error::usage("depth image", "one with a storage view", "one that is copied to"));
         }
         let slot = self.next_slot();
         let finished = self.collect(slot)?;
@@ -289,12 +306,13 @@ impl View {
         let buffers = FrameBuffers {
             frame: device("frame", size_of::<Frame>() as u64)?,
             host_pose: host_pose.then(|| device("pose", pose_bytes)).transpose()?,
-            color: device("pixels", pixels * self.options.format.bytes())?,
+            color: device("pixels", if self.options.storage { 16 } else { pixels * self.options.format.bytes() })?,
             depth: device("depth", if self.options.depth { pixels * 4 } else { 16 })?,
             counters: self.ring.clone(),
         };
         let format = Some(self.options.format);
-        let shape = Shape { tiles, with_depth: self.options.depth, quality, format, ..Shape::default() };
+        let (with_depth, to_image) = (self.options.depth, self.options.storage);
+        let shape = Shape { tiles, with_depth, quality, format, to_image, ..Shape::default() };
         let sequence = self.sequence_of([width, height], scene, &work, &buffers, &shape)?;
         Ok(Targets { size: [width, height], capacity, work, buffers, sequence })
     }
@@ -316,7 +334,9 @@ impl View {
         }
         record_forward(&self.gpu, &mut r, scene, work, buffers, shape)?;
         let pixel_bytes = self.options.format.bytes();
-        r.copy_to_image(buffers.color.slice(0, pixels * pixel_bytes), size, pixel_bytes)?;
+        if !shape.to_image {
+            r.copy_to_image(buffers.color.slice(0, pixels * pixel_bytes), size, pixel_bytes)?;
+        }
         if shape.with_depth {
             r.copy_to_image(buffers.depth.slice(0, pixels * 4), size, 4)?;
         }

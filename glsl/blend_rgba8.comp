@@ -1,0 +1,10 @@
+// `blend` straight into an image of format rgba8; see lib/blend_image.glsl.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_vote : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_shuffle : require
+
+#define IMAGE_FORMAT rgba8
+#include "lib/blend_image.glsl"

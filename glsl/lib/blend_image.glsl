@@ -1,0 +1,42 @@
+// Blends the splats of each tile front to back straight into an image of the host's; see blend_tile.glsl. Whoever includes
+// this defines IMAGE_FORMAT.
+#ifndef SPGS_BLEND_IMAGE
+#define SPGS_BLEND_IMAGE
+
+layout(local_size_x = 128) in;
+layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
+layout(constant_id = 1) const uint WITH_DEPTH = 0;
+layout(constant_id = 2) const uint STAGE = 1;
+layout(constant_id = 3) const uint PIXELS_PER_LANE = 2; // at most 16
+layout(constant_id = 4) const uint WITH_SLOTS = 0;      // values are slots, as emit_tiles writes them for training
+layout(constant_id = 5) const uint ALPHA_CUT = 0;       // see lib/ellipse.glsl
+layout(constant_id = 6) const uint TRANSMITTANCE_STOP = 0; // see lib/blend.glsl
+layout(constant_id = 7) const uint PACKING = 0;         // see lib/splat.glsl
+const uint TILE_CULL = 0u;                              // subtiles are tested exactly
+
+#include "frame.glsl"
+#include "dispatch.glsl"
+#include "limits.glsl"
+#include "ellipse.glsl"
+#include "blend.glsl"
+#include "splat.glsl"
+
+layout(std430, set = 0, binding = 1) readonly buffer RangesBlock { uint ranges[]; };
+layout(std430, set = 0, binding = 2) readonly buffer ValuesBlock { uint values[]; };
+layout(std430, set = 0, binding = 3) readonly buffer SplatsBlock { uvec4 splats[]; };
+layout(std430, set = 0, binding = 4) writeonly buffer DepthBlock { float depth[]; };
+layout(std430, set = 0, binding = 5) readonly buffer GaussianOfSlotBlock { uint gaussian_of_slot[]; };
+layout(set = 0, binding = 6, IMAGE_FORMAT) uniform writeonly image2D picture;
+
+layout(push_constant) uniform PushBlock {
+    uint offset_x; // of the first pixel in the image
+    uint offset_y;
+} push;
+
+#include "blend_tile.glsl"
+
+void store_pixel(uvec2 pixel, uint at, vec4 value) {
+    imageStore(picture, ivec2(pixel + uvec2(push.offset_x, push.offset_y)), value);
+}
+
+#endif
