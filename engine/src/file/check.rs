@@ -6,7 +6,7 @@ use crate::error::Error;
 use crate::scene::network::{
     DeformNetwork, DeformSize, Linear, NONRIGID_HEADS, NONRIGID_LAYERS, NONRIGID_WIDTH, NonrigidNetwork,
 };
-use crate::scene::{Association, DeformationField, Gaussians, Motion, Scene, Superpoints, Tensor};
+use crate::scene::{Association, Gaussians, Motion, Scene, Superpoints, Tensor};
 
 /// Prefixes of tensor names that belong to the model format.
 pub(crate) const NAMESPACES: [&str; 7] =
@@ -106,18 +106,13 @@ pub(crate) fn scene(scene: &Scene) -> Check {
     if let Some(network) = &scene.nonrigid {
         nonrigid(network)?;
     }
-    if let Some(f) = &scene.field {
-        field(f, scene)?;
-    }
+    field(scene)?;
     scene.extra.iter().try_for_each(|(name, tensor)| extra(name, tensor))
 }
 
 /// A deformation field fits together and is the only thing that moves the scene.
-fn field(field: &DeformationField, scene: &Scene) -> Check {
-    if scene.superpoints.is_some() || scene.nonrigid.is_some() {
-        return problem("field.head.weight", "a field beside superpoints or network G", "only one of them");
-    }
-    match field.check(scene.gaussians.len()) {
+fn field(scene: &Scene) -> Check {
+    match scene.check_field() {
         Ok(()) => Ok(()),
         Err(Error::Usage { what, found, expected }) => problem(&what, found, expected),
         Err(other) => problem("field", other.to_string(), "a field that fits together"),

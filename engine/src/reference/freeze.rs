@@ -6,7 +6,7 @@ use super::field::field_offsets;
 use super::motion::{Deformation, Offset, Placed, place_deformed, poses};
 use super::network::nonrigid_offsets;
 use super::project::Parameters;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::scene::{Gaussians, MotionSource, Scene};
 
 /// The Gaussians of `scene` where they are at `time`, networks F and G and deformation fields included. SH coefficients stay:
@@ -45,10 +45,7 @@ pub fn place_scene(scene: &Scene, time: f64, source: MotionSource) -> Result<Pla
     let group = scene.superpoints.as_ref().map_or(&[][..], |s| &s.of_gaussian);
     let rigid = Deformation { group, poses: poses.as_deref(), offsets: None };
     if let Some(field) = &scene.field {
-        field.check(scene.gaussians.len())?;
-        if scene.nonrigid.is_some() || poses.is_some() {
-            return Err(Error::usage("scene", "a deformation field beside other motion", "one of them"));
-        }
+        scene.check_field()?;
         let offsets = field_offsets(field, &scene.gaussians, time);
         return place_deformed(&parameters, &Deformation { offsets: Some(&offsets), ..rigid });
     }

@@ -129,12 +129,7 @@ impl SceneBuffers {
         };
         let fp16_weights = quality.network != Storage::F32;
         let nonrigid = scene.nonrigid.as_ref().filter(|_| quality.nonrigid);
-        if let Some(field) = &scene.field {
-            field.check(g.len())?;
-            if scene.superpoints.is_some() || scene.nonrigid.is_some() {
-                return Err(Error::usage("scene", "a deformation field beside other motion", "one of them"));
-            }
-        }
+        scene.check_field()?;
         let bounds = if quality.depth_bits < DEPTH_KEY_BITS {
             Bounds::of(scene, &mean, &poses, origin)
         } else {

@@ -57,6 +57,22 @@ impl Scene {
         self.field.is_some() || self.superpoints.is_some() && (self.motion.is_some() || self.deform.is_some())
     }
 
+    /// Refuses a deformation field that does not fit the Gaussians, or is not the only thing that moves them.
+    ///
+    /// # Errors
+    /// `Usage` naming the tensor, what was found and what is possible.
+    pub fn check_field(&self) -> Result<()> {
+        let Some(field) = &self.field else { return Ok(()) };
+        if self.superpoints.is_some() || self.nonrigid.is_some() {
+            return Err(Error::usage(
+                "field",
+                "a deformation field beside superpoints or network G",
+                "only one of them",
+            ));
+        }
+        field.check(self.gaussians.len())
+    }
+
     /// What moves the superpoints when `wanted` is asked for: `Table`, `Network`, or `None` for a scene that stands still.
     pub fn motion_source(&self, wanted: MotionSource) -> Result<Option<MotionSource>> {
         let table = self.superpoints.is_some() && self.motion.as_ref().is_some_and(|m| !m.times.is_empty());

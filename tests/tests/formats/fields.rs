@@ -414,13 +414,17 @@ fn a_field_is_baked_into_a_table_within_its_bound() {
     assert!(baked.field.is_none() && baked.superpoints.is_some());
     let keys = baked.motion.as_ref().unwrap().times.len();
     assert!((3..=129).contains(&keys), "{keys}");
-    for t in [0.0, 0.37, 0.81] {
+    // Most of these lie between the times that the tool looks at.
+    let mut worst = 0.0_f64;
+    for t in (0..=37).map(|i| f64::from(i) / 37.0) {
         let one = freeze(&baked, t, MotionSource::Auto).unwrap();
         let two = freeze(&scene, t, MotionSource::Auto).unwrap();
         let far = one.mean.iter().zip(&two.mean).map(|(a, b)| promote(*a).distance(promote(*b))).fold(0.0, f64::max);
-        // Half a pixel of 800 where the scene's two units fill about half of the width.
-        assert!(far < 0.006, "t {t}: {far}");
+        worst = worst.max(far);
     }
+    println!("{keys} key times, at most {worst} from the field");
+    // Half a pixel of 800 where the scene's two units fill about half of the width.
+    assert!(worst < 0.006, "{worst}");
     // A moment is what the field says, sizes included.
     convert("moment.ply", &["--time", "0.37", "--views", "1"]);
     let moment = ply::read(&at("moment.ply")).unwrap();

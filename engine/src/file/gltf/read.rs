@@ -54,6 +54,11 @@ struct Reader<'a> {
 impl Reader<'_> {
     fn read(&mut self) -> Result<Gaussians> {
         let placed = instances(&self.document)?;
+        if self.document.list("nodes").iter().any(|node| !node["extensions"]["EXT_mesh_gpu_instancing"].is_null()) {
+            self.warn(
+                "`EXT_mesh_gpu_instancing` is not followed: of a node's instances one is read, where the node is",
+            );
+        }
         if let Some(g) = self.gather(&placed)? {
             return Ok(g);
         }

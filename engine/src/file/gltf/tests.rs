@@ -135,6 +135,9 @@ fn nodes_move_turn_and_scale() {
     description["nodes"] = json!([{ "mesh": 0, "scale": [1.0, 2.0, 1.0] }]);
     let (_, warnings) = parse(&glb(&description, &numbers), Path::new("x")).unwrap();
     assert!(warnings.len() == 1 && warnings[0].contains("a node stretches"), "{warnings:?}");
+    description["nodes"] = json!([{ "mesh": 0, "extensions": { "EXT_mesh_gpu_instancing": { "attributes": {} } } }]);
+    let (_, warnings) = parse(&glb(&description, &numbers), Path::new("x")).unwrap();
+    assert!(warnings.len() == 1 && warnings[0].contains("EXT_mesh_gpu_instancing"), "{warnings:?}");
     description["nodes"] = json!([{}]);
     let (alone, warnings) = parse(&glb(&description, &numbers), Path::new("x")).unwrap();
     assert!(
