@@ -34,6 +34,10 @@ pub fn spgs(arguments: &[&str]) -> Command {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command.args(["--exact", "desktop::spgs_process", "--nocapture", "--test-threads=1"]);
     command.env(ARGUMENTS, arguments.join("\n")).stdin(Stdio::null());
+    if arguments.contains(&"--lose-device-at") {
+        // The layer's experimental check between submissions crashes in vkDeviceWaitIdle of a device that is only said to be lost.
+        command.env("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT");
+    }
     command.env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
     command
 }

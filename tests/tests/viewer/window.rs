@@ -189,17 +189,38 @@ fn resizes(count: u32) {
 }
 
 #[test]
-fn a_lost_device_ends_with_its_code() {
+fn a_lost_device_is_replaced_by_another() {
     let folder = tempfile::tempdir().unwrap();
     let desktop = Desktop::new(400, 300);
     let model = moving_model(folder.path(), 200);
-    let arguments = ["view", model.to_str().unwrap(), "--size", "320x240", "--lose-device-at", "60"];
-    // The layer's experimental check between submissions crashes in vkDeviceWaitIdle of a device that is only said to be lost.
-    let plain = ("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT");
-    let out = spgs(&arguments).env("DISPLAY", desktop.display()).env(plain.0, plain.1).output().unwrap();
+    let more = ["--size", "320x240", "--pause", "--time", "0.4", "--lose-device-at", "100"];
+    let mut window = Window::open(&desktop, &model, &folder.path().join("out"), &more);
+    let before = window.picture();
+    assert!(drawn(&before) > 0.02, "{}", drawn(&before));
+    for i in 0..150 {
+        window.tool(&["mousemove", &(100 + i % 50).to_string(), "100"]);
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert_eq!(difference(&before, &window.picture()), 0.0, "the same scene, time and camera");
+    // It can be used as before.
+    window.key("2");
+    window.wait("another picture", |w| difference(&before, &w.picture()) > 0.1);
+    let json = window.quit();
+    assert_eq!((&json["device_losses"], &json["validation_messages"]), (&1.into(), &0.into()), "{json}");
+}
+
+#[test]
+fn a_device_that_is_lost_again_and_again_ends_the_program() {
+    let folder = tempfile::tempdir().unwrap();
+    let desktop = Desktop::new(400, 300);
+    let model = moving_model(folder.path(), 200);
+    let mut arguments = vec!["view", model.to_str().unwrap(), "--size", "320x240"];
+    arguments.extend(["--lose-device-at", "60"].repeat(3));
+    let out = spgs(&arguments).env("DISPLAY", desktop.display()).output().unwrap();
     let text = String::from_utf8_lossy(&out.stderr);
     assert_eq!(out.status.code(), Some(5), "{text}");
     assert!(text.lines().any(|l| l.starts_with("spgs: device lost in submission")), "{text}");
+    assert_eq!(text.lines().filter(|l| l.contains("another device is opened")).count(), 2, "{text}");
 }
 
 #[test]

@@ -55,9 +55,9 @@ pub struct ViewerArgs {
     /// Print what was measured as JSON when the window closes
     #[arg(long)]
     pub json: bool,
-    /// Test seam: the device is reported lost at the N-th submission
+    /// Test seam: the device is reported lost at the N-th submission; given again, the one after it too
     #[arg(long, value_name = "N", hide = true)]
-    pub lose_device_at: Option<u64>,
+    pub lose_device_at: Vec<u64>,
 }
 
 impl ViewerArgs {

@@ -71,8 +71,7 @@ pub(super) enum Next {
 }
 
 impl Gui {
-    pub(super) fn new(window: Window, options: &GpuOptions, state: &State) -> Result<Self> {
-        let window = Arc::new(window);
+    pub(super) fn new(window: Arc<Window>, options: &GpuOptions, state: &State) -> Result<Self> {
         let handle: Arc<dyn WindowHandle> = Arc::clone(&window) as Arc<dyn WindowHandle>;
         let (gpu, surface) = Gpu::with_window(options, &handle)?;
         let presenter = Presenter::new(surface, state.settings.vsync)?;

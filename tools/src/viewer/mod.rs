@@ -22,6 +22,7 @@ mod navigator;
 mod overlay;
 mod panel;
 mod record;
+mod recovery;
 mod state;
 mod statistics;
 mod theme;
@@ -47,6 +48,7 @@ use winit::window::{Window, WindowId};
 use self::gui::{Gui, Next};
 use self::load::{News, Opened};
 use self::navigator::{Navigator, Pose};
+use self::recovery::Losses;
 use self::state::{Settings, Show, State};
 use self::timeline::Timeline;
 pub use self::turn::ALLOCATIONS;
@@ -63,6 +65,11 @@ struct Viewer {
     watching: Option<Arc<AtomicBool>>,
     state: State,
     gui: Option<Gui>,
+    losses: Losses,
+    /// Of devices that were lost.
+    validation_messages: Vec<String>,
+    /// The model that was asked for last.
+    asked: Option<std::path::PathBuf>,
     turn: Turn,
     drawn: u64,
     opened_once: bool,
@@ -94,6 +101,9 @@ pub fn run(args: &ViewerArgs, global: &Global) -> Result<()> {
         watching: None,
         state,
         gui: None,
+        losses: Losses::default(),
+        validation_messages: Vec::new(),
+        asked: None,
         turn: Turn::default(),
         drawn: 0,
         opened_once: false,
@@ -157,6 +167,7 @@ impl Viewer {
             stop.store(true, Ordering::Relaxed);
         }
         self.state.loading = Some(path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned());
+        self.asked = Some(path.clone());
         self.watching = Some(load::start(path, self.proxy.clone()));
     }
 
@@ -247,7 +258,15 @@ impl Viewer {
         });
     }
 
+    /// Ends the program, unless the device was lost and there is another one.
     fn fail(&mut self, error: Error, event_loop: &ActiveEventLoop) {
+        let error = match error {
+            lost @ Error::DeviceLost { .. } => match self.recover(lost) {
+                Ok(()) => return,
+                Err(error) => error,
+            },
+            other => other,
+        };
         self.error.get_or_insert(error);
         event_loop.exit();
     }
@@ -268,7 +287,8 @@ impl Viewer {
             (input, interface_frames, resizes) = (gui.latency.measured(), gui.interface.runs, gui.resizes);
             drop(gui);
             device = Some(gpu.info().name.clone());
-            let all = gpu.take_validation_messages();
+            let mut all = std::mem::take(&mut self.validation_messages);
+            all.extend(gpu.take_validation_messages());
             messages = all.len();
             all.iter().for_each(|m| log::warn!("validation layer: {m}"));
         }
@@ -282,6 +302,7 @@ impl Viewer {
                 "frames": self.drawn,
                 "interface_frames": interface_frames,
                 "resizes": resizes,
+                "device_losses": self.losses.count,
                 "seconds": self.started.elapsed().as_secs_f64(),
                 "fps": fps,
                 "fps_low_1_percent": low,
@@ -324,14 +345,8 @@ impl ApplicationHandler<News> for Viewer {
                 "a graphical session",
             )
         });
-        match window.and_then(|w| Gui::new(w, &self.options, &self.state)) {
-            Ok(gui) => {
-                if let Some(submission) = self.args.lose_device_at {
-                    gui.gpu.inject_device_lost(submission);
-                }
-                self.gui = Some(gui);
-            }
-            Err(error) => return self.fail(error, event_loop),
+        if let Err(error) = window.and_then(|w| self.make_gui(Arc::new(w))) {
+            return self.fail(error, event_loop);
         }
         if let Some(path) = self.args.model.clone() {
             self.open(path);

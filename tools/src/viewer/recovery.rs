@@ -1,0 +1,122 @@
+//! A device that is lost (a driver that starts anew, a card that is pulled out): the window goes on with another one.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use engine::error::{Error, Result};
+use engine::scene::Scene;
+use winit::window::Window;
+
+use super::Viewer;
+use super::gui::Gui;
+use super::load::Opened;
+use super::record::Recording;
+
+/// So many losses in so short a time end the program: the next device would be lost too.
+const MOST: usize = 3;
+const WITHIN: Duration = Duration::from_secs(60);
+/// How often, and after which pauses, another device is asked for: a driver takes a moment to be back.
+const TRIES: u32 = 10;
+const PAUSE: Duration = Duration::from_millis(300);
+
+/// When devices were lost.
+#[derive(Debug, Default)]
+pub(super) struct Losses {
+    /// The latest ones but this one, in turns.
+    latest: [Option<Instant>; MOST - 1],
+    pub(super) count: usize,
+}
+
+impl Losses {
+    /// Notes one; false when it is one too many.
+    fn note(&mut self, now: Instant) -> bool {
+        let place = self.count % self.latest.len();
+        let before = std::mem::replace(&mut self.latest[place], Some(now));
+        self.count += 1;
+        before.is_none_or(|at| now.duration_since(at) > WITHIN)
+    }
+}
+
+/// What a window shows that is not on the device.
+struct Shown {
+    path: PathBuf,
+    scene: Scene,
+    recording: Option<Recording>,
+}
+
+impl Viewer {
+    /// Shows the same on another device, after this `error`, which is given back when there were too many or there is none.
+    pub(super) fn recover(&mut self, error: Error) -> Result<()> {
+        if !self.losses.note(Instant::now()) {
+            return Err(error);
+        }
+        let Some(mut gui) = self.gui.take() else { return Err(error) };
+        log::warn!("{error}; another device is opened");
+        let (window, gpu) = (Arc::clone(&gui.window), gui.gpu.clone());
+        let path = std::mem::take(&mut gui.model.path);
+        let scene = std::mem::take(&mut gui.model.scene);
+        let shown = Shown { path, scene, recording: gui.recording.take() };
+        // A window has one swapchain at a time.
+        drop(gui);
+        self.validation_messages.extend(gpu.take_validation_messages());
+        drop(gpu);
+        self.show_again(window, shown)?;
+        self.state.say(format!("{error}: shown on another device"), true);
+        self.redraw_all();
+        Ok(())
+    }
+
+    fn show_again(&mut self, window: Arc<Window>, shown: Shown) -> Result<()> {
+        let mut tries = 0;
+        while let Err(error) = self.make_gui(Arc::clone(&window)) {
+            tries += 1;
+            if tries == TRIES {
+                return Err(error);
+            }
+            std::thread::sleep(PAUSE);
+        }
+        let Shown { path, scene, recording } = shown;
+        let Some(gui) = &mut self.gui else { return Ok(()) };
+        gui.recording = recording;
+        // Lost while it came to the device: it is read once more.
+        if path.as_os_str().is_empty() {
+            if let Some(path) = self.asked.clone() {
+                self.open(path);
+            }
+            return Ok(());
+        }
+        let selection = self.state.selection;
+        let opened = Opened { path, scene, messages: Vec::new(), background: None, again: true };
+        gui.set_model(opened, &mut self.state)?;
+        self.state.selection = selection;
+        Ok(())
+    }
+
+    /// The window's device and everything on it.
+    pub(super) fn make_gui(&mut self, window: Arc<Window>) -> Result<()> {
+        let gui = Gui::new(window, &self.options, &self.state)?;
+        if let Some(submission) = self.args.lose_device_at.get(self.losses.count) {
+            gui.gpu.inject_device_lost(*submission);
+        }
+        self.gui = Some(gui);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_third_loss_within_a_minute_is_one_too_many() {
+        let start = Instant::now();
+        let after = |seconds: &[u64]| {
+            let mut losses = Losses::default();
+            seconds.iter().map(|s| losses.note(start + Duration::from_secs(*s))).collect::<Vec<_>>()
+        };
+        assert_eq!(after(&[0, 1, 2]), [true, true, false]);
+        assert_eq!(after(&[0, 50, 61, 70, 140]), [true, true, true, false, true]);
+        assert_eq!(after(&[0, 100, 200, 300]), [true; 4]);
+    }
+}
