@@ -180,6 +180,7 @@ impl Viewer {
             self.state.settings.background = background;
         }
         gui.set_model(opened, &mut self.state)?;
+        self.turn.count_anew();
         self.opened_once = true;
         if !again {
             self.place_camera(first);
@@ -320,9 +321,9 @@ impl Viewer {
                 "validation_messages": messages,
             });
             if let Some(counted) = allocations {
-                let Allocations { frames, allocations } = counted;
+                let Allocations { frames, allocating, allocations } = counted;
                 report["allocations_between_interface_frames"] =
-                    json!({ "frames": frames, "allocations": allocations });
+                    json!({ "frames": frames, "allocating_frames": allocating, "allocations": allocations });
             }
             return output::json(&report);
         }

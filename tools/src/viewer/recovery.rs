@@ -32,7 +32,7 @@ impl Losses {
     /// Notes one; false when it is one too many.
     fn note(&mut self, now: Instant) -> bool {
         let place = self.count % self.latest.len();
-        let before = std::mem::replace(&mut self.latest[place], Some(now));
+        let before = self.latest[place].replace(now);
         self.count += 1;
         before.is_none_or(|at| now.duration_since(at) > WITHIN)
     }

@@ -6,11 +6,13 @@ use std::sync::OnceLock;
 /// frames allocate is then in the report of `--json`.
 pub static ALLOCATIONS: OnceLock<fn() -> usize> = OnceLock::new();
 
-/// Host allocations of turns with a frame in which nothing was done to the window and its interface did not run.
+/// Host allocations, of all threads, of turns with a frame in which nothing was done to the window and its interface did not run.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Allocations {
     /// Such turns.
     pub(super) frames: u64,
+    /// Of these, those that allocated: where buffers grew, or the window system said something that changes nothing.
+    pub(super) allocating: u64,
     pub(super) allocations: usize,
 }
 
@@ -60,9 +62,15 @@ impl Turn {
         if let (Some(before), true) = (self.counted, quiet) {
             let all = &mut self.allocations;
             all.frames += 1;
+            all.allocating += u64::from(now > before);
             all.allocations += now - before;
         }
         (self.counted, self.interface_runs, self.eventful) = (Some(now), interface_runs, false);
+    }
+
+    /// Forgets what was counted: while a model is read, another thread allocates.
+    pub(super) fn count_anew(&mut self) {
+        self.allocations = Allocations::default();
     }
 
     /// What was counted, if the program counts.
