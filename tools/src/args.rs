@@ -404,7 +404,7 @@ impl Format {
 pub enum MotionArg {
     /// The key-time table.
     Table,
-    /// Network F, evaluated for each frame.
+    /// Network F, or the networks of a deformation field, evaluated for each frame.
     Network,
 }
 

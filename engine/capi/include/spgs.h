@@ -139,7 +139,8 @@ typedef struct spgs_scene_options {
     uint32_t reserved;
 } spgs_scene_options;
 
-/* Reads a model (.safetensors, 3DGS .ply) and uploads it; blocks. options may be null. */
+/* Reads a model (.safetensors, 3DGS .ply, or any other file or folder that `spgs convert` reads) and uploads it; blocks. options
+ * may be null. */
 SPGS_API spgs_status spgs_scene_load(
     const spgs_gpu *gpu, const char *path, const spgs_scene_options *options, spgs_scene **scene);
 

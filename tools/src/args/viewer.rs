@@ -10,8 +10,8 @@ use super::{MotionArg, color, finite, knobs, preset};
 /// `spgs view`.
 #[derive(Debug, Clone, Args)]
 pub struct ViewerArgs {
-    /// Model: .safetensors or 3DGS .ply; a folder of `spgs train` is watched while it trains [default: an empty window that
-    /// takes dropped files]
+    /// Model: .safetensors, 3DGS .ply, or anything that `spgs convert` reads; a folder of `spgs train` is watched while it trains
+    /// [default: an empty window that takes dropped files]
     pub model: Option<PathBuf>,
     /// Camera file (transforms*.json), COLMAP folder or data set: camera presets, frusta, and which way is up
     #[arg(long, value_name = "FILE|DATA")]
