@@ -18,7 +18,8 @@
  *
  * Synchronisation. spgs_view_record submits nothing, waits for nothing, and, once a view has seen its size and its largest
  * frame, allocates nothing. It waits on the device for what spgs_image names before, moves the image to
- * TRANSFER_DST_OPTIMAL (GENERAL when it is written through a view), writes it, and moves it to new_layout, visible to what spgs_image names after. Semaphores are the host's; for a
+ * TRANSFER_DST_OPTIMAL (GENERAL when it is written through a view), writes it, and moves it to new_layout, visible to what
+ * spgs_image names after. Semaphores are the host's; for a
  * swapchain, wait for the acquisition at stage TRANSFER. Command buffers that share a view (or a scene with network F
  * or G) must execute one after another. Views, scenes and images stay until the commands that use them have finished.
  *

@@ -11,7 +11,7 @@ pub static ALLOCATIONS: OnceLock<fn() -> usize> = OnceLock::new();
 pub(super) struct Allocations {
     /// Such turns.
     pub(super) frames: u64,
-    /// Of these, those that allocated: where buffers grew, or the window system said something that changes nothing.
+    /// Of these, those that allocated.
     pub(super) allocating: u64,
     pub(super) allocations: usize,
 }
