@@ -82,7 +82,7 @@ pub static DISPLAY: Kernel = Kernel {
     spirv: include_bytes!("../../../spirv_cache/display.spv"),
 };
 
-/// Frames on their way to a window: one recording per frame in flight, and the pixels.
+/// Frames on their way to a window: recordings for each frame in flight, and the pixels.
 #[derive(Debug)]
 pub struct Screen {
     gpu: Gpu,
@@ -93,11 +93,12 @@ pub struct Screen {
 #[derive(Debug)]
 struct Recorded {
     generation: u64,
-    /// Of the window and of the frame, pixels.
-    sizes: [[u32; 2]; 2],
+    /// Of the window, pixels.
+    size: [u32; 2],
     mode: DisplayMode,
     screen: Buffer,
-    slots: Vec<(Buffer, Commands)>,
+    /// For frames of the window's size, and for smaller ones, which are enlarged.
+    slots: Vec<(Buffer, [Commands; 2])>,
 }
 
 impl Screen {
@@ -114,12 +115,12 @@ impl Screen {
     /// `Usage` for a frame that is not one of the latest, `OutOfMemory`, `DeviceLost`.
     pub fn submit(&mut self, renderer: &Renderer, frame: FrameId, options: &DisplayOptions) -> Result<&Buffer> {
         let source = renderer.rendered_size();
-        let sizes = [options.size, source];
+        let size = options.size;
         let (generation, mode) = (renderer.generation(), options.mode);
-        let current = |r: &Recorded| r.generation == generation && r.sizes == sizes && r.mode == mode;
+        let current = |r: &Recorded| r.generation == generation && r.size == size && r.mode == mode;
         if !self.recorded.as_ref().is_some_and(current) {
             self.recorded = None;
-            self.recorded = Some(self.record(renderer, sizes, mode)?);
+            self.recorded = Some(self.record(renderer, size, mode)?);
         }
         let slot = renderer.slot_index(frame)?;
         let near = options.depth_range[0];
@@ -132,7 +133,10 @@ impl Screen {
             return Err(crate::Error::usage("screen", "no recording", "one per size"));
         };
         let (buffer, commands) = &mut recorded.slots[slot];
-        self.gpu.wait_for(commands)?;
+        for before in &*commands {
+            self.gpu.wait_for(before)?;
+        }
+        let commands = &mut commands[usize::from(source != size)];
         buffer.write(0, bytemuck::bytes_of(&display))?;
         self.gpu.submit(commands)?;
         Ok(&recorded.screen)
@@ -140,12 +144,10 @@ impl Screen {
 
     /// The pixels of the latest frame, `uint[H,W]`; `None` before the first.
     pub fn pixels(&self) -> Option<(&Buffer, [u32; 2])> {
-        self.recorded.as_ref().map(|r| (&r.screen, r.sizes[0]))
+        self.recorded.as_ref().map(|r| (&r.screen, r.size))
     }
 
-    fn record(&self, renderer: &Renderer, sizes: [[u32; 2]; 2], mode: DisplayMode) -> Result<Recorded> {
-        let [size, source] = sizes;
-        let spec = [mode as u32, u32::from(source != size)];
+    fn record(&self, renderer: &Renderer, size: [u32; 2], mode: DisplayMode) -> Result<Recorded> {
         let pixels = u64::from(size[0]) * u64::from(size[1]);
         let screen = self.gpu.buffer("screen", pixels * 4, Memory::Device)?;
         let mut clear = self.gpu.recorder("clear screen");
@@ -157,12 +159,15 @@ impl Screen {
             let [color, depth, ranges, counters] = outputs;
             let palette = Slice::from(&self.palette);
             let buffers = [Slice::from(&display), color, depth, ranges, counters, palette, Slice::from(&screen)];
-            let mut recorder = self.gpu.recorder("display");
-            let groups = Groups::Direct(pixels.div_ceil(u64::from(DISPLAY_THREADS)));
-            recorder.dispatch(&DISPLAY, &spec, &[], &buffers, groups)?;
-            slots.push((display, recorder.finish()?));
+            let commands = |enlarged: u32| {
+                let mut recorder = self.gpu.recorder("display");
+                let groups = Groups::Direct(pixels.div_ceil(u64::from(DISPLAY_THREADS)));
+                recorder.dispatch(&DISPLAY, &[mode as u32, enlarged], &[], &buffers, groups)?;
+                recorder.finish()
+            };
+            slots.push((display.clone(), [commands(0)?, commands(1)?]));
         }
-        Ok(Recorded { generation: renderer.generation(), sizes, mode, screen, slots })
+        Ok(Recorded { generation: renderer.generation(), size, mode, screen, slots })
     }
 }
 

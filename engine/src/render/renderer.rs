@@ -98,11 +98,19 @@ struct Slot {
     frame: u64,
     /// Size that the caller asked for.
     asked: [u32; 2],
+    /// Size that is rendered.
+    size: [u32; 2],
 }
 
 /// Everything that depends on image size and capacity.
 #[derive(Debug)]
 struct Targets {
+    /// Size that the caller asked for.
+    asked: [u32; 2],
+    /// Largest size that was rendered for it: what the buffers and the recorded commands have room for. Smaller frames use them as
+    /// they are, so that the resolution may change from frame to frame.
+    room: [u32; 2],
+    /// Size of the latest frame.
     size: [u32; 2],
     capacity: u32,
     work: WorkBuffers,
@@ -173,7 +181,8 @@ impl Renderer {
         let asked = [camera.width, camera.height];
         let camera = &*self.drawn(camera);
         let mut frame = self.frame(camera, time)?;
-        let slot = self.prepare([camera.width, camera.height])?;
+        let size = [camera.width, camera.height];
+        let slot = self.prepare(size, asked)?;
         self.scene.write_host_poses(time, &mut self.host_pose);
         let Some(targets) = &mut self.targets else {
             return Err(Error::usage("renderer", "no targets", "targets after prepare"));
@@ -188,7 +197,7 @@ impl Renderer {
         self.gpu.submit(&mut slot.commands)?;
         self.frames += 1;
         slot.frame = self.frames;
-        slot.asked = asked;
+        (slot.asked, slot.size) = (asked, size);
         Ok(FrameId(self.frames))
     }
 
@@ -215,17 +224,18 @@ impl Renderer {
         let with_depth = self.options.depth;
         let slot = self.slot(frame)?;
         let [color, depth] = [&slot.buffers.color, &slot.buffers.depth].map(Buffer::clone);
-        let asked = slot.asked;
+        let (asked, size) = (slot.asked, slot.size);
         let Some(targets) = &mut self.targets else {
             return Err(Error::usage("renderer", "no targets", "a finished frame"));
         };
-        let [width, height] = targets.size;
+        let [width, height] = size;
         let pixels = width as usize * height as usize;
         let (color_bytes, depth_bytes) = (pixels as u64 * 16, if with_depth { pixels as u64 * 4 } else { 0 });
         let readback = match &targets.readback {
             Some(buffer) => buffer.clone(),
             None => {
-                let bytes = color_bytes + depth_bytes;
+                let room = u64::from(targets.room[0]) * u64::from(targets.room[1]);
+                let bytes = room * if with_depth { 20 } else { 16 };
                 targets.readback.insert(self.gpu.buffer("image readback", bytes, Memory::Readback)?).clone()
             }
         };
@@ -332,20 +342,23 @@ impl Renderer {
         self.scene.frame(camera, options, self.options.quality.depth_bits)
     }
 
-    /// Makes targets of this size and capacity when there are none; returns the slot for the next frame.
-    fn prepare(&mut self, size: [u32; 2]) -> Result<usize> {
+    /// Makes targets with room for this size and capacity when there are none; returns the slot for the next frame.
+    fn prepare(&mut self, size: [u32; 2], asked: [u32; 2]) -> Result<usize> {
         let capacity = self.capacity as u32;
-        let fits = self.targets.as_ref().is_some_and(|t| t.size == size && t.capacity == capacity);
-        if !fits {
-            // Old buffers go before new ones come: the peak is the larger of the two, not the sum.
-            self.targets = None;
-            self.generation = NEXT_GENERATION.fetch_add(1, Ordering::Relaxed);
-            self.targets = Some(self.make_targets(size, capacity)?);
+        let has_room = |t: &Targets| t.asked == asked && (0..2).all(|k| size[k] <= t.room[k]);
+        match &mut self.targets {
+            Some(targets) if targets.capacity == capacity && has_room(targets) => targets.size = size,
+            _ => {
+                // Old buffers go before new ones come: the peak is the larger of the two, not the sum.
+                self.targets = None;
+                self.generation = NEXT_GENERATION.fetch_add(1, Ordering::Relaxed);
+                self.targets = Some(self.make_targets(size, asked, capacity)?);
+            }
         }
         Ok(self.frames as usize % FRAMES_IN_FLIGHT)
     }
 
-    fn make_targets(&self, size: [u32; 2], capacity: u32) -> Result<Targets> {
+    fn make_targets(&self, size: [u32; 2], asked: [u32; 2], capacity: u32) -> Result<Targets> {
         let tiles = size[0].div_ceil(TILE_SIZE) * size[1].div_ceil(TILE_SIZE);
         let quality = self.options.quality;
         let n = self.scene.gaussians;
@@ -355,10 +368,10 @@ impl Renderer {
             .map(|_| {
                 let buffers = self.frame_buffers(size)?;
                 let commands = pipeline::record(&self.gpu, &self.scene, &work, &buffers, &shape, self.options.profile)?;
-                Ok(Slot { buffers, commands, frame: 0, asked: size })
+                Ok(Slot { buffers, commands, frame: 0, asked, size })
             })
             .collect::<Result<_>>()?;
-        Ok(Targets { size, capacity, work, slots, readback: None })
+        Ok(Targets { asked, room: size, size, capacity, work, slots, readback: None })
     }
 
     fn frame_buffers(&self, size: [u32; 2]) -> Result<FrameBuffers> {

@@ -5,8 +5,11 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::time::Instant;
 
-use engine::gpu::GpuOptions;
-use engine::render::{PixelFormat, RenderOptions, Renderer, SceneHandle, SceneOptions, Target, View, ViewOptions};
+use engine::gpu::{Gpu, GpuOptions};
+use engine::render::display::{DisplayMode, DisplayOptions, Screen};
+use engine::render::{
+    PixelFormat, Quality, RenderOptions, Renderer, SceneHandle, SceneOptions, Target, View, ViewOptions,
+};
 use engine::scene::Scene;
 use engine::scene::synthetic::{demo_camera, demo_scene, moving_scene};
 
@@ -100,6 +103,55 @@ fn frames_allocate_nothing() {
 #[ignore = "minutes"]
 fn ten_thousand_frames_keep_memory_flat() {
     [false, true].into_iter().for_each(|storage| draw_many(10_000, storage, 4 << 20));
+}
+
+/// A program that draws fewer pixels while something moves changes the resolution from frame to frame: pictures are those of a
+/// renderer that never drew another size, and nothing is allocated once the largest was drawn.
+#[test]
+fn another_resolution_allocates_nothing_and_changes_no_pixel() {
+    let gpu = Gpu::new(&GpuOptions { pipeline_cache: false, ..GpuOptions::default() }).unwrap();
+    let (scene, camera) = (moving_scene(500, 8, 5, 3, false), demo_camera(0.0, 100, 75));
+    let options = RenderOptions { depth: true, ..RenderOptions::default() };
+    let mut renderer = Renderer::new(&gpu, &scene, &options).unwrap();
+    let mut screen = Screen::new(&gpu).unwrap();
+    let display = DisplayOptions {
+        mode: DisplayMode::Color,
+        size: [100, 75],
+        bgra: false,
+        depth_range: [0.0, 9.0],
+        tile_range: 100.0,
+    };
+    let mut draw = |renderer: &mut Renderer, share: f32| {
+        renderer.set_resolution(share);
+        let frame = renderer.submit(&camera, 0.25).unwrap();
+        screen.submit(renderer, frame, &display).unwrap();
+        assert!(renderer.finish(frame).unwrap().is_some());
+        frame
+    };
+    let full = draw(&mut renderer, 1.0);
+    let whole = renderer.read(full).unwrap();
+    for _ in 0..4 {
+        draw(&mut renderer, 1.0);
+    }
+    let before = (gpu.memory_used().0, gpu.buffer_count());
+    let start = ALLOCATIONS.with(Cell::get);
+    for share in [0.5, 0.875, 1.0, 0.625, 0.25, 1.0, 1.0, 0.3, 0.3, 0.7] {
+        draw(&mut renderer, share);
+    }
+    assert_eq!(ALLOCATIONS.with(Cell::get) - start, 0);
+    assert_eq!(before, (gpu.memory_used().0, gpu.buffer_count()), "device memory");
+
+    for share in [0.5, 0.875, 1.0, 0.33] {
+        let frame = draw(&mut renderer, share);
+        let shown = renderer.read(frame).unwrap();
+        let own = RenderOptions { quality: Quality { resolution: share, ..Quality::EXACT }, ..options.clone() };
+        let mut fresh = Renderer::new(&gpu, &scene, &own).unwrap();
+        let expected = fresh.render(&camera, 0.25).unwrap();
+        assert_eq!((shown.width, shown.height), (100, 75));
+        assert!(shown.rgba == expected.rgba && shown.depth == expected.depth, "resolution {share}");
+        assert_eq!(renderer.rendered_size(), fresh.rendered_size());
+        assert_eq!(shown.rgba == whole.rgba, share == 1.0, "resolution {share}");
+    }
 }
 
 /// Time of an embedded frame against the engine's own on the same device, frames one at a time and in turns: of the engine's

@@ -183,9 +183,8 @@ fn frames_between_two_of_the_interface_allocate_nothing() {
         let counted = &json["allocations_between_interface_frames"];
         println!("{size:?}: {counted}");
         let number = |name: &str| counted[name].as_u64().unwrap();
-        // Mostly none; in some runs two or three, all threads counted. What allocates there is not known; it is not the growth
-        // of buffers.
-        assert!(number("allocating_frames") <= 8, "{counted}");
+        // The resolution may change in between.
+        assert_eq!(number("allocations"), 0, "{counted}");
         let (runs, seconds) = (json["interface_frames"].as_u64().unwrap(), json["seconds"].as_f64().unwrap());
         assert!(number("frames") + 2 * runs >= 450, "{json}");
         // Ten times per second while the scene plays and nobody touches anything.

@@ -1,5 +1,5 @@
 //! Adaptive resolution: while something moves and frames are slow, fewer pixels are rendered; a picture that stands still has all
-//! of them. Levels are eighths, so that buffers change seldom.
+//! of them. Levels are eighths, so that it settles; a change costs nothing, buffers and commands have room for all of them.
 
 /// A frame that takes longer is slow, seconds.
 const SLOW_S: f64 = 1.0 / 12.0;

@@ -105,7 +105,7 @@ impl Gui {
 
     /// Shows another model.
     pub(super) fn set_model(&mut self, opened: Opened, state: &mut State) -> Result<()> {
-        self.pending = None;
+        (self.pending, self.last) = (None, None);
         // The old one goes first: the peak is the larger of the two, not the sum.
         self.model = Model::new(&self.gpu, PathBuf::new(), Scene::default(), &state.settings)?;
         self.model = Model::new(&self.gpu, opened.path, opened.scene, &state.settings)?;
@@ -198,11 +198,8 @@ impl Gui {
     /// Seconds since the last frame; little after a pause.
     fn tick(&mut self, state: &mut State) -> f64 {
         let now = Instant::now();
-        let passed = self.last.map_or(0.0, |last| now.duration_since(last).as_secs_f64());
-        self.last = Some(now);
-        if !self.was_animated {
-            return FIRST_STEP_S;
-        }
+        let Some(last) = self.last.replace(now).filter(|_| self.was_animated) else { return FIRST_STEP_S };
+        let passed = now.duration_since(last).as_secs_f64();
         state.statistics.frame(passed);
         if self.share == self.adaptive.share() {
             self.adaptive.frame(passed);
@@ -224,6 +221,8 @@ impl Gui {
         self.share = self.share(state);
         let renderer = self.model.renderer(&self.gpu, &state.settings, state.selection, self.share)?;
         let frame = if std::mem::take(&mut self.fresh) {
+            // What comes to the device once says nothing about frames.
+            self.last = None;
             renderer.draw(&camera, camera.time)?.0
         } else {
             renderer.submit(&camera, camera.time)?

@@ -40,7 +40,8 @@ impl Renderer {
         }
     }
 
-    /// Share of the asked-for width and height that is rendered, from the next frame on.
+    /// Share of the asked-for width and height that is rendered, from the next frame on. Buffers stay as large as the largest share
+    /// needed, so that a change allocates nothing.
     pub fn set_resolution(&mut self, resolution: f32) {
         self.options.quality.resolution = resolution.clamp(0.05, 1.0);
     }
