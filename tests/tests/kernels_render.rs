@@ -5,6 +5,7 @@ use engine::gpu::{Gpu, Kernel};
 use engine::image::difference;
 use engine::reference::{self, ReferenceOptions};
 use engine::render::blend::{self, BLEND, BLEND_PACKED, PixelFormat, Stage};
+use engine::render::blend_image::{BLEND_RGBA8, BLEND_RGBA16F, BLEND_RGBA32F};
 use engine::render::deform_network::{self, DEFORM_NETWORK};
 use engine::render::deform_project::DEFORM_PROJECT;
 use engine::render::frame::Frame;
@@ -12,6 +13,7 @@ use engine::render::rate::{ARITHMETIC_RATE, ARITHMETIC_RATE_THREADS, ArithmeticR
 use engine::scene::network::DeformSize;
 use engine::scene::{Camera, DeformNetwork, Linear};
 use glam::DVec3;
+use tests_harness::kernel_case::POISON;
 use tests_harness::render_case::{Random, RenderInput, test_camera, tile_lists};
 use tests_harness::{KernelCase, KernelResult};
 
@@ -207,6 +209,32 @@ fn blend_packed_stores_what_its_twin_stores() {
         // Depth as usual; pixels were compared by level above.
         result.gpu[4].clone_from(&result.twin[4]);
         result.assert_equal(&BLEND_PACKED, &format!("{format:?}"));
+    }
+}
+
+/// The kernels themselves are compared by the pictures that hosts get (`embed` of the engine): their images are a host's.
+#[test]
+fn twins_that_store_to_an_image_store_what_those_of_buffers_do() {
+    let input = RenderInput::random(800, 1, 5);
+    let frame = input.frame(&test_camera(75, 53));
+    let (splats, tile_count) = twin_splats(&input, &frame);
+    let size = 32;
+    let spec = [1, Stage::Shuffle as u32, blend::pixels_per_lane(size)];
+    let formats = [PixelFormat::Rgba8, PixelFormat::Rgba16F, PixelFormat::Rgba32F];
+    for (format, to_image) in formats.into_iter().zip([&BLEND_RGBA8, &BLEND_RGBA16F, &BLEND_RGBA32F]) {
+        let mut case = blend_case(&frame, &splats, &tile_count, spec, size);
+        case.buffers[4] = vec![POISON; format.bytes() as usize / 4 * frame.pixels()];
+        let mut spec = [&[size], &case.spec[..]].concat();
+        let groups = [case.groups, 1, 1];
+        let mut buffers = case.buffers.clone();
+        let picture = buffers.remove(4);
+        buffers.push(picture);
+        (to_image.twin)(&mut TwinCall { groups, spec: &spec, push: &[0; 8], buffers: &mut buffers });
+        let kernel = if format == PixelFormat::Rgba32F { &BLEND } else { &BLEND_PACKED };
+        spec.push(format as u32);
+        (kernel.twin)(&mut TwinCall { groups, spec: &spec, push: &[], buffers: &mut case.buffers });
+        assert!(case.buffers[4].iter().all(|w| *w != POISON), "{format:?}");
+        assert!(buffers[6] == case.buffers[4] && buffers[4] == case.buffers[5], "{format:?}");
     }
 }
 

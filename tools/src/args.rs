@@ -194,6 +194,9 @@ pub struct BenchArgs {
     /// Model: .safetensors, 3DGS .ply, or anything that `spgs convert` reads [default: a synthetic scene]
     #[arg(conflicts_with_all = ["synthetic", "superpoints"])]
     pub model: Option<PathBuf>,
+    /// Level of detail of a SOG that has several (lod-meta.json), 0 the finest [default: the finest whose files are all there]
+    #[arg(long, value_name = "N", requires = "model")]
+    pub level: Option<u32>,
     /// A synthetic scene of N random Gaussians
     #[arg(long, value_name = "N", default_value_t = 120_000, value_parser = clap::value_parser!(u32).range(0..=200_000_000))]
     pub synthetic: u32,

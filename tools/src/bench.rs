@@ -88,7 +88,7 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
 /// The model of the arguments, or the synthetic scene, and its name.
 pub(crate) fn load_scene(args: &BenchArgs) -> Result<(Scene, String)> {
     if let Some(path) = &args.model {
-        return Ok((model::load(path)?.scene, path.display().to_string()));
+        return Ok((model::load_level(path, args.level)?.scene, path.display().to_string()));
     }
     let (n, m) = (args.synthetic as usize, args.superpoints as usize);
     let scene = if m == 0 {

@@ -63,10 +63,7 @@ pub fn run(args: &ConvertArgs, global: &Global) -> Result<()> {
             "a .safetensors file, which holds motion",
         ));
     }
-    let loaded = match args.level {
-        Some(level) => model::load_level(&args.input, level)?,
-        None => model::load(&args.input)?,
-    };
+    let loaded = model::load_level(&args.input, args.level)?;
     let mut dropped = Vec::new();
     if loaded.rejected.total() > 0 {
         dropped.push(format!("{} Gaussians that cannot be drawn", loaded.rejected.total()));

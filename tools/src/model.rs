@@ -11,16 +11,22 @@ use crate::view;
 
 /// Loads a model and warns of what was skipped.
 pub fn load(path: &Path) -> Result<Loaded> {
-    let loaded = engine::file::load(path)?;
+    load_level(path, None)
+}
+
+/// Loads a model, at this level of detail if one is asked for, and warns of what was skipped.
+pub fn load_level(path: &Path, level: Option<u32>) -> Result<Loaded> {
+    let loaded = read_level(path, level)?;
     loaded.warnings.iter().for_each(|w| log::warn!("{w}"));
     Ok(loaded)
 }
 
-/// Loads one level of detail of a model that has several.
-pub fn load_level(path: &Path, level: u32) -> Result<Loaded> {
-    let loaded = engine::file::load_level(path, level)?;
-    loaded.warnings.iter().for_each(|w| log::warn!("{w}"));
-    Ok(loaded)
+/// The same without a word on standard error.
+pub(crate) fn read_level(path: &Path, level: Option<u32>) -> Result<Loaded> {
+    match level {
+        Some(level) => engine::file::load_level(path, level),
+        None => engine::file::load(path),
+    }
 }
 
 /// Loads cameras at the asked-for size: both sides, one of them (the other in proportion), or the cameras' own.

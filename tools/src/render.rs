@@ -48,7 +48,7 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
     if let Some(path) = &args.video {
         video::check(path)?;
     }
-    let loaded = model::load(&args.model)?;
+    let loaded = model::load_level(&args.model, args.level)?;
     let set = cameras(args)?;
     let pictures = match (&args.path, &set) {
         (Some(kind), set) => plan::of_path(args, kind, set.as_ref(), &loaded.scene)?,

@@ -190,10 +190,21 @@ fn resizes(count: u32) {
 
 #[test]
 fn a_lost_device_is_replaced_by_another() {
+    lose_devices(&["100"]);
+}
+
+#[test]
+fn a_device_may_be_lost_while_the_scene_comes_to_it_again() {
+    lose_devices(&["100", "3"]);
+}
+
+/// Loses devices at these submissions, one after the other: the window shows the same and can be used as before.
+fn lose_devices(at: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
     let desktop = Desktop::new(400, 300);
     let model = moving_model(folder.path(), 200);
-    let more = ["--size", "320x240", "--pause", "--time", "0.4", "--lose-device-at", "100"];
+    let mut more = vec!["--size", "320x240", "--pause", "--time", "0.4"];
+    more.extend(at.iter().flat_map(|n| ["--lose-device-at", n]));
     let mut window = Window::open(&desktop, &model, &folder.path().join("out"), &more);
     let before = window.picture();
     assert!(drawn(&before) > 0.02, "{}", drawn(&before));
@@ -202,11 +213,13 @@ fn a_lost_device_is_replaced_by_another() {
         std::thread::sleep(Duration::from_millis(10));
     }
     assert_eq!(difference(&before, &window.picture()), 0.0, "the same scene, time and camera");
-    // It can be used as before.
     window.key("2");
     window.wait("another picture", |w| difference(&before, &w.picture()) > 0.1);
     let json = window.quit();
-    assert_eq!((&json["device_losses"], &json["validation_messages"]), (&1.into(), &0.into()), "{json}");
+    assert_eq!((&json["device_losses"], &json["validation_messages"]), (&at.len().into(), &0.into()), "{json}");
+    // Counted over all devices: the interface runs with each movement of the mouse.
+    let runs = json["interface_frames"].as_u64().unwrap();
+    assert!(runs > 100, "{json}");
 }
 
 #[test]

@@ -11,6 +11,9 @@ use super::{Format, ViewArgs, finite, seconds};
 pub struct RenderArgs {
     /// Model: .safetensors, 3DGS .ply, or anything that `spgs convert` reads
     pub model: PathBuf,
+    /// Level of detail of a SOG that has several (lod-meta.json), 0 the finest [default: the finest whose files are all there]
+    #[arg(long, value_name = "N")]
+    pub level: Option<u32>,
     /// Camera file (transforms*.json), COLMAP folder or data set [with --path turntable and time: a view of the whole scene]
     #[arg(long, value_name = "FILE|DATA", required_unless_present = "path")]
     pub cameras: Option<PathBuf>,

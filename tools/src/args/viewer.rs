@@ -13,6 +13,9 @@ pub struct ViewerArgs {
     /// Model: .safetensors, 3DGS .ply, or anything that `spgs convert` reads; a folder of `spgs train` is watched while it trains
     /// [default: an empty window that takes dropped files]
     pub model: Option<PathBuf>,
+    /// Level of detail of a SOG that has several (lod-meta.json), 0 the finest [default: the finest whose files are all there]
+    #[arg(long, value_name = "N", requires = "model")]
+    pub level: Option<u32>,
     /// Camera file (transforms*.json), COLMAP folder or data set: camera presets, frusta, and which way is up
     #[arg(long, value_name = "FILE|DATA")]
     pub data: Option<PathBuf>,

@@ -9,7 +9,7 @@ use engine::gpu::presenter::Presenter;
 use engine::gpu::{Buffer, Gpu, GpuOptions, WindowHandle};
 use engine::render::FrameId;
 use engine::render::display::{DisplayOptions, Screen};
-use engine::scene::{Camera, Scene};
+use engine::scene::Camera;
 use winit::event::WindowEvent;
 use winit::window::Window;
 
@@ -76,14 +76,14 @@ impl Gui {
         let (gpu, surface) = Gpu::with_window(options, &handle)?;
         let presenter = Presenter::new(surface, state.settings.vsync)?;
         let interface = Interface::new(&window);
-        let model = Model::new(&gpu, PathBuf::new(), Scene::default(), &state.settings)?;
+        let model = Model::new(&gpu, PathBuf::new(), Arc::default(), &state.settings)?;
         let info = Info { device: gpu.info().name.clone(), ..Info::default() };
         Ok(Self {
             screen: Screen::new(&gpu)?,
             model,
             presenter,
             interface,
-            latency: Latency::new(),
+            latency: Latency::default(),
             pending: None,
             complete: true,
             fresh: true,
@@ -107,7 +107,7 @@ impl Gui {
     pub(super) fn set_model(&mut self, opened: Opened, state: &mut State) -> Result<()> {
         (self.pending, self.last) = (None, None);
         // The old one goes first: the peak is the larger of the two, not the sum.
-        self.model = Model::new(&self.gpu, PathBuf::new(), Scene::default(), &state.settings)?;
+        self.model = Model::new(&self.gpu, PathBuf::new(), Arc::default(), &state.settings)?;
         self.model = Model::new(&self.gpu, opened.path, opened.scene, &state.settings)?;
         self.fresh = true;
         let scene = &self.model.scene;

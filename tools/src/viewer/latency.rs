@@ -80,8 +80,8 @@ pub(super) struct Measured {
     pub(super) ms: [f32; 2],
 }
 
-impl Latency {
-    pub(super) fn new() -> Self {
+impl Default for Latency {
+    fn default() -> Self {
         Self {
             waiting: Vec::with_capacity(WAITING),
             presented: 0,
@@ -92,6 +92,14 @@ impl Latency {
             count: 0,
             most: (0, 0.0),
         }
+    }
+}
+
+impl Latency {
+    /// What was measured, without what waits for frames of a device that is gone.
+    pub(super) fn with_nothing_waiting(mut self) -> Self {
+        self.waiting.clear();
+        Self { presented: 0, before: None, ..self }
     }
 
     /// Whether an event may change the picture.
@@ -177,7 +185,7 @@ mod tests {
 
     /// A latency with one frame presented, and what it showed.
     fn started() -> (Latency, Visible) {
-        let mut latency = Latency::new();
+        let mut latency = Latency::default();
         let first = Visible::of(&super::super::input::test_state(), Thrust::default());
         latency.presented(first.clone(), Submission::default());
         (latency, first)

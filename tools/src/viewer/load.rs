@@ -10,6 +10,8 @@ use engine::scene::{Scene, Superpoints};
 use engine::train::checkpoint::Checkpoint;
 use winit::event_loop::EventLoopProxy;
 
+use crate::model;
+
 /// How often a folder is looked at.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
 
@@ -18,7 +20,8 @@ const WATCH_EVERY: Duration = Duration::from_secs(1);
 pub(super) struct Opened {
     /// What was asked for.
     pub(super) path: PathBuf,
-    pub(super) scene: Scene,
+    /// A device that takes the place of a lost one gets the same.
+    pub(super) scene: Arc<Scene>,
     /// What the user should know.
     pub(super) messages: Vec<String>,
     /// Colour that the run was trained on.
@@ -34,8 +37,9 @@ pub(super) enum News {
     Failed(PathBuf, Error),
 }
 
-/// Reads `path` in a thread of its own; a folder is read again whenever it changes, until the flag is set.
-pub(super) fn start(path: PathBuf, proxy: EventLoopProxy<News>) -> Arc<AtomicBool> {
+/// Reads `path` in a thread of its own, at this level of detail; a folder of a training run is read again whenever it changes, until
+/// the flag is set.
+pub(super) fn start(path: PathBuf, level: Option<u32>, proxy: EventLoopProxy<News>) -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let stopped = Arc::clone(&stop);
     std::thread::spawn(move || {
@@ -44,7 +48,7 @@ pub(super) fn start(path: PathBuf, proxy: EventLoopProxy<News>) -> Arc<AtomicBoo
         while !stopped.load(Ordering::Relaxed) {
             let now = newest(&path);
             if now != seen || !again {
-                let news = match open(&path, now.as_ref().map(|(p, _)| p.as_path())) {
+                let news = match open(&path, now.as_ref().map(|(p, _)| p.as_path()), level) {
                     Ok(opened) => News::Opened(Box::new(Opened { again, ..opened })),
                     // A checkpoint may be replaced while it is read; the next look finds another.
                     Err(_) if again => {
@@ -80,9 +84,11 @@ fn newest(path: &Path) -> Option<(PathBuf, SystemTime)> {
     all.max_by_key(|(_, time)| *time)
 }
 
-fn open(path: &Path, of_folder: Option<&Path>) -> Result<Opened> {
+fn open(path: &Path, of_folder: Option<&Path>, level: Option<u32>) -> Result<Opened> {
     let file = match of_folder {
-        Some(file) if file.starts_with(path.join("checkpoints")) => return open_checkpoint(path, file),
+        Some(file) if level.is_none() && file.starts_with(path.join("checkpoints")) => {
+            return open_checkpoint(path, file);
+        }
         Some(file) => file,
         // SOG and the runs of other programs are folders too.
         None if path.is_dir() && engine::file::Format::of_folder(path).is_none() => {
@@ -92,8 +98,14 @@ fn open(path: &Path, of_folder: Option<&Path>) -> Result<Opened> {
         }
         None => path,
     };
-    let loaded = engine::file::load(file)?;
-    Ok(Opened { path: path.to_owned(), scene: loaded.scene, messages: loaded.warnings, background: None, again: false })
+    let loaded = model::read_level(file, level)?;
+    Ok(Opened {
+        path: path.to_owned(),
+        scene: Arc::new(loaded.scene),
+        messages: loaded.warnings,
+        background: None,
+        again: false,
+    })
 }
 
 /// The scene as a training run has it at this moment.
@@ -111,7 +123,7 @@ fn open_checkpoint(folder: &Path, file: &Path) -> Result<Opened> {
     let count = scene.gaussians.len();
     Ok(Opened {
         path: folder.to_owned(),
-        scene,
+        scene: Arc::new(scene),
         messages: vec![format!("iteration {}: {count} Gaussians", checkpoint.iteration)],
         background: Some(checkpoint.config.background),
         again: false,
@@ -127,14 +139,14 @@ mod tests {
     fn folders_without_a_model_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         assert_eq!(newest(folder.path()), None);
-        let error = open(folder.path(), None).unwrap_err();
+        let error = open(folder.path(), None, None).unwrap_err();
         assert_eq!(error.exit_code(), 2, "{error}");
-        assert_eq!(open(&folder.path().join("none.ply"), None).unwrap_err().exit_code(), 3);
+        assert_eq!(open(&folder.path().join("none.ply"), None, None).unwrap_err().exit_code(), 3);
         let scene = engine::scene::synthetic::random_scene(5, 1, 0);
         let cloud = folder.path().join("point_cloud/iteration_7");
         std::fs::create_dir_all(&cloud).unwrap();
         engine::file::ply::write(&cloud.join("point_cloud.ply"), &scene.gaussians).unwrap();
-        assert_eq!(open(folder.path(), None).unwrap().scene.gaussians.len(), 5);
+        assert_eq!(open(folder.path(), None, None).unwrap().scene.gaussians.len(), 5);
         let model = folder.path().join("model.safetensors");
         std::fs::write(&model, b"x").unwrap();
         assert_eq!(newest(folder.path()).unwrap().0, model);

@@ -168,7 +168,9 @@ impl Viewer {
         }
         self.state.loading = Some(path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned());
         self.asked = Some(path.clone());
-        self.watching = Some(load::start(path, self.proxy.clone()));
+        // What is opened later has levels of its own.
+        let level = self.args.level.filter(|_| self.args.model.as_ref() == Some(&path));
+        self.watching = Some(load::start(path, level, self.proxy.clone()));
     }
 
     fn show(&mut self, opened: Opened) -> Result<()> {
@@ -279,20 +281,19 @@ impl Viewer {
         }
         let statistics = &self.state.statistics;
         let measured = (statistics.fps(), statistics.low_fps(), self.state.frame);
-        let (mut messages, mut device, mut rendered) = (0, None, [0; 2]);
+        let (mut device, mut rendered) = (None, [0; 2]);
         let (mut input, mut interface_frames, mut resizes) = (None, 0, 0);
         let allocations = self.turn.allocations();
+        let mut all = std::mem::take(&mut self.validation_messages);
         if let Some(gui) = self.gui.take() {
             let gpu = gui.gpu.clone();
             rendered = gui.info.rendered;
             (input, interface_frames, resizes) = (gui.latency.measured(), gui.interface.runs, gui.resizes);
             drop(gui);
             device = Some(gpu.info().name.clone());
-            let mut all = std::mem::take(&mut self.validation_messages);
             all.extend(gpu.take_validation_messages());
-            messages = all.len();
-            all.iter().for_each(|m| log::warn!("validation layer: {m}"));
         }
+        all.iter().for_each(|m| log::warn!("validation layer: {m}"));
         if let Some(error) = self.error {
             return Err(error);
         }
@@ -318,7 +319,7 @@ impl Viewer {
                     "ms_median": m.ms[0],
                     "ms_max": m.ms[1],
                 })),
-                "validation_messages": messages,
+                "validation_messages": all.len(),
             });
             if let Some(counted) = allocations {
                 let Allocations { frames, allocating, allocations } = counted;

@@ -1,6 +1,7 @@
 //! The scene that is shown: its renderers, superpoints and what a click finds.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use engine::error::Result;
 use engine::gpu::Gpu;
@@ -23,7 +24,7 @@ const PATH_STEPS: usize = 25;
 #[derive(Debug)]
 pub(super) struct Model {
     pub(super) path: PathBuf,
-    pub(super) scene: Scene,
+    pub(super) scene: Arc<Scene>,
     pub(super) center: DVec3,
     pub(super) radius: f64,
     pub(super) time_range: [f64; 2],
@@ -49,7 +50,7 @@ enum Tint {
 }
 
 impl Model {
-    pub(super) fn new(gpu: &Gpu, path: PathBuf, scene: Scene, settings: &Settings) -> Result<Self> {
+    pub(super) fn new(gpu: &Gpu, path: PathBuf, scene: Arc<Scene>, settings: &Settings) -> Result<Self> {
         let (center, radius) = view::extent(&scene);
         let plain = Renderer::new(gpu, &scene, &options(settings))?;
         let mut model = Self {
@@ -175,7 +176,7 @@ impl Model {
     fn without_colors(&self) -> Scene {
         let g = &self.scene.gaussians;
         let gaussians = Gaussians { sh_degree: 0, sh: vec![0.0; 3 * g.len()], ..g.clone() };
-        Scene { gaussians, ..self.scene.clone() }
+        Scene { gaussians, ..Scene::clone(&self.scene) }
     }
 }
 

@@ -10,6 +10,7 @@ use winit::window::Window;
 
 use super::Viewer;
 use super::gui::Gui;
+use super::latency::Latency;
 use super::load::Opened;
 use super::record::Recording;
 
@@ -40,57 +41,102 @@ impl Losses {
 
 /// What a window shows that is not on the device.
 struct Shown {
+    /// Empty when the model was on its way to the device.
     path: PathBuf,
-    scene: Scene,
+    scene: Arc<Scene>,
+}
+
+/// What goes on from one device to the next.
+#[derive(Default)]
+struct Kept {
     recording: Option<Recording>,
+    latency: Latency,
+    interface_runs: u64,
+    resizes: u64,
+}
+
+impl Kept {
+    fn of(gui: &mut Gui) -> Self {
+        Self {
+            recording: gui.recording.take(),
+            latency: std::mem::take(&mut gui.latency).with_nothing_waiting(),
+            interface_runs: gui.interface.runs,
+            resizes: gui.resizes,
+        }
+    }
+
+    fn give(self, gui: &mut Gui) {
+        (gui.recording, gui.latency) = (self.recording, self.latency);
+        (gui.interface.runs, gui.resizes) = (self.interface_runs, self.resizes);
+    }
 }
 
 impl Viewer {
     /// Shows the same on another device, after this `error`, which is given back when there were too many or there is none.
-    pub(super) fn recover(&mut self, error: Error) -> Result<()> {
-        if !self.losses.note(Instant::now()) {
-            return Err(error);
-        }
+    /// A device that is lost while the scene comes to it counts like any other.
+    pub(super) fn recover(&mut self, mut error: Error) -> Result<()> {
         let Some(mut gui) = self.gui.take() else { return Err(error) };
-        log::warn!("{error}; another device is opened");
-        let (window, gpu) = (Arc::clone(&gui.window), gui.gpu.clone());
+        let window = Arc::clone(&gui.window);
         let path = std::mem::take(&mut gui.model.path);
-        let scene = std::mem::take(&mut gui.model.scene);
-        let shown = Shown { path, scene, recording: gui.recording.take() };
-        // A window has one swapchain at a time.
-        drop(gui);
-        self.validation_messages.extend(gpu.take_validation_messages());
-        drop(gpu);
-        self.show_again(window, shown)?;
+        let shown = Shown { path, scene: Arc::clone(&gui.model.scene) };
+        let mut kept = self.let_go(gui);
+        loop {
+            if !self.losses.note(Instant::now()) {
+                return Err(error);
+            }
+            log::warn!("{error}; another device is opened");
+            self.make_gui_in_time(&window)?;
+            match self.show_again(&shown, kept) {
+                Err(lost @ Error::DeviceLost { .. }) => error = lost,
+                other => {
+                    other?;
+                    break;
+                }
+            }
+            let Some(gui) = self.gui.take() else { return Err(error) };
+            kept = self.let_go(gui);
+        }
         self.state.say(format!("{error}: shown on another device"), true);
         self.redraw_all();
         Ok(())
     }
 
-    fn show_again(&mut self, window: Arc<Window>, shown: Shown) -> Result<()> {
+    /// Frees a device: a window has one swapchain at a time.
+    fn let_go(&mut self, mut gui: Gui) -> Kept {
+        let (gpu, kept) = (gui.gpu.clone(), Kept::of(&mut gui));
+        drop(gui);
+        self.validation_messages.extend(gpu.take_validation_messages());
+        kept
+    }
+
+    fn make_gui_in_time(&mut self, window: &Arc<Window>) -> Result<()> {
         let mut tries = 0;
-        while let Err(error) = self.make_gui(Arc::clone(&window)) {
+        while let Err(error) = self.make_gui(Arc::clone(window)) {
             tries += 1;
             if tries == TRIES {
                 return Err(error);
             }
             std::thread::sleep(PAUSE);
         }
-        let Shown { path, scene, recording } = shown;
+        Ok(())
+    }
+
+    fn show_again(&mut self, shown: &Shown, kept: Kept) -> Result<()> {
         let Some(gui) = &mut self.gui else { return Ok(()) };
-        gui.recording = recording;
-        // Lost while it came to the device: it is read once more.
-        if path.as_os_str().is_empty() {
+        kept.give(gui);
+        // Lost while it came to the device for the first time: it is read once more.
+        if shown.path.as_os_str().is_empty() {
             if let Some(path) = self.asked.clone() {
                 self.open(path);
             }
             return Ok(());
         }
         let selection = self.state.selection;
+        let (path, scene) = (shown.path.clone(), Arc::clone(&shown.scene));
         let opened = Opened { path, scene, messages: Vec::new(), background: None, again: true };
-        gui.set_model(opened, &mut self.state)?;
+        let done = gui.set_model(opened, &mut self.state);
         self.state.selection = selection;
-        Ok(())
+        done
     }
 
     /// The window's device and everything on it.
