@@ -427,6 +427,12 @@ fn seconds(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(fits).ok_or_else(|| "expected seconds, 0 to 1000000".into())
 }
 
+/// Parses a distance of the near plane.
+fn near(text: &str) -> Result<f32, String> {
+    let fits = |v: &f32| (0.0..=1.0e6).contains(v);
+    text.parse().ok().filter(fits).ok_or_else(|| "expected a distance, 0 to 1000000".into())
+}
+
 /// Parses the name of a preset.
 fn preset(text: &str) -> Result<Quality, String> {
     Quality::named(text).map_err(|e| e.to_string())

@@ -75,9 +75,22 @@ pub fn parse<T: clap::Parser>(program: &str) -> std::result::Result<T, ExitCode>
             wrong.strip_prefix("error: ").unwrap_or(wrong).replace("\n\n  tip: ", "; ").trim().to_owned()
         };
         let text = text.split("\n\nFor more information").next().unwrap_or_default();
-        error_line(&format!("{program}: {}; see {program} --help", one_line(text)));
+        let command = T::command();
+        let asked = std::env::args().skip(1).find(|a| command.find_subcommand(a).is_some());
+        let help = asked.map_or_else(|| program.to_owned(), |sub| format!("{program} {sub}"));
+        error_line(&format!("{program}: {}; see {help} --help", one_line(&without_bad_advice(text))));
         ExitCode::from(2)
     })
+}
+
+/// clap's advice for a negative number, `-- -1`, would make it a file name.
+fn without_bad_advice(text: &str) -> String {
+    match text.split_once("; to pass '-") {
+        Some((wrong, rest)) if rest.starts_with(|c: char| c.is_ascii_digit()) => {
+            format!("{wrong}; a value that begins with - is given as --option=-1")
+        }
+        _ => text.to_owned(),
+    }
 }
 
 struct Logger;

@@ -1,6 +1,7 @@
 //! `spgs render`: pictures of a model along a camera file or a path, and videos.
 
 mod average;
+mod interrupt;
 mod plan;
 mod video;
 
@@ -16,8 +17,9 @@ use serde::Serialize;
 use serde_json::json;
 
 use crate::args::{Format, Global, PathArg, RenderArgs};
-use crate::{gpu_session, model, output, progress};
+use crate::{gpu_session, model, output, progress, view};
 use average::{Mean, reduced};
+use interrupt::Interrupt;
 use plan::Picture;
 use video::Encoder;
 
@@ -53,12 +55,20 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
     let pictures = match (&args.path, &set) {
         (Some(kind), set) => plan::of_path(args, kind, set.as_ref(), &loaded.scene)?,
         (None, Some(set)) => plan::of_views(args, set)?,
-        (None, None) => return Err(Error::usage("--cameras", "nothing", "--cameras FILE|DATA or --path")),
+        (None, None) => {
+            let expected = "--cameras FILE|DATA, or --path turntable, time or FILE";
+            return Err(Error::usage("cameras", "neither --cameras nor --path", expected));
+        }
     };
+    if args.video.is_some() {
+        video::one_size(&pictures)?;
+    }
+    let own = if set.is_none() { view::near(&loaded.scene) } else { RenderOptions::default().near };
     let gpu = gpu_session::open(global)?;
     let options = RenderOptions {
         background: args.view.background,
         depth: args.format == Format::Exr,
+        near: args.near.unwrap_or(own),
         motion: args.view.motion_source(),
         quality: args.view.quality(),
         ..RenderOptions::default()
@@ -75,6 +85,8 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
     let start = Instant::now();
     let mut summaries = Vec::with_capacity(pictures.len());
     let mut encoder = None;
+    // Pictures are there whole or not at all; an unfinished video must be taken away.
+    let interrupt = if places.video.is_some() { Interrupt::watch() } else { Interrupt::default() };
     for picture in &pictures {
         let begin = Instant::now();
         let image = draw(&mut renderer, picture, args.supersample)?;
@@ -83,16 +95,29 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
         if let Some(file) = &file {
             write(file, &image, args.format)?;
         }
+        if interrupt.is_set() {
+            break;
+        }
         if let Some((program, path)) = &places.video {
             let size = [image.width, image.height];
             let encoder = match &mut encoder {
                 Some(running) => running,
                 none => none.insert(Encoder::start(program, path, size, args.fps)?),
             };
-            encoder.add(&image)?;
+            match encoder.add(&image) {
+                // The encoder hears of it as well.
+                Err(_) if interrupt.is_set() => break,
+                added => added?,
+            }
         }
         summaries.push(summary(picture, file, &image, render_ms));
         bar.inc(1);
+    }
+    if interrupt.is_set() {
+        drop(encoder);
+        bar.finish_and_clear();
+        output::error_line("spgs: interrupted; no video is written");
+        std::process::exit(interrupt::CODE);
     }
     encoder.map_or(Ok(()), Encoder::finish)?;
     bar.finish_and_clear();

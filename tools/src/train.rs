@@ -118,7 +118,7 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     let smooth = [f64::NAN; 2];
     let mut run =
         Run { gpu: &gpu, out: out.clone(), data: &data, held_out, trainer, log, bar, quiet: !say, smooth, rate };
-    let finished = run.iterate(args.view)?;
+    let finished = run.iterate(args.view.then_some(path))?;
     run.bar.finish_and_clear();
     gpu_session::report_validation(&gpu);
     if !finished {
@@ -147,8 +147,8 @@ fn load(path: &Path, options: &DatasetOptions, args: &TrainArgs) -> Result<Datas
 }
 
 impl Run<'_> {
-    /// Runs to the end (true) or until interrupted (false).
-    fn iterate(&mut self, watch: bool) -> Result<bool> {
+    /// Runs to the end (true) or until interrupted (false); a viewer may watch, with the cameras of this data set.
+    fn iterate(&mut self, watch: Option<&Path>) -> Result<bool> {
         let stop = Arc::new(AtomicBool::new(false));
         let flag = Arc::clone(&stop);
         // The second Ctrl-C, and one after the last iteration, waits for nothing: every file is there whole or not at all.
@@ -164,8 +164,8 @@ impl Run<'_> {
         if self.trainer.iteration() == 0 && self.trainer.schedule().stage() != Stage::Nonrigid {
             self.save()?;
         }
-        if watch {
-            open_viewer(&self.out);
+        if let Some(data) = watch {
+            open_viewer(&self.out, data);
         }
         while !self.trainer.is_done() {
             let step = self.trainer.step()?;
@@ -256,9 +256,16 @@ impl Run<'_> {
 }
 
 /// Starts `spgs view` on the run's folder. It stays open when the run ends; without a display the run goes on alone.
-fn open_viewer(out: &Path) {
+fn open_viewer(out: &Path, data: &Path) {
     let started = std::env::current_exe().and_then(|program| {
-        Command::new(program).arg("view").arg(out).stdin(Stdio::null()).stdout(Stdio::null()).spawn()
+        Command::new(program)
+            .arg("view")
+            .arg(out)
+            .arg("--data")
+            .arg(data)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .spawn()
     });
     if let Err(e) = started {
         ::log::warn!("no viewer: {e}");

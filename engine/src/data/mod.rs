@@ -95,10 +95,11 @@ fn nothing_found(folder: &Path, split: Option<&str>) -> Error {
         .unwrap_or_default();
     names.retain(|n| n.starts_with("transforms") && n.ends_with(".json"));
     names.sort();
-    let found = if names.is_empty() { "neither of them".into() } else { names.join(", ") };
+    let found = if names.is_empty() { "none of them".into() } else { names.join(", ") };
     let wanted = format!("transforms_{}.json", split.unwrap_or("test"));
-    let expected =
-        format!("{wanted}, or a COLMAP model (cameras and images, .bin or .txt) here or in sparse/0 or sparse");
+    let expected = format!(
+        "{wanted}, a COLMAP model (cameras and images, .bin or .txt; also in sparse/0 or sparse), or a data set that spgs train reads"
+    );
     Error::usage(format!("cameras in {}", folder.display()), found, expected)
 }
 

@@ -6,6 +6,7 @@ use std::alloc::System;
 use stats_alloc::{INSTRUMENTED_SYSTEM, StatsAlloc};
 
 mod desktop;
+mod details;
 mod drop;
 mod input;
 mod kernel;

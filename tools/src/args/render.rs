@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{Format, ViewArgs, finite, seconds};
+use super::{Format, ViewArgs, finite, near, seconds};
 
 /// `spgs render`.
 #[derive(Debug, Args)]
@@ -15,7 +15,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "N")]
     pub level: Option<u32>,
     /// Camera file (transforms*.json), COLMAP folder or data set [with --path turntable and time: a view of the whole scene]
-    #[arg(long, value_name = "FILE|DATA", required_unless_present = "path")]
+    #[arg(long, value_name = "FILE|DATA")]
     pub cameras: Option<PathBuf>,
     /// Part of a data set
     #[arg(long, value_name = "NAME", requires = "cameras")]
@@ -28,10 +28,10 @@ pub struct RenderArgs {
     #[arg(long = "frames", value_name = "N", requires = "path", conflicts_with = "seconds", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub count: Option<u32>,
     /// Length of the path [default: 4]
-    #[arg(long, value_name = "S", requires = "path", value_parser = seconds)]
+    #[arg(long, value_name = "S", requires = "path", allow_hyphen_values = true, value_parser = seconds)]
     pub seconds: Option<f64>,
     /// Frames per second of the video
-    #[arg(long, value_name = "F", default_value_t = 30.0, value_parser = rate)]
+    #[arg(long, value_name = "F", default_value_t = 30.0, allow_hyphen_values = true, value_parser = rate)]
     pub fps: f64,
     /// Times at the start and the end of the path [default: the motion's; the cameras' own with --path cameras and FILE]
     #[arg(long, value_name = "A,B", requires = "path", conflicts_with = "time", allow_hyphen_values = true, value_parser = pair)]
@@ -43,7 +43,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "N", requires = "path", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
     pub motion_blur: u32,
     /// Share of the time between frames that the shutter is open
-    #[arg(long, value_name = "X", default_value_t = 0.5, value_parser = shutter)]
+    #[arg(long, value_name = "X", default_value_t = 0.5, allow_hyphen_values = true, value_parser = shutter)]
     pub shutter: f64,
     /// Draw K times as wide and high, and average K x K pixels
     #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
@@ -65,6 +65,9 @@ pub struct RenderArgs {
     /// png: 8 bit; exr: float R, G, B, A and depth Z
     #[arg(long, value_enum, default_value_t = Format::Png)]
     pub format: Format,
+    /// Nothing nearer to the camera is drawn, world units [default: 0.2; without cameras at most a tenth of the scene's radius]
+    #[arg(long, value_name = "Z", value_parser = near)]
+    pub near: Option<f32>,
     /// How the view is drawn
     #[command(flatten)]
     pub view: ViewArgs,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use engine::render::Quality;
 
-use super::{MotionArg, color, finite, knobs, preset};
+use super::{MotionArg, color, finite, knobs, near, preset};
 
 /// `spgs view`.
 #[derive(Debug, Clone, Args)]
@@ -28,6 +28,9 @@ pub struct ViewerArgs {
     /// First time shown [default: the start of the motion]
     #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = finite)]
     pub time: Option<f64>,
+    /// Nothing nearer to the camera is drawn, world units [default: 0.2, at most a tenth of the scene's radius]
+    #[arg(long, value_name = "Z", value_parser = near)]
+    pub near: Option<f32>,
     /// Time stands still at first
     #[arg(long)]
     pub pause: bool,

@@ -83,7 +83,7 @@ impl Route {
         Ok(match kind {
             PathArg::Time => Self { path: CameraPath::Still(start()?), times: range },
             PathArg::Turntable => {
-                let (centre, _) = view::extent(scene);
+                let (centre, _) = view::whole(scene);
                 let up = args.up.map(DVec3::from).or_else(|| mean_up(&set?.cameras)).unwrap_or(DVec3::NEG_Y);
                 Self { path: CameraPath::Turntable { first: start()?, centre, up }, times: range }
             }
@@ -129,7 +129,7 @@ fn start(args: &RenderArgs, set: Option<&CameraSet>, scene: &Scene) -> Result<Ca
                 [None, Some(height)] => [(height * 4).div_ceil(3).min(engine::data::MAX_IMAGE_SIDE), height],
                 [None, None] => DEFAULT_SIZE,
             };
-            Ok(view::default_camera(scene, size))
+            Ok(view::overview(scene, size))
         }
         (None, _) => Err(Error::usage("--frame", "no --cameras", "--cameras FILE|DATA")),
     }

@@ -10,6 +10,8 @@ use engine::file::picture::to_u8;
 use engine::image::Image;
 use tempfile::TempPath;
 
+use super::plan::Picture;
+
 /// The encoder's program.
 const ENCODER: &str = "ffmpeg";
 /// Longest message of the encoder that is passed on, bytes.
@@ -53,6 +55,20 @@ pub(super) fn check(path: &Path) -> Result<()> {
         return Err(Error::usage("--video", format!("{} is a folder", path.display()), "a file name"));
     }
     Ok(())
+}
+
+/// Refuses pictures of several sizes.
+pub(super) fn one_size(pictures: &[Picture]) -> Result<()> {
+    let size = |p: &Picture| p.views.first().map(|(camera, _)| [camera.width, camera.height]);
+    let Some(first) = pictures.first().and_then(size) else { return Ok(()) };
+    match pictures.iter().filter_map(size).find(|s| *s != first) {
+        None => Ok(()),
+        Some([width, height]) => Err(Error::usage(
+            "size of the video",
+            format!("views of {}x{} and of {width}x{height}", first[0], first[1]),
+            "one size: --width W --height H",
+        )),
+    }
 }
 
 impl Encoder {

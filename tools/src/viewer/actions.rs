@@ -55,10 +55,13 @@ fn act(request: Request, gui: &mut Gui, state: &mut State, folder: &Path) -> Res
                 free_name(folder, "view", "exr").and_then(|path| picture::write_exr(&path, &image).map(|()| path));
             tell(state, written);
         }
-        Request::ToggleRecording => match gui.recording.take() {
+        Request::ToggleRecording => match &gui.recording {
             Some(recording) => {
-                state.recording = None;
                 let written = recording.write(folder);
+                // What cannot be written is not thrown away.
+                if written.is_ok() {
+                    (gui.recording, state.recording) = (None, None);
+                }
                 tell(state, written);
             }
             None => {

@@ -18,7 +18,7 @@ use super::interface::Interface;
 use super::latency::{Latency, Visible};
 use super::load::Opened;
 use super::model::Model;
-use super::panel::Info;
+use super::panel::{Info, Numbers};
 use super::record::Recording;
 use super::state::State;
 use super::statistics::{StageTimes, stage_of};
@@ -151,6 +151,7 @@ impl Gui {
         }
         let dt = self.tick(state);
         let ran = self.interface.is_due(state);
+        let numbers = Numbers::of(state, &self.info);
         if ran {
             let Self { interface, model, info, latency, window, presenter, .. } = self;
             interface.run(window, presenter.size(), (state, model, info), dt, latency)?;
@@ -167,11 +168,11 @@ impl Gui {
             let fits = self.finish(state)?;
             self.gpu.wait(shown)?;
             self.landed();
-            if fits && ran {
+            // The interface was laid out before the frame was drawn: it may show the numbers of one before.
+            if fits && ran && numbers == Numbers::of(state, &self.info) {
                 self.latency.rest();
                 return Ok(self.interface.delay().map_or(Next::WhenAsked, Next::After));
             }
-            // What stands still is drawn with the numbers of its end.
             self.interface.want();
         }
         // What is done from now on is seen in the next frame: it is taken when the window has given an image, which may
@@ -213,8 +214,11 @@ impl Gui {
         let size = self.presenter.size();
         let camera = state.view(size);
         if let Some(recording) = &mut self.recording {
-            let centered = Camera { cx: 0.5 * f64::from(size[0]), cy: 0.5 * f64::from(size[1]), ..camera.clone() };
-            recording.frame(if self.was_animated { state.step } else { 0.0 }, || centered.clone());
+            let centered = |size: [u32; 2]| {
+                let [cx, cy] = size.map(|s| 0.5 * f64::from(s));
+                Camera { cx, cy, ..state.view(size) }
+            };
+            recording.frame(if self.was_animated { state.step } else { 0.0 }, size, centered);
             state.recording = Some(recording.len());
         }
         let distance = state.navigator.pose.distance;

@@ -92,7 +92,8 @@ pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut 
     if response.hovered() {
         scroll(ui, state, height);
     }
-    state.interacting |= response.dragged();
+    // The time line, or a slider, counts as well.
+    state.interacting |= response.dragged() || ui.ctx().is_using_pointer();
     if ui.ctx().wants_keyboard_input() { Thrust::default() } else { keys(ui.ctx(), state) }
 }
 
@@ -214,7 +215,7 @@ fn toggle_navigation(state: &mut State) {
 
 /// The whole scene, from the direction that the camera looks in.
 pub(super) fn frame_everything(state: &mut State) {
-    let pose = state.navigator.framing(state.extent.0, state.extent.1);
+    let pose = state.framing();
     state.navigator.glide_to(pose);
 }
 

@@ -10,6 +10,7 @@ use engine::gpu::{Buffer, Submission};
 use winit::event::WindowEvent;
 use winit::window::Window;
 
+use super::held;
 use super::input;
 use super::latency::{Latency, Visible};
 use super::model::Model;
@@ -42,6 +43,7 @@ pub(super) struct Interface {
     /// Keys that are held, and whether the scene is.
     thrust: Thrust,
     dragged: bool,
+    held: held::Held,
     /// How often it ran.
     pub(super) runs: u64,
 }
@@ -65,6 +67,7 @@ impl Interface {
             last: None,
             thrust: Thrust::default(),
             dragged: false,
+            held: held::Held::default(),
             runs: 0,
         }
     }
@@ -72,8 +75,16 @@ impl Interface {
     /// Takes an event; true when a frame is due because of it.
     pub(super) fn event(&mut self, window: &Window, event: &WindowEvent) -> bool {
         let repaint = self.winit.on_window_event(window, event).repaint;
+        if let WindowEvent::KeyboardInput { event, .. } = event {
+            held::follow(&mut self.held, self.winit.egui_input_mut(), event.physical_key, event.state);
+        }
         self.wanted |= repaint;
         repaint
+    }
+
+    /// A field takes the keys.
+    pub(super) fn wants_keyboard(&self) -> bool {
+        self.context.wants_keyboard_input()
     }
 
     /// It runs in the next frame.
@@ -128,8 +139,9 @@ impl Interface {
                 let area = ui.max_rect();
                 let response = ui.interact(area, ui.id().with("scene"), egui::Sense::click_and_drag());
                 *thrust = input::scene_input(ui, &response, state);
-                *dragged = response.dragged();
+                *dragged = response.dragged() || context.is_using_pointer();
                 state.view_center = [f64::from(area.center().x) * scale, f64::from(area.center().y) * scale];
+                state.window_height = f64::from(size[1]);
                 latency.applied(&Visible::of(state, *thrust));
                 moved = advance(state, model, dt, *thrust);
                 let camera = state.view(size);

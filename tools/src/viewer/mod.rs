@@ -13,6 +13,7 @@
 mod actions;
 mod adaptive;
 mod gui;
+mod held;
 mod input;
 mod interface;
 mod latency;
@@ -131,6 +132,7 @@ fn first_state(args: &ViewerArgs) -> Result<State> {
         quality: Quality { resolution: 1.0, ..args.quality() },
         quality_name: quality_name.map_or("", |(name, _)| name),
         motion: motion_source(args.motion),
+        near: args.near,
         vsync: !args.no_vsync,
         centers: false,
         paths: false,
@@ -155,6 +157,7 @@ fn first_state(args: &ViewerArgs) -> Result<State> {
         continuous: args.frames.is_some(),
         interacting: false,
         view_center: args.size.map(|s| 0.5 * f64::from(s)),
+        window_height: f64::from(args.size[1]),
         step: 0.0,
         wants_to_quit: false,
     })
@@ -199,7 +202,7 @@ impl Viewer {
         let pose = Pose::of_camera(&camera, (camera.position - state.extent.0).length());
         state.navigator.jump_to(pose);
         // The window may be wide: what fits its width need not fit its height.
-        let framed = state.navigator.framing(state.extent.0, state.extent.1);
+        let framed = state.framing();
         state.navigator.jump_to(framed);
         if first && !state.cameras.is_empty() {
             state.go_to_camera(0);
@@ -233,7 +236,7 @@ impl Viewer {
         });
         match done {
             Ok(next) => {
-                self.drawn += u64::from(self.opened_once);
+                self.drawn += u64::from(self.opened_once || self.asked.is_none());
                 self.schedule(next, event_loop);
             }
             Err(error) => self.fail(error, event_loop),
@@ -285,7 +288,14 @@ impl Viewer {
         let (mut input, mut interface_frames, mut resizes) = (None, 0, 0);
         let allocations = self.turn.allocations();
         let mut all = std::mem::take(&mut self.validation_messages);
-        if let Some(gui) = self.gui.take() {
+        if let Some(mut gui) = self.gui.take() {
+            // A path that is still recorded is not thrown away.
+            if let Some(recording) = gui.recording.take().filter(|r| r.len() > 0) {
+                match recording.write(&self.args.out) {
+                    Ok(path) => output::error_line(&format!("spgs: saved {}", path.display())),
+                    Err(error) => self.error = self.error.or(Some(error)),
+                }
+            }
             let gpu = gui.gpu.clone();
             rendered = gui.info.rendered;
             (input, interface_frames, resizes) = (gui.latency.measured(), gui.interface.runs, gui.resizes);
@@ -397,7 +407,10 @@ impl ApplicationHandler<News> for Viewer {
         match &event {
             WindowEvent::CloseRequested => return event_loop.exit(),
             WindowEvent::RedrawRequested => return self.redraw(event_loop),
-            WindowEvent::KeyboardInput { event, .. } if special_key(event, &mut self.state) => {
+            WindowEvent::KeyboardInput { event, .. }
+                if !self.gui.as_ref().is_some_and(|g| g.interface.wants_keyboard())
+                    && special_key(event, &mut self.state) =>
+            {
                 self.redraw_all();
                 return;
             }

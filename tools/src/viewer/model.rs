@@ -51,8 +51,9 @@ enum Tint {
 
 impl Model {
     pub(super) fn new(gpu: &Gpu, path: PathBuf, scene: Arc<Scene>, settings: &Settings) -> Result<Self> {
-        let (center, radius) = view::extent(&scene);
-        let plain = Renderer::new(gpu, &scene, &options(settings))?;
+        let (center, radius) = view::whole(&scene);
+        let motion = motion_of(&scene, settings);
+        let plain = Renderer::new(gpu, &scene, &options(settings, motion, &scene))?;
         let mut model = Self {
             path,
             center,
@@ -61,13 +62,13 @@ impl Model {
             centers: Vec::new(),
             posed_at: None,
             paths: Vec::new(),
-            built: (built_quality(settings), settings.motion),
+            built: (built_quality(settings), motion),
             plain,
             tinted: None,
             tinted_last: false,
             scene,
         };
-        model.paths = model.sample_paths(settings.motion)?;
+        model.paths = model.sample_paths(motion)?;
         Ok(model)
     }
 
@@ -105,15 +106,16 @@ impl Model {
         selection: Option<Selection>,
         share: f32,
     ) -> Result<&mut Renderer> {
-        let built = (built_quality(settings), settings.motion);
+        let motion = motion_of(&self.scene, settings);
+        let built = (built_quality(settings), motion);
         if self.built != built {
             self.tinted = None;
             // The old one goes first: the peak is the larger of the two, not the sum.
             self.plain = Renderer::new(gpu, &Scene::default(), &RenderOptions::default())?;
-            self.plain = Renderer::new(gpu, &self.scene, &options(settings))?;
+            self.plain = Renderer::new(gpu, &self.scene, &options(settings, motion, &self.scene))?;
             self.built = built;
             self.posed_at = None;
-            self.paths = self.sample_paths(settings.motion)?;
+            self.paths = self.sample_paths(motion)?;
         }
         let tint = self.tint(settings, selection);
         if let Some(tint) = tint
@@ -122,7 +124,7 @@ impl Model {
             let colors = self.colors(tint, settings.show);
             let renderer = match self.tinted.take() {
                 Some((_, renderer)) => renderer,
-                None => Renderer::new(gpu, &self.without_colors(), &options(settings))?,
+                None => Renderer::new(gpu, &self.without_colors(), &options(settings, motion, &self.scene))?,
             };
             renderer.set_base_colors(&colors)?;
             self.tinted = Some((tint, renderer));
@@ -206,10 +208,16 @@ fn built_quality(settings: &Settings) -> Quality {
     Quality { resolution: 1.0, ..settings.quality }
 }
 
-fn options(settings: &Settings) -> RenderOptions {
+/// Nothing moves by any motion before a model is there.
+fn motion_of(scene: &Scene, settings: &Settings) -> MotionSource {
+    if scene.gaussians.is_empty() { MotionSource::Auto } else { settings.motion }
+}
+
+fn options(settings: &Settings, motion: MotionSource, scene: &Scene) -> RenderOptions {
     RenderOptions {
         background: settings.background,
-        motion: settings.motion,
+        near: settings.near.unwrap_or_else(|| view::near(scene)),
+        motion,
         quality: built_quality(settings),
         profile: true,
         ..RenderOptions::default()

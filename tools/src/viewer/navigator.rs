@@ -222,9 +222,9 @@ impl Navigator {
         }
     }
 
-    /// A pose that has a ball around `center` in view, from the same direction.
-    pub(super) fn framing(&self, center: DVec3, radius: f64) -> Pose {
-        Pose { target: center, distance: radius / (0.5 * self.pose.fov_y).sin(), ..self.pose }
+    /// A pose that has a ball around `center` within `angle` of the axis (radians), from the same direction.
+    pub(super) fn framing(&self, center: DVec3, radius: f64, angle: f64) -> Pose {
+        Pose { target: center, distance: radius / angle.sin(), ..self.pose }
     }
 
     /// A pose that looks along `direction` at the same target, upright.
@@ -349,8 +349,8 @@ mod tests {
             steps += 1;
         }
         assert!((10..40).contains(&steps) && n.pose == goal);
-        let framed = n.framing(DVec3::ONE, 2.0);
-        assert!(framed.target == DVec3::ONE && framed.distance > 2.0);
+        let framed = n.framing(DVec3::ONE, 2.0, 0.5);
+        assert!(framed.target == DVec3::ONE && (framed.distance * 0.5_f64.sin() - 2.0).abs() < 1e-9);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The interface: a panel of numbers and switches, the time line, the frame rate, messages, the list of keys.
 
 use egui::{Align, Align2, Color32, Context, Layout, RichText, Sense, Ui, vec2};
-use engine::render::{MemoryUse, Quality};
+use engine::render::{FrameStatistics, MemoryUse, Quality};
 
 use super::input::{self, BINDINGS};
 use super::navigator::Navigation;
@@ -25,6 +25,32 @@ pub(super) struct Info {
     pub(super) memory: MemoryUse,
     /// Gaussians of the selected superpoint; opacity and scales of the selected Gaussian.
     pub(super) selected: Option<(usize, f32, [f32; 3])>,
+}
+
+/// What the panel and the time line show of a frame that stands still.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Numbers {
+    time: f64,
+    playing: bool,
+    loading: bool,
+    frame: FrameStatistics,
+    rendered: [u32; 2],
+    memory: MemoryUse,
+    measured: bool,
+}
+
+impl Numbers {
+    pub(super) fn of(state: &State, info: &Info) -> Self {
+        Self {
+            time: state.timeline.time,
+            playing: state.timeline.playing,
+            loading: state.loading.is_some(),
+            frame: state.frame,
+            rendered: info.rendered,
+            memory: info.memory,
+            measured: state.statistics.history().next().is_some(),
+        }
+    }
 }
 
 /// Draws everything but the scene.
@@ -92,13 +118,14 @@ fn side_panel(ui: &mut Ui, state: &mut State, info: &Info) {
         faint(ui, format!("{} superpoints, {} key times", grouped(info.superpoints as u64), info.key_times));
     }
     faint(ui, info.device.clone());
+    // First, so that a click shows its numbers in small windows too.
+    if let Some(selection) = state.selection {
+        section(ui, "Selection", |ui| selection_section(ui, state, &selection, info));
+    }
     section(ui, "Frame", |ui| frame_section(ui, state, info));
     section(ui, "Show", |ui| show_section(ui, state));
     section(ui, "Quality", |ui| quality_section(ui, &mut state.settings, info));
     section(ui, "Camera", |ui| camera_section(ui, state));
-    if let Some(selection) = state.selection {
-        section(ui, "Selection", |ui| selection_section(ui, state, &selection, info));
-    }
     section(ui, "Save", |ui| save_section(ui, state));
 }
 
@@ -175,11 +202,14 @@ fn nice_above(x: f32) -> f32 {
 
 fn show_section(ui: &mut Ui, state: &mut State) {
     let settings = &mut state.settings;
-    egui::ComboBox::from_id_salt("show").width(226.0).selected_text(settings.show.name()).show_ui(ui, |ui| {
-        for (i, show) in (1..).zip(Show::ALL) {
-            ui.selectable_value(&mut settings.show, show, format!("{}   {i}", show.name()));
-        }
-    });
+    egui::ComboBox::from_id_salt("show").width(ui.available_width()).selected_text(settings.show.name()).show_ui(
+        ui,
+        |ui| {
+            for (i, show) in (1..).zip(Show::ALL) {
+                ui.selectable_value(&mut settings.show, show, format!("{}   {i}", show.name()));
+            }
+        },
+    );
     ui.checkbox(&mut settings.centers, "superpoint centres");
     ui.checkbox(&mut settings.paths, "superpoint paths");
     ui.checkbox(&mut settings.frusta, format!("camera frusta ({})", state.cameras.len()));
@@ -206,7 +236,7 @@ fn quality_section(ui: &mut Ui, settings: &mut Settings, info: &Info) {
         let [w, h] = info.rendered;
         ui.label(RichText::new(format!("{w}×{h}")).small().monospace());
     });
-    ui.checkbox(&mut settings.adaptive, "fewer pixels while moving, when slow");
+    ui.checkbox(&mut settings.adaptive, "fewer pixels while moving");
 }
 
 fn camera_section(ui: &mut Ui, state: &mut State) {
@@ -313,6 +343,8 @@ fn messages(context: &Context, state: &State) {
         context,
         |ui| {
             theme::floating().show(ui, |ui| {
+                // An area keeps the width of what it showed before, which may have been a word.
+                ui.set_max_width((context.content_rect().width() - 60.0).clamp(100.0, 640.0));
                 for message in &state.messages {
                     let color = if message.is_error { BAD } else { ui.visuals().text_color() };
                     ui.label(RichText::new(&message.text).color(color));

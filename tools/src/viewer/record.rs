@@ -16,15 +16,18 @@ const MAX_FRAMES: usize = 54_000;
 pub(super) struct Recording {
     cameras: Vec<Camera>,
     due: f64,
+    /// Of the window when it began: a video has one size.
+    size: Option<[u32; 2]>,
 }
 
 impl Recording {
-    /// `dt` seconds passed, at whose end the camera was this one.
-    pub(super) fn frame(&mut self, dt: f64, camera: impl Fn() -> Camera) {
+    /// `dt` seconds passed, at whose end the camera was this one, of pictures of a size. The window may change its own.
+    pub(super) fn frame(&mut self, dt: f64, window: [u32; 2], camera: impl Fn([u32; 2]) -> Camera) {
+        let size = *self.size.get_or_insert(window);
         self.due += dt;
         while (self.due >= INTERVAL_S || self.cameras.is_empty()) && self.cameras.len() < MAX_FRAMES {
             self.due = (self.due - INTERVAL_S).max(0.0);
-            self.cameras.push(camera());
+            self.cameras.push(camera(size));
         }
     }
 
@@ -61,12 +64,13 @@ mod tests {
     fn a_recorded_path_is_read_back() {
         let folder = tempfile::tempdir().unwrap();
         let mut recording = Recording::default();
-        let camera = |i: f64| {
+        let camera = |i: f64, size: [u32; 2]| {
             let eye = DVec3::new(3.0 + i, -1.0, 2.0);
-            Camera { time: 0.125 * i, ..Camera::look_at(eye, DVec3::ZERO, DVec3::NEG_Y, 0.9, [320, 200]) }
+            Camera { time: 0.125 * i, ..Camera::look_at(eye, DVec3::ZERO, DVec3::NEG_Y, 0.9, size) }
         };
         for i in 0..5 {
-            recording.frame(0.034, || camera(f64::from(i)));
+            // The window grows meanwhile; the pictures of the path do not.
+            recording.frame(0.034, [320 + 10 * i, 200], |size| camera(f64::from(i), size));
         }
         let path = recording.write(folder.path()).unwrap();
         assert!(path.ends_with("path-1.json"));

@@ -64,6 +64,8 @@ pub(super) struct Settings {
     pub(super) quality: Quality,
     pub(super) quality_name: &'static str,
     pub(super) motion: MotionSource,
+    /// Near plane, when one was asked for.
+    pub(super) near: Option<f32>,
     pub(super) vsync: bool,
     pub(super) centers: bool,
     pub(super) paths: bool,
@@ -125,6 +127,8 @@ pub(super) struct State {
     pub(super) interacting: bool,
     /// Where the camera's axis meets the window, pixels: the middle of what the interface leaves free.
     pub(super) view_center: [f64; 2],
+    /// Height of the window, pixels.
+    pub(super) window_height: f64,
     /// Seconds that the last frame let pass.
     pub(super) step: f64,
     pub(super) wants_to_quit: bool,
@@ -135,6 +139,14 @@ impl State {
     pub(super) fn view(&self, size: [u32; 2]) -> Camera {
         let [cx, cy] = self.view_center;
         Camera { cx, cy, ..self.navigator.pose.camera(size, self.timeline.time) }
+    }
+
+    /// The whole scene, from the direction that the camera looks in, within what the interface leaves free.
+    pub(super) fn framing(&self) -> super::navigator::Pose {
+        let focal = 0.5 * self.window_height / (0.5 * self.navigator.pose.fov_y).tan();
+        let [cx, cy] = self.view_center;
+        let angle = (cx.min(cy).max(1.0) / focal).atan();
+        self.navigator.framing(self.extent.0, crate::view::MARGIN * self.extent.1, angle)
     }
 
     /// Shows a line for a while.

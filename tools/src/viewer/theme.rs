@@ -47,6 +47,8 @@ pub(super) fn apply(context: &egui::Context) {
         style.spacing.item_spacing = vec2(8.0, 5.0);
         style.spacing.slider_width = 120.0;
         style.spacing.interact_size.y = 20.0;
+        // Beside what it moves, and there before the pointer is.
+        style.spacing.scroll = egui::style::ScrollStyle { bar_width: 6.0, ..egui::style::ScrollStyle::solid() };
         let visuals = &mut style.visuals;
         visuals.window_fill = panel_fill();
         visuals.window_stroke = Stroke::new(1.0, Color32::from_rgb(58, 62, 70));

@@ -69,12 +69,14 @@ impl Timeline {
         }
         let step = dt * self.speed / WHOLE_S * self.length();
         let [start, end] = self.range;
+        // Only back and forth goes back.
+        self.backwards &= self.repeat == Repeat::PingPong;
         let wanted = self.time + if self.backwards { -step } else { step };
         self.time = match self.repeat {
             Repeat::Loop => start + (wanted - start).rem_euclid(self.length()),
             Repeat::Once => {
                 self.playing = wanted < end;
-                wanted.min(end)
+                wanted.clamp(start, end)
             }
             Repeat::PingPong => self.bounce(wanted),
         };
@@ -148,6 +150,22 @@ mod tests {
         assert!(t.time == 1.0 && !t.playing && !t.advance(1.0));
         t.toggle();
         assert!(t.playing && t.time == 0.0);
+    }
+
+    #[test]
+    fn only_back_and_forth_goes_back() {
+        for repeat in [Repeat::Once, Repeat::Loop] {
+            let mut t = Timeline::new([0.0, 1.0]);
+            t.repeat = Repeat::PingPong;
+            t.advance(4.0);
+            assert!((t.time - 2.0 / 3.0).abs() < 1e-12, "{}", t.time);
+            t.repeat = repeat;
+            t.advance(0.5);
+            assert!((t.time - 5.0 / 6.0).abs() < 1e-12, "{repeat:?}: {}", t.time);
+            t.advance(5.0);
+            assert!((0.0..=1.0).contains(&t.time), "{repeat:?}: {}", t.time);
+            assert_eq!(t.playing, repeat == Repeat::Loop);
+        }
     }
 
     #[test]

@@ -1,0 +1,71 @@
+//! Odd orders of what a person does.
+
+use std::time::Duration;
+
+use engine::file;
+use engine::scene::{Scene, synthetic};
+
+use crate::desktop::{Desktop, Window, spgs};
+use crate::window::moving_model;
+
+#[test]
+fn a_path_that_is_still_recorded_is_written_at_the_end_in_one_size() {
+    let folder = tempfile::tempdir().unwrap();
+    let desktop = Desktop::new(900, 700);
+    let model = moving_model(folder.path(), 500);
+    let out = folder.path().join("out");
+    let mut window = Window::open(&desktop, &model, &out, &["--size", "480x360"]);
+    window.picture();
+    window.key("r");
+    window.drag("1", [200, 150], [60, 30]);
+    window.tool(&["windowsize", "--sync", window.id(), "600", "420"]);
+    window.drag("1", [200, 150], [60, 30]);
+    window.picture();
+    assert_eq!(window.quit()["validation_messages"], 0);
+    let cameras = engine::data::load_cameras(&out.join("path-1.json"), None, None).unwrap().cameras;
+    assert!(cameras.len() >= 2, "{}", cameras.len());
+    assert!(cameras.iter().all(|c| [c.width, c.height] == [480, 360]));
+    let (first, last) = (&cameras[0], &cameras[cameras.len() - 1]);
+    assert!(first.position.distance(last.position) > 1e-3);
+    assert_eq!((first.cx, first.cy), (240.0, 180.0));
+}
+
+#[test]
+fn a_shifted_key_may_be_let_go_after_its_shift() {
+    let folder = tempfile::tempdir().unwrap();
+    let desktop = Desktop::new(700, 560);
+    let model = moving_model(folder.path(), 200);
+    let mut window = Window::open(&desktop, &model, &folder.path().join("out"), &["--size", "640x480", "--pause"]);
+    window.picture();
+    // The word that a picture was saved goes.
+    std::thread::sleep(Duration::from_millis(6500));
+    let without = desktop.capture();
+    let changed = |d: &Desktop| d.capture().rgb.iter().zip(&without.rgb).filter(|(a, b)| a != b).count();
+    for open in [true, false, true, false] {
+        window.tool(&["keydown", "shift", "keydown", "slash", "keyup", "shift", "keyup", "slash"]);
+        window.wait("the list of keys", |w| (changed(w.desktop) > 20_000) == open);
+    }
+    assert_eq!(window.quit()["validation_messages"], 0);
+}
+
+#[test]
+fn a_window_without_a_model_and_one_with_a_network_end_after_their_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let desktop = Desktop::new(300, 250);
+    let network = folder.path().join("network.safetensors");
+    let scene = Scene { motion: None, ..synthetic::moving_scene(300, 6, 2, 73, true) };
+    file::save(&network, &scene).unwrap();
+    let table = moving_model(folder.path(), 100);
+    let [network, table] = [&network, &table].map(|p| p.to_str().unwrap());
+    let run = |arguments: &[&str]| {
+        let all = [&["view", "--frames", "3", "--size", "200x150"], arguments].concat();
+        spgs(&all).env("DISPLAY", desktop.display()).output().unwrap()
+    };
+    for arguments in [&[][..], &[network], &[network, "--motion", "network"]] {
+        let out = run(arguments);
+        assert!(out.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&out.stderr));
+    }
+    let out = run(&[table, "--motion", "network"]);
+    let text = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.code() == Some(2) && text.contains("no network F"), "{text}");
+}
