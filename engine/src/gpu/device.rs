@@ -394,7 +394,7 @@ fn choose(candidates: &[(vk::PhysicalDevice, DeviceInfo)], options: &GpuOptions)
             Err(_) => candidates.iter().position(|(_, d)| d.name.to_lowercase().contains(&text.to_lowercase())),
         };
         let index = found.ok_or_else(|| {
-            Error::usage("--device", text, format!("an index or part of a name of: {}", refusals(candidates)))
+            Error::usage("device", text, format!("an index or part of a name of: {}", refusals(candidates)))
         })?;
         if !lacks(&candidates[index].1).is_empty() {
             return Err(Error::NoDevice { reason: refusals(&candidates[index..=index]) });

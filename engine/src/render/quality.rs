@@ -161,7 +161,7 @@ impl Quality {
             .into_iter()
             .find(|(n, _)| *n == name)
             .map(|(_, q)| q)
-            .ok_or_else(|| Error::usage("--quality", name, "exact, high or fast"))
+            .ok_or_else(|| Error::usage("quality", name, "exact, high or fast"))
     }
 
     /// Turns one knob.
@@ -171,9 +171,9 @@ impl Quality {
     pub fn set(&mut self, knob: &str, value: &str) -> Result<()> {
         let Some(found) = KNOBS.iter().find(|k| k.name == knob) else {
             let names: Vec<&str> = KNOBS.iter().map(|k| k.name).collect();
-            return Err(Error::usage("--set", knob, format!("one of {}", names.join(", "))));
+            return Err(Error::usage("knob of quality", knob, format!("one of {}", names.join(", "))));
         };
-        found.set(self, value).ok_or_else(|| Error::usage(format!("--set {knob}"), value, found.takes))
+        found.set(self, value).ok_or_else(|| Error::usage(format!("knob {knob}"), value, found.takes))
     }
 
     /// Turns the knobs of a list `knob=value,knob=value`.
@@ -183,7 +183,7 @@ impl Quality {
     pub fn set_all(&mut self, list: &str) -> Result<()> {
         for part in list.split(',').map(str::trim).filter(|p| !p.is_empty()) {
             let Some((knob, value)) = part.split_once('=') else {
-                return Err(Error::usage("--set", part, "knob=value"));
+                return Err(Error::usage("knobs of quality", part, "knob=value"));
             };
             self.set(knob.trim(), value.trim())?;
         }

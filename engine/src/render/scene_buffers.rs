@@ -240,7 +240,7 @@ impl Selected {
 }
 
 fn select_motion(scene: &Scene, source: MotionSource) -> Result<Selected> {
-    let missing = |what: &str| Err(Error::usage("--motion", what, "a source that the model contains"));
+    let missing = |what: &str| Err(Error::usage("motion", what, "a source that the model contains"));
     let table = scene.motion.as_ref().is_some_and(|m| !m.times.is_empty());
     let Some(superpoints) = &scene.superpoints else {
         return match source {
