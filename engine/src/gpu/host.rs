@@ -85,6 +85,16 @@ pub fn host_requirements(api_version: u32) -> HostRequirements {
     }
 }
 
+/// A version that was left out or is too low would else be told as all that such a device lacks.
+fn check_version(api_version: u32) -> Result<()> {
+    if api_version >= vk::API_VERSION_1_2 {
+        return Ok(());
+    }
+    let (major, minor) = (vk::api_version_major(api_version), vk::api_version_minor(api_version));
+    let found = if major == 0 { api_version.to_string() } else { format!("{major}.{minor}") };
+    Err(Error::usage("HostDevice::api_version", found, "at least 1.2"))
+}
+
 /// Raw handles of an open device, whoever made it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Handles {
@@ -108,7 +118,7 @@ impl Gpu {
     ///
     /// # Errors
     /// `NoDevice` when the loader is missing or the physical device lacks something, with what it lacks; `Usage` for a null
-    /// handle.
+    /// handle or an `api_version` below 1.2.
     pub unsafe fn from_host(host: &HostDevice, options: &GpuOptions) -> Result<Self> {
         let handles = [host.instance, host.physical_device, host.device, host.queue];
         for (name, handle) in ["VkInstance", "VkPhysicalDevice", "VkDevice", "VkQueue"].into_iter().zip(handles) {
@@ -116,6 +126,7 @@ impl Gpu {
                 return Err(Error::usage(format!("host device, {name}"), "null", "a valid handle"));
             }
         }
+        check_version(host.api_version)?;
         let entry = match host.get_instance_proc_addr {
             // SAFETY: the caller's function behaves as vkGetInstanceProcAddr does; both types describe its C signature.
             Some(function) => unsafe {
@@ -164,6 +175,12 @@ impl Gpu {
         Self::from_opened(opened, options)
     }
 
+    /// Whether both are clones of one: what was made from the one works with the other. The same `VkDevice` given to
+    /// [`Gpu::from_host`] twice makes two.
+    pub fn is_clone_of(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
+
     /// Raw handles, for a caller that draws on the same device (a window, a debugger).
     pub fn handles(&self) -> Handles {
         Handles {
@@ -201,7 +218,8 @@ impl HostCommandBuffer {
     ///   state and outside of a render pass whenever it is handed to the engine, and no other thread records into it or
     ///   its pool meanwhile.
     /// - What is recorded into it and executed has finished before the view that recorded it, its scene, or the images of
-    ///   its target are destroyed; and command buffers that share a view or a scene execute one after another: in
+    ///   its target are destroyed; and command buffers that share a view, or a scene with network F or G or a deformation field
+    ///   ([`SceneHandle::one_after_another`](crate::render::SceneHandle::one_after_another)), execute one after another: in
     ///   submission order on one queue, or ordered by semaphores.
     pub unsafe fn from_raw(command_buffer: u64) -> Self {
         Self(vk::CommandBuffer::from_raw(command_buffer))
@@ -212,7 +230,7 @@ impl HostCommandBuffer {
 /// and makes its writes visible to them on the other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ImageUse {
-    /// `VkImageLayout`.
+    /// `VkImageLayout`; on the side of after neither `UNDEFINED` nor `PREINITIALIZED`.
     pub layout: i32,
     /// `VkPipelineStageFlags2`.
     pub stages: u64,
@@ -307,6 +325,19 @@ impl HostImage {
     #[must_use]
     pub unsafe fn with_storage_view(self, view: u64) -> Self {
         Self { view: vk::ImageView::from_raw(view), ..self }
+    }
+
+    /// Refuses what can be seen to be wrong without asking the device.
+    pub(crate) fn check(&self, what: &str) -> Result<()> {
+        if self.raw == vk::Image::null() {
+            return Err(Error::usage(what, "null", "a VkImage"));
+        }
+        let layout = vk::ImageLayout::from_raw(self.after.layout);
+        if matches!(layout, vk::ImageLayout::UNDEFINED | vk::ImageLayout::PREINITIALIZED) {
+            let what = format!("{what}, layout after the frame");
+            return Err(Error::usage(what, format!("{layout:?}"), "the layout that its next use wants"));
+        }
+        Ok(())
     }
 
     /// Whether kernels write it.

@@ -68,8 +68,9 @@
 //!   not in use any more. [`View::warm_up`] finds the size beforehand, so that no frame is lost.
 //! - **Threads**: [`Gpu`](crate::gpu::Gpu) and [`SceneHandle`] are `Send` and `Sync`; [`View`] and [`Loading`] are `Send`. Different views
 //!   may be recorded on different threads at the same time, also of one scene, into command buffers of different pools.
-//!   Views of one scene that has network F or G share its output, so their command buffers execute one after another, as
-//!   those of one view do; those of other scenes may overlap.
+//!   Views of one scene that has network F or G or a deformation field share its output and its intermediate buffers, so their
+//!   command buffers execute one after another, as those of one view do ([`SceneHandle::one_after_another`] says whether it
+//!   is so); those of other scenes may overlap.
 //!
 //! # Depth
 //!
@@ -85,10 +86,13 @@
 //! end (they carry their size), and the images keep their definition. Before 1.0, minor versions may change them; the
 //! CHANGELOG says how. What is not documented, kernels and buffers in particular, may change at any time.
 
+mod check;
+mod extent;
 mod options;
 mod scene;
 mod view;
 
+pub use extent::Extent;
 pub use options::{Finished, Recorded, Target, ViewOptions};
 pub use scene::{Loading, SceneHandle, SceneOptions};
 pub use view::View;

@@ -75,6 +75,18 @@ impl Default for FrameOptions {
     }
 }
 
+impl FrameOptions {
+    /// Fails with a named field when a number is not finite or senseless.
+    pub(crate) fn check(&self) -> Result<()> {
+        check_finite("background", &self.background.map(f64::from))?;
+        check_finite("time", &[self.time])?;
+        if !(self.near >= 0.0 && self.near.is_finite()) {
+            return Err(Error::usage("near plane", self.near.to_string(), "a finite distance of at least 0"));
+        }
+        Ok(())
+    }
+}
+
 impl Frame {
     /// A frame of `camera`. The Gaussians' coordinates are relative to `origin` (world units). All arithmetic is f64; the
     /// camera centre is split into two f32 so that nothing is lost far from the origin.
@@ -89,15 +101,11 @@ impl Frame {
         check_finite("camera intrinsics fx, fy, cx, cy", &intrinsics)?;
         let position = camera.position - origin;
         check_finite("camera position", &position.to_array())?;
-        check_finite("background", &options.background.map(f64::from))?;
-        check_finite("time", &[options.time])?;
+        options.check()?;
         for (what, f) in [("camera fx", camera.fx), ("camera fy", camera.fy)] {
             if f <= 0.0 {
                 return Err(Error::usage(what, f.to_string(), "a focal length above 0 px"));
             }
-        }
-        if !(options.near >= 0.0 && options.near.is_finite()) {
-            return Err(Error::usage("near plane", options.near.to_string(), "a finite distance of at least 0"));
         }
         let row = |i: usize| [rows[3 * i] as f32, rows[3 * i + 1] as f32, rows[3 * i + 2] as f32, 0.0];
         let high = position.as_vec3();

@@ -53,7 +53,7 @@ pub mod twin;
 pub(crate) mod work_buffers;
 
 pub use blend::PixelFormat;
-pub use embed::{Finished, Loading, Recorded, SceneHandle, SceneOptions, Target, View, ViewOptions};
+pub use embed::{Extent, Finished, Loading, Recorded, SceneHandle, SceneOptions, Target, View, ViewOptions};
 pub use field::FieldEvaluator;
 pub use pipeline::KERNELS;
 pub use quality::Quality;

@@ -49,6 +49,19 @@ impl Rejected {
     }
 }
 
+impl std::ops::Add for Rejected {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            not_finite: self.not_finite + other.not_finite,
+            zero_rotation: self.zero_rotation + other.zero_rotation,
+            absurd_scale: self.absurd_scale + other.absurd_scale,
+            out_of_range: self.out_of_range + other.out_of_range,
+        }
+    }
+}
+
 impl Gaussians {
     /// N.
     pub fn len(&self) -> usize {

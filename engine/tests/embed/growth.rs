@@ -45,6 +45,37 @@ fn a_frame_that_does_not_fit_is_reported_and_the_next_ones_do() {
 }
 
 #[test]
+fn warming_up_does_not_count_as_a_frame() {
+    let host = Host::new();
+    let handle = SceneHandle::upload(host.gpu(), &demo_scene(), &SceneOptions::default()).unwrap();
+    let mut view = View::new(host.gpu(), &handle, &ViewOptions { in_flight: 2, ..ViewOptions::default() }).unwrap();
+    let camera = demo_camera(0.0, 48, 32);
+    let picture = host.picture([48, 32], vk::Format::R8G8B8A8_UNORM);
+    let frame = host.vulkan.frame().unwrap();
+    let target = Target { color: to_read(picture), depth: None };
+    view.warm_up(&camera, 0.0).unwrap();
+    assert_eq!(view.finished(), None);
+    assert_eq!(view.all_finished().unwrap(), None);
+    let mut serials = Vec::new();
+    for i in 1..=6 {
+        let recorded = submit(&host, frame, &mut view, &camera, 0.0, &target);
+        host.vulkan.wait(frame).unwrap();
+        assert_eq!(recorded.serial, i);
+        serials.extend(recorded.finished.map(|f| f.serial));
+        if i == 3 {
+            // What is in flight counts as seen; the next frames begin anew.
+            view.warm_up(&camera, 0.5).unwrap();
+            assert_eq!(view.finished().map(|f| f.serial), Some(3));
+        }
+    }
+    assert_eq!(serials, [1, 4]);
+    assert_eq!(view.all_finished().unwrap().map(|f| f.serial), Some(6));
+    drop(view);
+    host.vulkan.destroy(picture);
+    host.vulkan.destroy_frame(frame);
+}
+
+#[test]
 fn an_overflowed_frame_shows_the_background() {
     let host = Host::new();
     let mut camera = demo_camera(0.0, 160, 120);

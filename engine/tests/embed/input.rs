@@ -4,7 +4,8 @@ use engine::Error;
 use engine::gpu::host::host_requirements;
 use engine::gpu::{GpuOptions, HostDevice};
 use engine::render::{Quality, SceneHandle, SceneOptions, Target, View, ViewOptions};
-use engine::scene::synthetic::{demo_camera, demo_scene};
+use engine::scene::synthetic::{demo_camera, demo_scene, random_scene};
+use glam::DMat3;
 
 use super::*;
 
@@ -33,7 +34,9 @@ fn null_handles_and_old_versions_are_refused() {
     assert!(refused(|d| d.physical_device = 0).contains("VkPhysicalDevice"));
     assert!(refused(|d| d.device = 0).contains("VkDevice"));
     assert!(refused(|d| d.queue = 0).contains("VkQueue"));
-    assert!(refused(|d| d.api_version = vk::API_VERSION_1_1).contains("Vulkan 1.2"));
+    let refused_version = "HostDevice::api_version: found 1.1, expected at least 1.2";
+    assert_eq!(refused(|d| d.api_version = vk::API_VERSION_1_1), refused_version);
+    assert_eq!(refused(|d| d.api_version = 0), refused_version.replace("1.1", "0"));
     assert!(refused(|d| d.queue_family = 99).contains("family"));
 }
 
@@ -91,6 +94,76 @@ fn views_and_targets_without_sense_are_refused() {
     drop(view);
     host.vulkan.destroy(picture);
     host.vulkan.destroy_frame(frame);
+}
+
+#[test]
+fn scenes_of_another_gpu_are_refused() {
+    let hosts = [Host::new(), Host::new()];
+    let [own, other] =
+        [0, 1].map(|i| SceneHandle::upload(hosts[i].gpu(), &random_scene(20, 1, 0), &SceneOptions::default()).unwrap());
+    let said = "scene of a view: found one of another gpu";
+    let new = |gpu: &Gpu, scene| View::new(gpu, scene, &ViewOptions::default());
+    let error = new(hosts[0].gpu(), &other).unwrap_err();
+    assert!(error.exit_code() == 2 && error.to_string().contains(said), "{error}");
+    // A clone is the same.
+    let mut view = new(&hosts[0].gpu().clone(), &own).unwrap();
+    let error = view.set_scene(&other).unwrap_err();
+    assert!(error.exit_code() == 2 && error.to_string().contains(said), "{error}");
+    // The view has kept its own.
+    view.warm_up(&demo_camera(0.0, 32, 32), 0.0).unwrap();
+    view.set_scene(&own.clone()).unwrap();
+}
+
+#[test]
+fn images_that_are_none_or_go_nowhere_are_refused() {
+    let host = Host::new();
+    let handle = SceneHandle::upload(host.gpu(), &random_scene(20, 1, 0), &SceneOptions::default()).unwrap();
+    let mut view = View::new(host.gpu(), &handle, &ViewOptions { depth: true, ..ViewOptions::default() }).unwrap();
+    let color = host.picture([32, 32], vk::Format::R8G8B8A8_UNORM);
+    let frame = host.vulkan.frame().unwrap();
+    host.vulkan.begin(frame).unwrap();
+    let none = unsafe { HostImage::from_raw(0, READ_BEFORE, ImageUse::TRANSFER_SOURCE) };
+    let going = |layout| unsafe {
+        let after = ImageUse { layout, ..ImageUse::TRANSFER_SOURCE };
+        HostImage::from_raw(color.image.as_raw(), READ_BEFORE, after)
+    };
+    let image = to_read(color);
+    for (color, depth, said) in [
+        (none, Some(image), "colour image: found null"),
+        (image, Some(none), "depth image: found null"),
+        (going(0), None, "colour image, layout after the frame: found UNDEFINED"),
+        (image, Some(going(8)), "depth image, layout after the frame: found PREINITIALIZED"),
+    ] {
+        let target = Target { color, depth };
+        let error = view.record(&commands_of(frame), &demo_camera(0.0, 32, 32), 0.0, &target).unwrap_err();
+        assert!(error.exit_code() == 2 && error.to_string().contains(said), "{error}");
+    }
+    host.vulkan.submit(frame).unwrap();
+    host.vulkan.wait(frame).unwrap();
+    drop(view);
+    host.vulkan.destroy(color);
+    host.vulkan.destroy_frame(frame);
+}
+
+#[test]
+fn options_and_cameras_without_sense_are_refused() {
+    let host = Host::new();
+    let handle = SceneHandle::upload(host.gpu(), &random_scene(20, 1, 0), &SceneOptions::default()).unwrap();
+    let refused = |options: &ViewOptions| View::new(host.gpu(), &handle, options).unwrap_err();
+    for near in [-1.0, f32::NAN, f32::INFINITY] {
+        let error = refused(&ViewOptions { near, ..ViewOptions::default() });
+        assert!(error.exit_code() == 2 && error.to_string().contains("near plane"), "{error}");
+    }
+    let error = refused(&ViewOptions { background: [0.0, f32::NAN, 0.0], ..ViewOptions::default() });
+    assert!(error.exit_code() == 6 && error.to_string().contains("background"), "{error}");
+    let mut view = View::new(host.gpu(), &handle, &ViewOptions::default()).unwrap();
+    let camera = demo_camera(0.0, 32, 32);
+    let mirror = DMat3::from_diagonal(glam::DVec3::new(1.0, -1.0, 1.0));
+    for rotation in [DMat3::ZERO, camera.rotation * 2.0, mirror * camera.rotation] {
+        let error = view.warm_up(&Camera { rotation, ..camera.clone() }, 0.0).unwrap_err();
+        assert!(error.exit_code() == 2 && error.to_string().contains("rotation"), "{error}");
+    }
+    view.warm_up(&camera, 0.0).unwrap();
 }
 
 /// The proof that silence means something: a host that lies about its image's layout is noticed.

@@ -6,6 +6,7 @@
 #[path = "../../examples/host/composite.rs"]
 mod composite;
 mod example;
+mod facts;
 mod growth;
 mod input;
 mod pictures;

@@ -37,7 +37,7 @@ fn two_scenes_in_one_command_buffer() {
     }
     // A view may change its scene.
     let other = SceneHandle::upload(host.gpu(), &scenes[1], &SceneOptions::default()).unwrap();
-    views[0].set_scene(&other);
+    views[0].set_scene(&other).unwrap();
     views[0].warm_up(&camera, 0.2).unwrap();
     submit(&host, frame, &mut views[0], &camera, 0.2, &Target { color: to_read(pictures[0]), depth: None });
     host.vulkan.wait(frame).unwrap();
@@ -103,7 +103,7 @@ fn a_scene_loads_while_frames_go_on() {
         }
     }
     assert!(frames >= 3);
-    view.set_scene(&loading.finish().unwrap());
+    view.set_scene(&loading.finish().unwrap()).unwrap();
     host.vulkan.wait(frame).unwrap();
     view.warm_up(&camera, 0.2).unwrap();
     submit(&host, frame, &mut view, &camera, 0.2, &Target { color: to_read(picture), depth: None });

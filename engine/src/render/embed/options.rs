@@ -57,7 +57,7 @@ pub struct Target {
 /// What became of an earlier frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Finished {
-    /// Which call of [`View::record`](super::View::record) it was, counted from 1.
+    /// Which call of [`View::record`](super::View::record) it was, counted from 1; frames of warming up do not count.
     pub serial: u64,
     /// What it counted.
     pub statistics: FrameStatistics,

@@ -2,7 +2,6 @@
 
 use std::collections::VecDeque;
 
-use super::super::blend_image;
 use super::super::capacity;
 use super::super::frame::{Frame, FrameOptions};
 use super::super::limits::TILE_SIZE;
@@ -10,6 +9,7 @@ use super::super::pipeline::{FrameBuffers, Shape, record_forward};
 use super::super::renderer::{FrameStatistics, MemoryUse};
 use super::super::scene_buffers::{Poses, SceneBuffers};
 use super::super::work_buffers::{COUNTER_WORDS, WorkBuffers};
+use super::check;
 use super::options::{Finished, MAX_IN_FLIGHT, Recorded, Target, ViewOptions};
 use super::scene::SceneHandle;
 use crate::error::{Error, Result};
@@ -19,6 +19,17 @@ use crate::scene::Camera;
 /// Bytes of the counters in their ring, and of one place of it: counters, then the serial number of the frame.
 const COUNTER_BYTES: u64 = COUNTER_WORDS * 4;
 const RING_BYTES: u64 = 64;
+
+/// Whose counters a place of the ring gets.
+#[derive(Debug, Clone, Copy, Default)]
+struct Place {
+    /// Which writing of the commands, for a host or for warming up, counted from 1; 0: none. The device writes it into the ring,
+    /// too, which says that the commands were executed.
+    encoding: u64,
+    /// Which call of [`View::record`], counted from 1; 0: it warmed up.
+    serial: u64,
+}
+
 /// Everything that depends on image size and capacity.
 #[derive(Debug)]
 struct Targets {
@@ -52,13 +63,18 @@ pub struct View {
     scene: SceneHandle,
     options: ViewOptions,
     targets: Option<Targets>,
-    /// Replaced targets and the last call that used them.
+    /// Replaced targets and the last encoding that used them.
     retired: VecDeque<(u64, Targets)>,
     ring: Buffer,
-    /// The call whose counters each place of the ring gets, 0: none.
-    slots: [u64; MAX_IN_FLIGHT as usize],
+    places: [Place; MAX_IN_FLIGHT as usize],
     capacity: u64,
-    calls: u64,
+    /// How often commands were written.
+    encodings: u64,
+    /// Calls of `record`.
+    records: u64,
+    /// The latest encoding that is known to have finished; 0: none.
+    latest: u64,
+    /// The latest of `record`'s.
     finished: Option<Finished>,
     host_pose: Vec<[f32; 4]>,
 }
@@ -67,26 +83,13 @@ impl View {
     /// A view; buffers come with its first size.
     ///
     /// # Errors
-    /// `Usage` for options without sense, `OutOfMemory`.
+    /// `Usage` or `NonFinite` for options without sense, `Usage` for a scene of another [`Gpu`], `OutOfMemory`.
     pub fn new(gpu: &Gpu, scene: &SceneHandle, options: &ViewOptions) -> Result<Self> {
-        if !(1..=MAX_IN_FLIGHT).contains(&options.in_flight) {
-            return Err(Error::usage(
-                "frames in flight",
-                options.in_flight.to_string(),
-                format!("1 to {MAX_IN_FLIGHT}"),
-            ));
-        }
-        if options.storage && blend_image::kernel_of(options.format).is_none() {
-            let found = format!("{:?} with a storage view", options.format);
-            return Err(Error::usage(
-                "format of a view",
-                found,
-                "Rgba8, Rgba16F or Rgba32F, or an image that is copied to",
-            ));
-        }
+        check::options(options)?;
+        check::scene(gpu, scene)?;
         let ring = gpu.buffer("counter ring", RING_BYTES * u64::from(options.in_flight), Memory::Readback)?;
         ring.write_readback(0, &vec![0; ring.bytes() as usize])?;
-        let capacity = capacity::first(scene.gaussians()).min(capacity::limit(gpu, options.max_instances));
+        let capacity = capacity::first(scene.buffers.gaussians).min(capacity::limit(gpu, options.max_instances));
         Ok(Self {
             gpu: gpu.clone(),
             scene: scene.clone(),
@@ -94,20 +97,26 @@ impl View {
             targets: None,
             retired: VecDeque::new(),
             ring,
-            slots: [0; MAX_IN_FLIGHT as usize],
+            places: [Place::default(); MAX_IN_FLIGHT as usize],
             capacity,
-            calls: 0,
+            encodings: 0,
+            records: 0,
+            latest: 0,
             finished: None,
             host_pose: Vec::new(),
         })
     }
 
-    /// Records a frame at `time` (unit of the motion table) into a host's command buffer. See the [module's page](super) for
-    /// what happens around it.
+    /// Records a frame at `time` into a host's command buffer. See the [module's page](super) for what happens around it.
+    ///
+    /// `time` has the unit of the scene's motion ([`Extent::times`](super::Extent)) and may be any number that is finite as `f32`:
+    /// before the first key of a table and after the last the pose there is held; a network or a deformation field is
+    /// evaluated at that very time, about which training said nothing beyond 0 and 1.
     ///
     /// # Errors
     /// Nothing is recorded then. `Limit` when a finished frame needed more tile instances than the device or the options
-    /// allow; `NonFinite` or `Usage` for a senseless camera or a target that does not fit the options; `OutOfMemory`.
+    /// allow; `NonFinite` or `Usage` for a senseless camera (whose rotation must be one, within 0.001) or a target that does not fit
+    /// the options; `OutOfMemory`.
     pub fn record(
         &mut self,
         commands: &HostCommandBuffer,
@@ -115,30 +124,20 @@ impl View {
         time: f64,
         target: &Target,
     ) -> Result<Recorded> {
-        if target.depth.is_some() && !self.options.depth {
-            return Err(Error::usage("depth image", "one", "none: the view was made without depth"));
-        }
-        let said = |storage| if storage { "with a storage view" } else { "without a storage view" };
-        if target.color.is_storage() != self.options.storage {
-            let expected = format!("one {}: the view was made so", said(self.options.storage));
-            return Err(Error::usage("colour image", format!("one {}", said(!self.options.storage)), expected));
-        }
-        if target.depth.is_some_and(|d| d.is_storage()) {
-            return Err(Error::usage("depth image", "one with a storage view", "one that is copied to"));
-        }
+        check::target(target, &self.options)?;
         let slot = self.next_slot();
         let finished = self.collect(slot)?;
         let frame = self.prepare_frame(camera, time)?;
         let images = [Some(target.color), target.depth];
         let images = &images[..if self.options.depth { 2 } else { 1 }];
         self.with_updates(&frame, |sequence, updates| sequence.encode(commands, slot, updates, images))?;
-        self.calls += 1;
-        self.slots[slot as usize] = self.calls;
-        Ok(Recorded { serial: self.calls, finished })
+        self.records += 1;
+        self.encoded(slot, self.records);
+        Ok(Recorded { serial: self.records, finished })
     }
 
     /// Makes buffers and pipelines for this size, and runs frames on the engine's queue, without an image, until one fits
-    /// its buffers. Blocks; nothing that this view recorded may be in flight.
+    /// its buffers. Blocks; nothing that this view recorded may be in flight. These frames have no serial number.
     ///
     /// # Errors
     /// As [`View::record`].
@@ -149,9 +148,8 @@ impl View {
             let frame = self.prepare_frame(camera, time)?;
             let gpu = self.gpu.clone();
             self.with_updates(&frame, |sequence, updates| gpu.execute(sequence, slot, updates))?;
-            self.calls += 1;
-            self.slots[slot as usize] = self.calls;
-            if let Some(Finished { overflowed: false, statistics, .. }) = self.all_finished()? {
+            self.encoded(slot, 0);
+            if let Some(Finished { overflowed: false, statistics, .. }) = self.collect(slot)? {
                 return Ok(statistics);
             }
         }
@@ -176,29 +174,34 @@ impl View {
     }
 
     /// Shows another scene from the next call on.
-    pub fn set_scene(&mut self, scene: &SceneHandle) {
+    ///
+    /// # Errors
+    /// `Usage` for a scene of another [`Gpu`]; the view keeps the one it has.
+    pub fn set_scene(&mut self, scene: &SceneHandle) -> Result<()> {
+        check::scene(&self.gpu, scene)?;
         self.scene = scene.clone();
         let limit = capacity::limit(&self.gpu, self.options.max_instances);
-        self.capacity = self.capacity.max(capacity::first(scene.gaussians())).min(limit);
+        self.capacity = self.capacity.max(capacity::first(scene.buffers.gaussians)).min(limit);
         self.retire();
+        Ok(())
     }
 
-    /// Another background from the next call on.
+    /// Another background from the next call on, which refuses one that is not finite.
     pub fn set_background(&mut self, background: [f32; 3]) {
         self.options.background = background;
     }
 
-    /// The latest frame that is known to have finished.
+    /// The latest frame of [`View::record`] that is known to have finished.
     pub fn finished(&self) -> Option<Finished> {
         self.finished
     }
 
-    /// Device times of the operations of the latest finished frame; empty without [`ViewOptions::profile`], and after the
-    /// buffers were replaced.
+    /// Device times of the operations of the latest finished frame, one of warming up included; empty without
+    /// [`ViewOptions::profile`], and after the buffers were replaced.
     pub fn timings(&self) -> Result<Vec<Timing>> {
-        match (&self.targets, self.finished) {
-            (Some(targets), Some(finished)) => {
-                targets.sequence.timings(((finished.serial - 1) % u64::from(self.options.in_flight)) as u32)
+        match (&self.targets, self.latest.checked_sub(1)) {
+            (Some(targets), Some(before)) => {
+                targets.sequence.timings((before % u64::from(self.options.in_flight)) as u32)
             }
             _ => Ok(Vec::new()),
         }
@@ -223,32 +226,39 @@ impl View {
     }
 
     fn next_slot(&self) -> u32 {
-        (self.calls % u64::from(self.options.in_flight)) as u32
+        (self.encodings % u64::from(self.options.in_flight)) as u32
+    }
+
+    /// Commands were written whose counters go into this place of the ring; `serial` 0: to warm up.
+    fn encoded(&mut self, slot: u32, serial: u64) {
+        self.encodings += 1;
+        self.places[slot as usize] = Place { encoding: self.encodings, serial };
     }
 
     /// Looks at the counters of a place in the ring whose frame has finished, and grows when it overflowed.
     fn collect(&mut self, slot: u32) -> Result<Option<Finished>> {
-        let serial = std::mem::take(&mut self.slots[slot as usize]);
-        // Of this call and those before nothing is in use any more.
-        while self.retired.front().is_some_and(|(last, _)| *last <= serial) {
+        let Place { encoding, serial } = std::mem::take(&mut self.places[slot as usize]);
+        // Of these commands and those before nothing is in use any more.
+        while self.retired.front().is_some_and(|(last, _)| *last <= encoding) {
             self.retired.pop_front();
         }
         let (mut counters, mut executed) = ([0; COUNTER_BYTES as usize], [0; 8]);
         let at = u64::from(slot) * RING_BYTES;
         self.ring.read(at, &mut counters)?;
         self.ring.read(at + COUNTER_BYTES, &mut executed)?;
-        if serial == 0 || u64::from_le_bytes(executed) != serial {
+        if encoding == 0 || u64::from_le_bytes(executed) != encoding {
             return Ok(None);
         }
         let counted = capacity::counted(&counters);
         let (overflowed, statistics) = (counted.overflowed, counted.statistics);
         let finished = Finished { serial, statistics, overflowed };
-        if self.finished.is_none_or(|f| f.serial < serial) {
+        self.latest = self.latest.max(encoding);
+        if serial > self.finished.map_or(0, |f| f.serial) {
             self.finished = Some(finished);
         }
         if overflowed {
             let limit = capacity::limit(&self.gpu, self.options.max_instances);
-            let grown = capacity::grown(self.capacity, statistics.instances, limit, self.scene.gaussians())?;
+            let grown = capacity::grown(self.capacity, statistics.instances, limit, self.scene.buffers.gaussians)?;
             // A frame of before the last growth asks for nothing new.
             self.capacity = grown.max(self.capacity);
         }
@@ -264,6 +274,7 @@ impl View {
             ..FrameOptions::default()
         };
         let mut frame = self.scene.buffers.frame(camera, options, self.scene.quality.depth_bits)?;
+        check::rigid(camera)?;
         let (size, capacity) = ([camera.width, camera.height], self.capacity as u32);
         if !self.targets.as_ref().is_some_and(|t| t.size == size && t.capacity == capacity) {
             let made = self.make_targets(size, capacity)?;
@@ -279,18 +290,18 @@ impl View {
         let Some(targets) = &self.targets else {
             return Err(Error::usage("view", "no buffers", "buffers of the camera's size"));
         };
-        let serial = (self.calls + 1).to_le_bytes();
+        let encoding = (self.encodings + 1).to_le_bytes();
         let (frame, pose): (&[u8], &[u8]) = (bytemuck::bytes_of(frame), bytemuck::cast_slice(&self.host_pose));
         if targets.buffers.host_pose.is_some() {
-            encode(&targets.sequence, &[frame, pose, &serial])
+            encode(&targets.sequence, &[frame, pose, &encoding])
         } else {
-            encode(&targets.sequence, &[frame, &serial])
+            encode(&targets.sequence, &[frame, &encoding])
         }
     }
 
     fn retire(&mut self) {
         if let Some(old) = self.targets.take() {
-            self.retired.push_back((self.calls, old));
+            self.retired.push_back((self.encodings, old));
         }
     }
 
