@@ -19,9 +19,11 @@
  * Synchronisation. spgs_view_record submits nothing, waits for nothing, and, once a view has seen its size and its largest
  * frame, allocates nothing. It waits on the device for what spgs_image names before, moves the image to
  * TRANSFER_DST_OPTIMAL (GENERAL when it is written through a view), writes it, and moves it to new_layout, visible to what
- * spgs_image names after. Semaphores are the host's; for a
- * swapchain, wait for the acquisition at stage TRANSFER. Command buffers that share a view (or a scene with network F
- * or G) must execute one after another. Views, scenes and images stay until the commands that use them have finished.
+ * spgs_image names after. Semaphores are the host's; for a swapchain, wait for the acquisition at stage TRANSFER, or
+ * COMPUTE_SHADER when the image is written through a view (storage). Command buffers that share a view must execute one after
+ * another, and so must those that share a scene with network F or G or a deformation field, whose results lie in buffers of the
+ * scene (spgs_scene_extent.one_after_another says so). Views, scenes and images stay until the commands that use them have
+ * finished.
  *
  * Stability. From version 1.0 on, semantic versioning: within a major version nothing changes its meaning or goes away;
  * structures that begin with struct_size may grow at their end. Set struct_size = sizeof(the structure) and zero the
@@ -162,12 +164,31 @@ SPGS_API spgs_status spgs_loading_finish(spgs_loading *loading, spgs_scene **sce
 SPGS_API void spgs_loading_cancel(spgs_loading *loading);
 
 typedef struct spgs_scene_info {
-    uint64_t gaussians;       /* the refused ones included */
-    uint64_t rejected;        /* refused: not finite, no rotation, absurd size */
+    uint64_t gaussians;       /* of the model, the refused ones included */
+    uint64_t rejected;        /* refused when it was read or uploaded: not finite, no rotation, absurd size, out of range */
     uint64_t bytes;           /* of device memory */
 } spgs_scene_info;
 
 SPGS_API spgs_status spgs_scene_get_info(const spgs_scene *scene, spgs_scene_info *info);
+
+/* Where and when a scene is. */
+typedef struct spgs_scene_extent {
+    double first_time;        /* of the key-time table that moves it; 0 and 1 where a network or a deformation field does, */
+    double last_time;         /* which are trained on that; both 0 when it stands still */
+    double center[3];         /* of a ball that holds most of it: on each axis the median of the Gaussians' centres, world units. */
+                              /* Where a table moves them those at its first, middle and last key count, else those at rest. */
+    double radius;            /* 90 % of those centres lie within it; 0 without Gaussians. Of a large scene, 65,536 Gaussians */
+                              /* at even steps of their index stand for all. */
+    uint32_t motion;          /* SPGS_MOTION_TABLE, SPGS_MOTION_NETWORK (deformation fields too), or 0: it stands still */
+    uint32_t one_after_another; /* not 0: command buffers of all views of it execute one after another, see above */
+} spgs_scene_extent;
+
+SPGS_API spgs_status spgs_scene_get_extent(const spgs_scene *scene, spgs_scene_extent *extent);
+
+/* What reading the model warned of, one line each (Gaussians that are skipped, which level of detail was read, ...): sets count,
+ * and warnings to an array that lives as long as the scene. */
+SPGS_API spgs_status spgs_scene_warnings(const spgs_scene *scene, const char *const **warnings, uint32_t *count);
+
 SPGS_API void spgs_scene_destroy(spgs_scene *scene);
 
 /* ---- Views ----------------------------------------------------------------------------------------------------------- */
@@ -178,7 +199,8 @@ typedef struct spgs_view spgs_view;
 typedef struct spgs_camera {
     uint32_t width, height;   /* of the image, pixels */
     double fx, fy, cx, cy;    /* focal lengths and principal point, pixels */
-    double world_to_camera[16]; /* rigid, column-major: camera = M * world */
+    double world_to_camera[16]; /* column-major: camera = M * world. Rigid: refused unless the rotation's columns are orthonormal,
+                                   its determinant 1 and the last row 0, 0, 0, 1, within 0.001 */
 } spgs_camera;
 
 enum { SPGS_RGBA8 = 0, SPGS_BGRA8 = 1, SPGS_RGBA16F = 2, SPGS_RGBA32F = 3 };
@@ -196,6 +218,7 @@ typedef struct spgs_view_options {
     uint32_t reserved;
 } spgs_view_options;
 
+/* The scene is one of the same spgs_gpu. */
 SPGS_API spgs_status spgs_view_create(
     const spgs_gpu *gpu, const spgs_scene *scene, const spgs_view_options *options, spgs_view **view);
 
@@ -206,7 +229,7 @@ typedef struct spgs_image {
     uint32_t x, y;            /* first pixel that is written */
     uint32_t layer, level;
     int32_t old_layout;       /* its layout, or VK_IMAGE_LAYOUT_UNDEFINED when its content may go */
-    int32_t new_layout;
+    int32_t new_layout;       /* its layout afterwards; neither UNDEFINED nor PREINITIALIZED */
     uint64_t before_stages, before_access; /* earlier uses that are waited for */
     uint64_t after_stages, after_access;   /* later uses that see the pixels */
     uint64_t storage_view;    /* VkImageView, 2D, of that layer and level and of the view's format; 0 unless the view has storage.
@@ -222,13 +245,13 @@ typedef struct spgs_target {
 
 typedef struct spgs_statistics {
     uint32_t visible;         /* Gaussians that touch the image */
-    uint32_t rejected;
+    uint32_t rejected;        /* of those on the device, not finite in this frame or refused on upload */
     uint64_t instances;       /* (Gaussian, tile) pairs */
 } spgs_statistics;
 
 /* An earlier frame, looked at when it was sure to have finished. */
 typedef struct spgs_finished {
-    uint64_t serial;          /* number of its call of record, from 1; 0: there is none yet */
+    uint64_t serial;          /* number of its call of record, from 1 (warming up does not count); 0: none yet */
     spgs_statistics statistics;
     uint32_t overflowed;      /* not 0: it lacked room and shows the background only; there is room now */
     uint32_t reserved;
@@ -239,14 +262,18 @@ typedef struct spgs_finished {
 SPGS_API spgs_status spgs_view_warm_up(
     spgs_view *view, const spgs_camera *camera, double time, spgs_statistics *statistics);
 
-/* Records a frame into command_buffer (VkCommandBuffer, recording, outside of a render pass). finished may be null. */
+/* Records a frame into command_buffer (VkCommandBuffer, recording, outside of a render pass). finished may be null.
+ *
+ * time has the unit of the scene's motion (first_time and last_time of spgs_scene_extent) and may be any number that is finite as
+ * a float, else SPGS_NOT_FINITE. Before the first key of a table and after the last the pose there is held; a network or a
+ * deformation field is evaluated at that very time, about which training said nothing beyond 0 and 1. */
 SPGS_API spgs_status spgs_view_record(spgs_view *view, void *command_buffer, const spgs_camera *camera, double time,
     const spgs_target *target, spgs_finished *finished);
 
 /* Says that everything recorded so far has finished: replaced buffers are freed. finished may be null. */
 SPGS_API spgs_status spgs_view_all_finished(spgs_view *view, spgs_finished *finished);
 
-/* Shows another scene from the next call on. */
+/* Shows another scene of the same spgs_gpu from the next call on. */
 SPGS_API spgs_status spgs_view_set_scene(spgs_view *view, const spgs_scene *scene);
 
 /* What it recorded has finished. */

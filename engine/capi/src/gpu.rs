@@ -9,6 +9,7 @@ use engine::gpu::{Gpu, GpuOptions, HostDevice, QueueLock};
 use engine::{Error, Result};
 
 use crate::status::{guard, null, object, options, quietly, store, text};
+use crate::texts::Texts;
 use crate::types::{LockFunction, spgs_gpu_options, spgs_handles, spgs_host};
 
 /// See `spgs.h`.
@@ -42,31 +43,13 @@ impl QueueLock for Lock {
     }
 }
 
-/// NUL-terminated names, kept for the life of the program.
-struct Names(Vec<*const c_char>);
-
-// SAFETY: the names are leaked and never written.
-unsafe impl Send for Names {}
-// SAFETY: as above.
-unsafe impl Sync for Names {}
-
-impl Names {
-    fn new<'a>(names: impl Iterator<Item = &'a CStr>) -> Self {
-        Self(names.map(|name| CString::from(name).into_raw().cast_const()).collect())
-    }
-
-    /// # Safety
-    /// The pointers are null or valid for writing.
-    unsafe fn give(&self, names: *mut *const *const c_char, count: *mut u32) -> Result<()> {
-        if names.is_null() || count.is_null() {
-            return Err(null("names, count"));
+/// The engine's error with the names of the header.
+fn of_host(error: Error) -> Error {
+    match error {
+        Error::Usage { what, found, expected } => {
+            Error::Usage { what: what.replace("HostDevice::", "spgs_host."), found, expected }
         }
-        // SAFETY: promised by the caller.
-        unsafe {
-            store(names, self.0.as_ptr());
-            store(count, self.0.len() as u32);
-        }
-        Ok(())
+        other => other,
     }
 }
 
@@ -77,28 +60,26 @@ pub unsafe extern "C" fn spgs_required_extensions(
     names: *mut *const *const c_char,
     count: *mut u32,
 ) -> i32 {
-    static LISTS: OnceLock<[Names; 2]> = OnceLock::new();
+    static LISTS: OnceLock<[Texts; 2]> = OnceLock::new();
     const VERSION_1_3: u32 = 1 << 22 | 3 << 12;
     guard(|| {
         let versions = [0, VERSION_1_3];
-        let lists = LISTS.get_or_init(|| versions.map(|v| Names::new(host_requirements(v).extensions.into_iter())));
+        let lists = LISTS.get_or_init(|| {
+            versions.map(|v| Texts::new(host_requirements(v).extensions.into_iter().map(CStr::to_bytes)))
+        });
         // SAFETY: promised by the caller.
-        unsafe { lists[usize::from(api_version >= VERSION_1_3)].give(names, count) }
+        unsafe { lists[usize::from(api_version >= VERSION_1_3)].give(names, count, "names, count") }
     })
 }
 
 /// See `spgs.h`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spgs_required_features(names: *mut *const *const c_char, count: *mut u32) -> i32 {
-    static LIST: OnceLock<Names> = OnceLock::new();
+    static LIST: OnceLock<Texts> = OnceLock::new();
     guard(|| {
-        let list = LIST.get_or_init(|| {
-            let names: Vec<CString> =
-                host_requirements(0).features.into_iter().filter_map(|f| CString::new(f).ok()).collect();
-            Names::new(names.iter().map(CString::as_c_str))
-        });
+        let list = LIST.get_or_init(|| Texts::new(host_requirements(0).features));
         // SAFETY: promised by the caller.
-        unsafe { list.give(names, count) }
+        unsafe { list.give(names, count, "names, count") }
     })
 }
 
@@ -131,7 +112,7 @@ pub unsafe extern "C" fn spgs_gpu_from_host(host: *const spgs_host, gpu: *mut *m
         };
         // SAFETY: promised by the caller.
         unsafe {
-            let made = Gpu::from_host(&device, &GpuOptions::default())?;
+            let made = Gpu::from_host(&device, &GpuOptions::default()).map_err(of_host)?;
             store(gpu, Box::into_raw(Box::new(spgs_gpu(made))));
         }
         Ok(())

@@ -5,6 +5,7 @@
 mod gpu;
 mod scene;
 mod status;
+mod texts;
 mod types;
 mod view;
 

@@ -2,21 +2,36 @@
 #![allow(non_camel_case_types, reason = "the names of the header")]
 
 use std::ffi::c_char;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use engine::gpu::Gpu;
 use engine::render::{Loading, Quality, SceneHandle, SceneOptions};
+use engine::scene::MotionSource;
 use engine::scene::synthetic::demo_scene;
-use engine::scene::{MotionSource, Scene};
 use engine::{Error, Result};
 
 use crate::gpu::spgs_gpu;
 use crate::status::{NOT_READY, OK, guard, null, object, options, quietly, store, text};
-use crate::types::{spgs_scene_info, spgs_scene_options};
+use crate::texts::Texts;
+use crate::types::{spgs_scene_extent, spgs_scene_info, spgs_scene_options};
 
 /// See `spgs.h`.
 #[derive(Debug)]
-pub struct spgs_scene(pub(crate) SceneHandle);
+pub struct spgs_scene {
+    pub(crate) handle: SceneHandle,
+    warnings: Texts,
+}
+
+impl spgs_scene {
+    /// Gives the caller a scene of its own.
+    ///
+    /// # Safety
+    /// The pointer is null or valid for writing.
+    unsafe fn give(handle: SceneHandle, out: *mut *mut Self) {
+        let warnings = Texts::new(handle.warnings().iter().map(String::as_str));
+        // SAFETY: promised by the caller.
+        unsafe { store(out, Box::into_raw(Box::new(Self { handle, warnings }))) };
+    }
+}
 
 /// See `spgs.h`.
 #[derive(Debug)]
@@ -44,17 +59,6 @@ unsafe fn scene_options(given: *const spgs_scene_options) -> Result<SceneOptions
     Ok(SceneOptions { motion, quality })
 }
 
-fn read(path: &Path) -> Result<Scene> {
-    Ok(engine::file::load(path)?.scene)
-}
-
-fn upload(gpu: &Gpu, scene: &Scene, options: &SceneOptions, out: *mut *mut spgs_scene) -> Result<()> {
-    let handle = SceneHandle::upload(gpu, scene, options)?;
-    // SAFETY: checked for null by the caller, valid as spgs.h demands.
-    unsafe { store(out, Box::into_raw(Box::new(spgs_scene(handle)))) };
-    Ok(())
-}
-
 /// See `spgs.h`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn spgs_scene_load(
@@ -69,7 +73,10 @@ pub unsafe extern "C" fn spgs_scene_load(
         }
         // SAFETY: promised by the caller.
         let (gpu, path, options) = unsafe { (object(gpu, "gpu")?, text(path, "path")?, scene_options(options)?) };
-        upload(&gpu.0, &read(Path::new(path))?, &options, scene)
+        let handle = SceneHandle::upload_loaded(&gpu.0, engine::file::load(Path::new(path))?, &options)?;
+        // SAFETY: promised by the caller.
+        unsafe { spgs_scene::give(handle, scene) };
+        Ok(())
     })
 }
 
@@ -86,7 +93,10 @@ pub unsafe extern "C" fn spgs_scene_demo(
         }
         // SAFETY: promised by the caller.
         let (gpu, options) = unsafe { (object(gpu, "gpu")?, scene_options(options)?) };
-        upload(&gpu.0, &demo_scene(), &options, scene)
+        let handle = SceneHandle::upload(&gpu.0, &demo_scene(), &options)?;
+        // SAFETY: promised by the caller.
+        unsafe { spgs_scene::give(handle, scene) };
+        Ok(())
     })
 }
 
@@ -104,8 +114,7 @@ pub unsafe extern "C" fn spgs_scene_load_async(
         }
         // SAFETY: promised by the caller.
         let (gpu, path, options) = unsafe { (object(gpu, "gpu")?, text(path, "path")?, scene_options(options)?) };
-        let path = PathBuf::from(path);
-        let made = SceneHandle::load(&gpu.0, move || read(&path), &options);
+        let made = SceneHandle::load_file(&gpu.0, path, &options);
         // SAFETY: promised by the caller.
         unsafe { store(loading, Box::into_raw(Box::new(spgs_loading(made)))) };
         Ok(())
@@ -138,7 +147,7 @@ pub unsafe extern "C" fn spgs_loading_finish(loading: *mut spgs_loading, scene: 
         }
         let handle = loading.0.finish()?;
         // SAFETY: promised by the caller.
-        unsafe { store(scene, Box::into_raw(Box::new(spgs_scene(handle)))) };
+        unsafe { spgs_scene::give(handle, scene) };
         Ok(())
     })
 }
@@ -157,7 +166,7 @@ pub unsafe extern "C" fn spgs_loading_cancel(loading: *mut spgs_loading) {
 pub unsafe extern "C" fn spgs_scene_get_info(scene: *const spgs_scene, info: *mut spgs_scene_info) -> i32 {
     guard(|| {
         // SAFETY: promised by the caller.
-        let scene = &unsafe { object(scene, "scene")? }.0;
+        let scene = &unsafe { object(scene, "scene")? }.handle;
         if info.is_null() {
             return Err(null("info"));
         }
@@ -169,6 +178,47 @@ pub unsafe extern "C" fn spgs_scene_get_info(scene: *const spgs_scene, info: *mu
         // SAFETY: promised by the caller.
         unsafe { store(info, value) };
         Ok(())
+    })
+}
+
+/// See `spgs.h`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn spgs_scene_get_extent(scene: *const spgs_scene, extent: *mut spgs_scene_extent) -> i32 {
+    guard(|| {
+        // SAFETY: promised by the caller.
+        let scene = &unsafe { object(scene, "scene")? }.handle;
+        if extent.is_null() {
+            return Err(null("extent"));
+        }
+        let found = scene.extent();
+        let value = spgs_scene_extent {
+            first_time: found.times[0],
+            last_time: found.times[1],
+            center: found.center.to_array(),
+            radius: found.radius,
+            motion: match scene.motion() {
+                None | Some(MotionSource::Auto) => 0,
+                Some(MotionSource::Table) => 1,
+                Some(MotionSource::Network) => 2,
+            },
+            one_after_another: scene.one_after_another().into(),
+        };
+        // SAFETY: promised by the caller.
+        unsafe { store(extent, value) };
+        Ok(())
+    })
+}
+
+/// See `spgs.h`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn spgs_scene_warnings(
+    scene: *const spgs_scene,
+    warnings: *mut *const *const c_char,
+    count: *mut u32,
+) -> i32 {
+    guard(|| {
+        // SAFETY: promised by the caller.
+        unsafe { object(scene, "scene")?.warnings.give(warnings, count, "warnings, count") }
     })
 }
 

@@ -6,7 +6,13 @@ use std::ffi::{c_char, c_void};
 use engine::gpu::{HostImage, ImageUse};
 use engine::render::{Finished, FrameStatistics};
 use engine::scene::Camera;
+use engine::{Error, Result};
 use glam::DMat4;
+
+use crate::status::null;
+
+/// How far the last row of a camera's matrix may be from 0, 0, 0, 1.
+const LAST_ROW_TOLERANCE: f64 = 1e-3;
 
 /// Declares a `#[repr(C)]` structure with the table of its members, so that the test can compare it with the header.
 macro_rules! c_struct {
@@ -75,6 +81,14 @@ c_struct! {
         pub rejected: u64,
         pub bytes: u64,
     }
+    pub struct spgs_scene_extent {
+        pub first_time: f64,
+        pub last_time: f64,
+        pub center: [f64; 3],
+        pub radius: f64,
+        pub motion: u32,
+        pub one_after_another: u32,
+    }
     pub struct spgs_camera {
         pub width: u32,
         pub height: u32,
@@ -127,13 +141,34 @@ c_struct! {
 }
 
 impl spgs_camera {
-    pub(crate) fn camera(&self) -> Camera {
+    /// The engine takes the upper rows and looks at them; the last one says whether the matrix is what it takes it for.
+    pub(crate) fn camera(&self) -> Result<Camera> {
         let matrix = DMat4::from_cols_array(&self.world_to_camera);
-        Camera::from_world_to_camera(matrix, [self.fx, self.fy, self.cx, self.cy], [self.width, self.height])
+        let last = matrix.row(3).to_array();
+        let near = |(found, expected): (&f64, f64)| (found - expected).abs() <= LAST_ROW_TOLERANCE;
+        if !last.iter().zip([0.0, 0.0, 0.0, 1.0]).all(near) {
+            let expected = "[0.0, 0.0, 0.0, 1.0]: a rigid matrix, column by column";
+            return Err(Error::usage("spgs_camera.world_to_camera, last row", format!("{last:?}"), expected));
+        }
+        let [fx, fy, cx, cy] = [self.fx, self.fy, self.cx, self.cy];
+        Ok(Camera::from_world_to_camera(matrix, [fx, fy, cx, cy], [self.width, self.height]))
     }
 }
 
 impl spgs_image {
+    /// Refuses by the header's names what the engine would refuse by its own. `place`: which member of the target it is.
+    pub(crate) fn check(&self, place: &str) -> Result<()> {
+        if self.image == 0 {
+            return Err(null(&format!("{place}.image")));
+        }
+        match self.new_layout {
+            0 => Err("VK_IMAGE_LAYOUT_UNDEFINED"),
+            8 => Err("VK_IMAGE_LAYOUT_PREINITIALIZED"),
+            _ => Ok(()),
+        }
+        .map_err(|found| Error::usage(format!("{place}.new_layout"), found, "the layout that its next use wants"))
+    }
+
     /// # Safety
     /// As [`HostImage::from_raw`] and [`HostImage::with_storage_view`].
     pub(crate) unsafe fn host_image(&self) -> HostImage {

@@ -53,7 +53,7 @@ pub unsafe extern "C" fn spgs_view_create(
         unsafe {
             let (gpu, scene) = (object(gpu, "gpu")?, object(scene, "scene")?);
             let options = view_options(&options(given, "spgs_view_options")?)?;
-            store(view, Box::into_raw(Box::new(spgs_view(View::new(&gpu.0, &scene.0, &options)?))));
+            store(view, Box::into_raw(Box::new(spgs_view(View::new(&gpu.0, &scene.handle, &options)?))));
         }
         Ok(())
     })
@@ -71,7 +71,7 @@ pub unsafe extern "C" fn spgs_view_warm_up(
         // SAFETY: promised by the caller.
         unsafe {
             let (view, camera) = (object_mut(view, "view")?, object(camera, "camera")?);
-            store(statistics, view.0.warm_up(&camera.camera(), time)?.into());
+            store(statistics, view.0.warm_up(&camera.camera()?, time)?.into());
         }
         Ok(())
     })
@@ -95,13 +95,13 @@ pub unsafe extern "C" fn spgs_view_record(
         unsafe {
             let (view, camera) = (object_mut(view, "view")?, object(camera, "camera")?);
             let target = object(target, "target")?;
-            if target.color.image == 0 {
-                return Err(null("target.color.image"));
-            }
-            let depth = target.depth.as_ref().map(|d| d.host_image());
+            target.color.check("target.color")?;
+            let depth = target.depth.as_ref();
+            depth.map_or(Ok(()), |d| d.check("target.depth"))?;
+            let depth = depth.map(|d| d.host_image());
             let target = Target { color: target.color.host_image(), depth };
             let commands = HostCommandBuffer::from_raw(command_buffer as u64);
-            let recorded = view.0.record(&commands, &camera.camera(), time, &target)?;
+            let recorded = view.0.record(&commands, &camera.camera()?, time, &target)?;
             store(finished, recorded.finished.into());
         }
         Ok(())
@@ -126,8 +126,7 @@ pub unsafe extern "C" fn spgs_view_all_finished(view: *mut spgs_view, finished: 
 pub unsafe extern "C" fn spgs_view_set_scene(view: *mut spgs_view, scene: *const spgs_scene) -> i32 {
     guard(|| {
         // SAFETY: promised by the caller.
-        unsafe { object_mut(view, "view")?.0.set_scene(&object(scene, "scene")?.0) };
-        Ok(())
+        unsafe { object_mut(view, "view")?.0.set_scene(&object(scene, "scene")?.handle) }
     })
 }
 

@@ -5,9 +5,11 @@
 
 #[path = "../../../examples/host/composite.rs"]
 mod composite;
+mod frames;
 mod header;
 mod host;
 mod misuse;
+mod scenes;
 #[path = "../../../examples/host/vulkan.rs"]
 mod vulkan;
 

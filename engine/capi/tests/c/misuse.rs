@@ -5,17 +5,18 @@ use std::ptr::{null, null_mut};
 
 use spgs::*;
 
-fn message() -> String {
+pub(super) fn message() -> String {
     unsafe { CStr::from_ptr(spgs_message()) }.to_str().unwrap().to_owned()
 }
 
-struct Made {
-    gpu: *mut spgs_gpu,
-    scene: *mut spgs_scene,
+/// A device of the engine's and the demo scene on it.
+pub(super) struct Made {
+    pub(super) gpu: *mut spgs_gpu,
+    pub(super) scene: *mut spgs_scene,
 }
 
 impl Made {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         let mut made = Self { gpu: null_mut(), scene: null_mut() };
         unsafe {
             assert_eq!(spgs_gpu_create(null(), &raw mut made.gpu), 0, "{}", message());
@@ -23,6 +24,14 @@ impl Made {
         }
         made
     }
+}
+
+/// Looks at the demo scene along z.
+pub(super) fn camera() -> spgs_camera {
+    let mut world_to_camera = [0.0; 16];
+    (0..4).for_each(|i| world_to_camera[5 * i] = 1.0);
+    world_to_camera[14] = 4.0;
+    spgs_camera { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0, world_to_camera }
 }
 
 impl Drop for Made {
@@ -81,13 +90,18 @@ fn nonsense_is_refused_by_name() {
             ("format", spgs_view_options { format: 4, ..Default::default() }),
             ("format", spgs_view_options { format: 1, storage: 1, ..Default::default() }),
             ("in flight", spgs_view_options { in_flight: 99, ..Default::default() }),
+            ("near plane", spgs_view_options { near_plane: -1.0, ..Default::default() }),
+            ("near plane", spgs_view_options { near_plane: f32::NAN, ..Default::default() }),
+            ("near plane", spgs_view_options { near_plane: f32::INFINITY, ..Default::default() }),
+            ("background", spgs_view_options { background: [0.0, 0.0, f32::NAN], ..Default::default() }),
         ] {
             let options = spgs_view_options { struct_size: size, ..options };
-            assert_eq!(spgs_view_create(made.gpu, made.scene, &raw const options, &raw mut view), 2);
+            let status = if field == "background" { 6 } else { 2 };
+            assert_eq!(spgs_view_create(made.gpu, made.scene, &raw const options, &raw mut view), status);
             assert!(message().contains(field) && view.is_null(), "{}", message());
         }
         assert_eq!(spgs_view_create(made.gpu, made.scene, null(), &raw mut view), 0);
-        let mut camera = spgs_camera { width: 64, height: 48, fx: 60.0, fy: f64::NAN, ..Default::default() };
+        let mut camera = spgs_camera { fy: f64::NAN, ..camera() };
         assert_eq!(spgs_view_warm_up(view, &raw const camera, 0.0, null_mut()), 6, "{}", message());
         camera.fy = 60.0;
         assert_eq!(spgs_view_warm_up(view, &raw const camera, f64::NAN, null_mut()), 6);
@@ -96,6 +110,35 @@ fn nonsense_is_refused_by_name() {
         assert!(message().contains("image"), "{}", message());
         spgs_view_destroy(view);
     }
+}
+
+#[test]
+fn cameras_that_are_not_rigid_are_refused() {
+    type Change = fn(&mut [f64; 16]);
+    let made = Made::new();
+    let mut view = null_mut();
+    assert_eq!(unsafe { spgs_view_create(made.gpu, made.scene, null(), &raw mut view) }, 0);
+    let changed = |change: Change| {
+        let mut camera = camera();
+        change(&mut camera.world_to_camera);
+        let status = unsafe { spgs_view_warm_up(view, &raw const camera, 0.0, null_mut()) };
+        (status, message())
+    };
+    assert_eq!(changed(|_| ()).0, 0);
+    assert_eq!(changed(|m| m[0] = 1.0001).0, 0);
+    let cases: [(Change, &str); 6] = [
+        (|m| *m = [0.0; 16], "last row: found [0.0, 0.0, 0.0, 0.0]"),
+        (|m| (0..15).for_each(|i| m[i] = 0.0), "lengths 0.0000, 0.0000, 0.0000"),
+        (|m| (0..12).for_each(|i| m[i] *= 2.0), "lengths 2.0000, 2.0000, 2.0000"),
+        (|m| m[5] = -1.0, "a mirror, determinant -1.0000"),
+        (|m| m[15] = 2.0, "last row"),
+        (|m| m[3] = f64::NAN, "last row"),
+    ];
+    for (change, said) in cases {
+        let (status, message) = changed(change);
+        assert!(status == 2 && message.contains(said), "{status} {message}");
+    }
+    unsafe { spgs_view_destroy(view) };
 }
 
 #[test]
