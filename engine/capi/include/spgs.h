@@ -20,10 +20,10 @@
  * frame, allocates nothing. It waits on the device for what spgs_image names before, moves the image to
  * TRANSFER_DST_OPTIMAL (GENERAL when it is written through a view), writes it, and moves it to new_layout, visible to what
  * spgs_image names after. Semaphores are the host's; for a swapchain, wait for the acquisition at stage TRANSFER, or
- * COMPUTE_SHADER when the image is written through a view (storage). Command buffers that share a view must execute one after
- * another, and so must those that share a scene with network F or G or a deformation field, whose results lie in buffers of the
- * scene (spgs_scene_extent.one_after_another says so). Views, scenes and images stay until the commands that use them have
- * finished.
+ * COMPUTE_SHADER when the image is written through a view (storage), and name that stage in before_stages, so that the change of
+ * layout waits for it too. Command buffers that share a view must execute one after another, and so must those that share a scene
+ * with network F or G or a deformation field, whose results lie in buffers of the scene (spgs_scene_extent.one_after_another says
+ * so). Views, scenes and images stay until the commands that use them have finished.
  *
  * Stability. From version 1.0 on, semantic versioning: within a major version nothing changes its meaning or goes away;
  * structures that begin with struct_size may grow at their end. Set struct_size = sizeof(the structure) and zero the

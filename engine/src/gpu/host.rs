@@ -244,9 +244,15 @@ impl ImageUse {
     }
 
     /// Before: the content does not matter and nothing that still runs uses the image. For a swapchain image: the
-    /// acquisition's semaphore is waited for at stage `TRANSFER` (or `ALL_COMMANDS`).
-    pub const UNDEFINED: Self =
-        Self::new(vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::TRANSFER, vk::AccessFlags2::NONE);
+    /// acquisition's semaphore is waited for at stage `TRANSFER` or `COMPUTE_SHADER` (or `ALL_COMMANDS`).
+    pub const UNDEFINED: Self = Self::new(
+        vk::ImageLayout::UNDEFINED,
+        // Both ways of writing: the change of layout waits for a semaphore only through a stage that both name.
+        vk::PipelineStageFlags2::from_raw(
+            vk::PipelineStageFlags2::TRANSFER.as_raw() | vk::PipelineStageFlags2::COMPUTE_SHADER.as_raw(),
+        ),
+        vk::AccessFlags2::NONE,
+    );
     /// Before: the content does not matter, but earlier commands of the queue may still sample the image in fragment or
     /// compute shaders. The usual choice for an image that is written and sampled in every frame.
     pub const DISCARD_AFTER_SAMPLING: Self = Self::new(

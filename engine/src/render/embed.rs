@@ -55,7 +55,8 @@
 //! - **After**: the layout is that of `after`, and the pixels are visible to its stages and accesses. No further barrier is
 //!   needed on the same queue; another queue waits for a semaphore, and another family takes ownership.
 //! - **Semaphores** are the host's: the engine neither waits for nor signals any in `record`. For a swapchain, wait for the
-//!   acquisition at stage `TRANSFER`, `COMPUTE_SHADER` for an image that is stored to (or `ALL_COMMANDS`).
+//!   acquisition at stage `TRANSFER`, `COMPUTE_SHADER` for an image that is stored to (or `ALL_COMMANDS`), and name that stage
+//!   in `before`, as [`ImageUse::UNDEFINED`](crate::gpu::ImageUse::UNDEFINED) does: the change of layout waits for it then, too.
 //! - **Memory**: each view has its own intermediate buffers, shared by its frames: the barrier at the start of each frame
 //!   orders them after one another. One view may be recorded several times into one command buffer.
 //! - **Nothing waits and nothing is allocated** in `record`, on the host or on the device, once a view has seen its image
@@ -71,6 +72,13 @@
 //!   Views of one scene that has network F or G or a deformation field share its output and its intermediate buffers, so their
 //!   command buffers execute one after another, as those of one view do ([`SceneHandle::one_after_another`] says whether it
 //!   is so); those of other scenes may overlap.
+//!
+//! # What a scene tells
+//!
+//! [`SceneHandle::extent`]: the first and last time of its motion, and a ball that holds most of it, for a time line and a first
+//! camera. `time` of `record` is not bound to that range: see [`View::record`]. [`SceneHandle::rejected`] and
+//! [`SceneHandle::warnings`] say what reading its file left out. A scene is shown by views of the [`Gpu`](crate::gpu::Gpu) that it
+//! was uploaded with, or of a clone.
 //!
 //! # Depth
 //!
