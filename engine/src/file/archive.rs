@@ -30,8 +30,7 @@ impl<'a> Archive<'a> {
     pub(crate) fn stored(&mut self, name: &str) -> Result<std::ops::Range<usize>> {
         let path = self.path;
         let at = format!("zip entry `{name}`");
-        let entry =
-            self.zip.by_name(name).map_err(|e| Error::corrupt(path, at.clone(), e.to_string(), "a readable entry"))?;
+        let entry = self.zip.by_name(name).map_err(|e| unreadable(path, name, e))?;
         if entry.compression() != zip::CompressionMethod::Stored {
             return Err(Error::corrupt(path, at, entry.compression().to_string(), "no compression, as PyTorch writes"));
         }
@@ -62,8 +61,7 @@ impl<'a> Archive<'a> {
     pub(crate) fn read(&mut self, name: &str, limit: u64) -> Result<Vec<u8>> {
         let path = self.path;
         let at = format!("zip entry `{name}`");
-        let entry =
-            self.zip.by_name(name).map_err(|e| Error::corrupt(path, at.clone(), e.to_string(), "a readable entry"))?;
+        let entry = self.zip.by_name(name).map_err(|e| unreadable(path, name, e))?;
         let mut content = Vec::new();
         let read = entry.take(limit.saturating_add(1)).read_to_end(&mut content);
         read.map_err(|e| Error::corrupt(path, at.clone(), e.to_string(), "an undamaged entry"))?;
@@ -75,6 +73,16 @@ impl<'a> Archive<'a> {
             });
         }
         Ok(content)
+    }
+}
+
+/// An entry that is not there, or cannot be read.
+fn unreadable(path: &Path, name: &str, error: zip::result::ZipError) -> Error {
+    match error {
+        zip::result::ZipError::FileNotFound => {
+            Error::corrupt(path, "zip directory", format!("no entry `{name}`"), "one, which the others need")
+        }
+        other => Error::corrupt(path, format!("zip entry `{name}`"), other.to_string(), "a readable entry"),
     }
 }
 

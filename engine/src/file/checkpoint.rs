@@ -85,6 +85,18 @@ fn of_iteration(folder: &Path, iteration: u64, file: &str) -> Option<(u64, PathB
     if exact.is_file() { Some((iteration, exact)) } else { newest(folder, file) }
 }
 
+/// What of a run's Gaussians is not taken, one name each.
+///
+/// # Errors
+/// As [`ply::unread`].
+pub fn unread(path: &Path) -> Result<Vec<String>> {
+    let Some((_, cloud)) = newest(&path.join("point_cloud"), "point_cloud.ply") else { return Ok(Vec::new()) };
+    let mut unread = ply::unread(&cloud)?;
+    // What SC-GS chooses control nodes by.
+    unread.retain(|name| !name.starts_with("property `fea_"));
+    Ok(unread)
+}
+
 /// Reads the newest iteration of a run.
 ///
 /// # Errors

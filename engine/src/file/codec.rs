@@ -176,7 +176,7 @@ pub(crate) struct Cursor<'a> {
     pub(crate) bytes: &'a [u8],
     pub(crate) at: usize,
     pub(crate) path: &'a Path,
-    /// What the bytes are, for errors ("byte", "byte of the unpacked data").
+    /// What the bytes are, for errors ("byte", "the unpacked data, byte").
     pub(crate) unit: &'static str,
 }
 

@@ -59,10 +59,7 @@ pub fn write_atomic_with(
     before: &mut dyn FnMut(Step) -> io::Result<()>,
 ) -> Result<()> {
     let target = resolve(path)?;
-    let directory = match target.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
+    let directory = directory_of(&target);
     let failed = |step: Step| move |source: io::Error| Error::io(path, step.action(), source);
 
     before(Step::Create).map_err(failed(Step::Create))?;
@@ -77,6 +74,33 @@ pub fn write_atomic_with(
     before(Step::Rename).map_err(failed(Step::Rename))?;
     temporary.persist(&target).map_err(|e| failed(Step::Rename)(e.error))?;
     before(Step::SyncDirectory).and_then(|()| sync_directory(directory)).map_err(failed(Step::SyncDirectory))
+}
+
+/// Whether [`write_atomic`] may replace or make `path`, by what is there: nothing or a regular file.
+///
+/// # Errors
+/// [`Error::Usage`], [`Error::Io`].
+pub fn check_name(path: &Path) -> Result<()> {
+    resolve(path).map(|_| ())
+}
+
+/// [`check_name`], and whether a file can be made in its folder: for programs that work long before they write.
+///
+/// # Errors
+/// [`Error::Usage`], [`Error::Io`].
+pub fn check_target(path: &Path) -> Result<()> {
+    let target = resolve(path)?;
+    let folder = directory_of(&target);
+    let refused = |e: io::Error| {
+        let found = format!("a folder where no file can be made ({e})");
+        Error::usage(format!("output {}", path.display()), found, "a folder that can be written")
+    };
+    create_beside(&target, folder).map(drop).map_err(refused)
+}
+
+/// Where a file is.
+fn directory_of(target: &Path) -> &Path {
+    target.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Follows a symbolic link, so that the link survives; refuses devices, pipes and directories, which a rename would

@@ -79,6 +79,19 @@ pub fn load_level(path: &Path, level: u32) -> Result<Loaded> {
     Ok(clean(Scene { gaussians, ..Scene::default() }, warnings, path))
 }
 
+/// What of a file [`load`] does not take without a word, one name each: further properties and elements of a `.ply`, its
+/// normals where they are not 0.
+///
+/// # Errors
+/// As [`load`].
+pub fn unread(path: &Path) -> Result<Vec<String>> {
+    match Format::of_file(path)? {
+        Format::Ply | Format::CompressedPly => ply::unread(path),
+        Format::Checkpoint => checkpoint::unread(path),
+        _ => Ok(Vec::new()),
+    }
+}
+
 /// Reads a model whose kind is known; nothing is judged or dropped.
 fn read(path: &Path, format: Format) -> Result<(Scene, Vec<String>)> {
     let mut warnings = Vec::new();

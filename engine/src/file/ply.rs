@@ -45,6 +45,23 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<Gaussians> {
     read::body(bytes, &header, path)
 }
 
+/// What of a file [`read`] does not take, one name each: further properties and elements, and normals that are not 0.
+///
+/// # Errors
+/// As [`read`].
+pub fn unread(path: &Path) -> Result<Vec<String>> {
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let header = header::parse(&bytes, path)?;
+    let (known, mut unread) = if compressed::is_compressed(&header) {
+        (&["chunk", "vertex", "sh"][..], compressed::unread(&header))
+    } else {
+        (&["vertex"][..], read::unread(&bytes, &header, path)?)
+    };
+    let elements = header.elements.iter().filter(|e| !known.contains(&e.name.as_str()) && e.count > 0);
+    unread.extend(elements.map(|e| format!("element `{}`", e.name)));
+    Ok(unread)
+}
+
 /// Whether the beginning of a file is that of a compressed `.ply`.
 pub(crate) fn is_compressed(head: &[u8]) -> bool {
     let end = head.windows(10).position(|w| w == b"end_header").unwrap_or(head.len());

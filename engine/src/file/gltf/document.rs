@@ -113,7 +113,8 @@ impl<'a> Document<'a> {
         if name.contains("://") || !is_inside(&name) {
             return Err(self.corrupt(at, format!("URI `{uri}`"), "a file in the same folder"));
         }
-        map_file(&self.path.parent().unwrap_or(Path::new("")).join(name.as_ref()))
+        let file = self.path.parent().unwrap_or(Path::new("")).join(name.as_ref());
+        map_file(&file).map_err(|e| self.corrupt(at, format!("URI `{uri}` ({e})"), "a file that can be read beside it"))
     }
 
     /// The bytes of a buffer view, and those from one element to the next, if it says.

@@ -34,7 +34,7 @@ enum Source<'a> {
 ///
 /// # Errors
 /// [`Error::Corrupt`] naming the place; what the format allows but is not supported is named as such: sparse accessors,
-/// compression other than `.spz`, buffers outside the file's folder. [`Error::Io`] for other files that it names,
+/// compression other than `.spz`, buffers outside the file's folder or not there.
 /// [`Error::Limit`] for more Gaussians than a file of its size can hold.
 pub fn parse(bytes: &[u8], path: &Path) -> Result<(Gaussians, Vec<String>)> {
     let document = Document::open(bytes, path)?;

@@ -45,6 +45,16 @@ pub(super) fn is_compressed(header: &Header) -> bool {
     header.elements[header.vertex].properties.iter().any(|p| p.name == PACKED[0])
 }
 
+/// Properties that [`body`] does not take, one name each.
+pub(super) fn unread(header: &Header) -> Vec<String> {
+    let further = |element: &str, known: &[&str]| -> Vec<String> {
+        let properties = header.elements.iter().filter(|e| e.name == element).flat_map(|e| &e.properties);
+        let names = properties.map(|p| &p.name).filter(|name| !known.contains(&name.as_str()));
+        names.map(|name| format!("property `{name}`")).collect()
+    };
+    [further("chunk", &BOUNDS), further("vertex", &PACKED)].concat()
+}
+
 /// One element's rows.
 struct Rows<'a> {
     bytes: &'a [u8],

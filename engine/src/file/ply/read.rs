@@ -23,12 +23,39 @@ const SH: usize = 11;
 
 /// Reads the body that follows `header`.
 pub(super) fn body(bytes: &[u8], header: &Header, path: &Path) -> Result<Gaussians> {
-    let layout = layout(&header.elements[header.vertex], path)?;
+    gathered(bytes, header, &layout(&header.elements[header.vertex], path)?, path)
+}
+
+fn gathered(bytes: &[u8], header: &Header, layout: &Layout, path: &Path) -> Result<Gaussians> {
     match header.encoding {
-        Encoding::Ascii => ascii(bytes, header, &layout, path),
-        Encoding::Little => binary::<false>(bytes, header, &layout, path),
-        Encoding::Big => binary::<true>(bytes, header, &layout, path),
+        Encoding::Ascii => ascii(bytes, header, layout, path),
+        Encoding::Little => binary::<false>(bytes, header, layout, path),
+        Encoding::Big => binary::<true>(bytes, header, layout, path),
     }
+}
+
+/// Properties of normals, which 3DGS files have and leave 0.
+const NORMALS: [&str; 3] = ["nx", "ny", "nz"];
+
+/// What of the vertices [`body`] does not take, one name each: further properties, and normals that are not 0.
+pub(super) fn unread(bytes: &[u8], header: &Header, path: &Path) -> Result<Vec<String>> {
+    let vertex = &header.elements[header.vertex];
+    let taken = layout(vertex, path)?.columns;
+    let is_normal = |i: &usize| NORMALS.contains(&&*vertex.properties[*i].name) && vertex.properties[*i].list.is_none();
+    let (normals, further): (Vec<usize>, Vec<usize>) =
+        (0..vertex.properties.len()).filter(|i| !taken.contains(i)).partition(is_normal);
+    let mut unread: Vec<String> =
+        further.iter().map(|&i| format!("property `{}`", vertex.properties[i].name)).collect();
+    if let Some(&first) = normals.first() {
+        // Read in the place of the centres.
+        let mut columns = vec![first; SH + 3];
+        columns.iter_mut().zip(&normals).for_each(|(column, i)| *column = *i);
+        let read = gathered(bytes, header, &Layout { degree: 0, columns }, path)?;
+        if read.mean.as_flattened().iter().any(|v| *v != 0.0) {
+            unread.push("normals".into());
+        }
+    }
+    Ok(unread)
 }
 
 fn layout(vertex: &Element, path: &Path) -> Result<Layout> {

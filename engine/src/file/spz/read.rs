@@ -88,7 +88,7 @@ fn gzip(bytes: &[u8], path: &Path) -> Result<(Gaussians, Vec<String>)> {
     let mut stream = flate2::bufread::GzDecoder::new(bytes);
     let mut head = Vec::new();
     stream.by_ref().take(HEADER as u64).read_to_end(&mut head).map_err(damaged)?;
-    let mut cursor = Cursor { unit: "byte of the unpacked data", ..Cursor::new(&head, path) };
+    let mut cursor = Cursor { unit: "the unpacked data, byte", ..Cursor::new(&head, path) };
     let header = Header::parse(&mut cursor, 2..=3)?;
     cursor.take(1, "reserved")?;
     header.check_memory(path, bytes.len())?;
@@ -108,7 +108,7 @@ fn gzip(bytes: &[u8], path: &Path) -> Result<(Gaussians, Vec<String>)> {
         let expected = format!("{body_bytes}, for {} Gaussians of SH degree {}", header.count, header.degree);
         return Err(Error::corrupt(path, "unpacked data", format!("{found} bytes after the header"), expected));
     }
-    let mut cursor = Cursor { unit: "byte of the unpacked data", ..Cursor::new(&body, path) };
+    let mut cursor = Cursor { unit: "the unpacked data, byte", ..Cursor::new(&body, path) };
     let [mean, opacity, color, log_scale, rotation, sh] = header.sizes();
     let attributes = Attributes {
         mean: cursor.take(mean, "centres")?,

@@ -102,7 +102,7 @@ struct Machine<'a> {
 
 /// Runs a pickle.
 pub(super) fn parse(bytes: &[u8], path: &Path) -> Result<Parsed> {
-    let cursor = Cursor { unit: "byte of data.pkl", ..Cursor::new(bytes, path) };
+    let cursor = Cursor { unit: "data.pkl, byte", ..Cursor::new(bytes, path) };
     let mut m = Machine { cursor, values: Vec::new(), stack: Vec::new(), marks: Vec::new(), memo: BTreeMap::new() };
     loop {
         if m.cursor.u8("instruction")? == b'.' {
