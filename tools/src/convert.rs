@@ -4,116 +4,30 @@ mod args;
 mod bake;
 mod loss;
 mod moment;
+mod summary;
+mod targets;
+mod views;
 
 use std::path::{Path, PathBuf};
 
 use engine::error::{Error, Result};
 use engine::file::{self, Output, spz};
-use engine::scene::{Camera, Gaussians, MotionSource, Scene};
-use serde::Serialize;
+use engine::gpu::Gpu;
+use engine::scene::{Gaussians, MotionSource, Scene};
 
 use crate::args::{Global, motion_source};
-use crate::{model, output, progress, view};
+use crate::{gpu_session, model, output, progress, view};
 use moment::Moments;
+use targets::Targets;
 
 pub use args::ConvertArgs;
 pub use bake::Baked;
 pub use loss::Loss;
+pub use summary::{Summary, Written};
 
-/// What was done.
-#[derive(Debug, Serialize)]
-pub struct Summary {
-    /// The file read.
-    pub input: PathBuf,
-    /// Its size.
-    pub input_bytes: u64,
-    /// Gaussians in it that can be drawn.
-    pub gaussians: usize,
-    /// The files written.
-    pub outputs: Vec<Written>,
-    /// What they do not hold, in words.
-    pub dropped: Vec<String>,
-    /// The motion table that was made.
-    pub bake: Option<Baked>,
-    /// How far renders of the files are from renders of the model.
-    pub loss: Option<Loss>,
-}
-
-/// A file written.
-#[derive(Debug, Serialize)]
-pub struct Written {
-    /// Its name.
-    pub file: PathBuf,
-    /// Its size.
-    pub bytes: u64,
-    /// The time that it shows; absent for the whole model.
-    pub time: Option<f64>,
-}
-
-/// Converts.
+/// Converts, and says what that cost.
 pub fn run(args: &ConvertArgs, global: &Global) -> Result<()> {
-    let mut kind = Output::of_name(&args.output)?;
-    if let (Output::Spz(version), 4) = (&mut kind, args.spz_version) {
-        *version = spz::Version::Four;
-    }
-    if args.bake && !kind.holds_motion() {
-        return Err(Error::usage(
-            "--bake",
-            format!("a {} file", kind.ending()),
-            "a .safetensors file, which holds motion",
-        ));
-    }
-    let loaded = model::load_level(&args.input, args.level)?;
-    let mut dropped = Vec::new();
-    if loaded.rejected.total() > 0 {
-        dropped.push(format!("{} Gaussians that cannot be drawn", loaded.rejected.total()));
-    }
-    let before = loaded.scene;
-    let mut scene = before.clone();
-    let source = motion_source(args.motion);
-    let baked =
-        if args.bake { Some(bake::bake(&mut scene, source, args.bake_error, global, args.json)?) } else { None };
-    if args.bake {
-        let parts = [
-            ("network F", before.deform.is_some()),
-            ("association", before.association.is_some()),
-            ("deformation field", before.field.is_some()),
-        ];
-        dropped.extend(parts.iter().filter(|(_, is_there)| *is_there).map(|(name, _)| (*name).to_owned()));
-    }
-    let times = times(args, &scene);
-    if times.iter().any(Option::is_some) && is_moving(&before) {
-        dropped.push("motion: each file shows one time".into());
-    }
-    // Files that hold the whole model need no evaluation.
-    let moments = times.iter().any(Option::is_some).then(|| Moments::new(&scene, source, global)).transpose()?;
-    let bar = progress::bar(times.len() as u64, global.quiet || args.json);
-    let mut outputs = Vec::with_capacity(times.len());
-    for (i, &time) in times.iter().enumerate() {
-        let path = if args.times.is_some() { numbered(&args.output, kind, i) } else { args.output.clone() };
-        let frozen = match (time, &moments) {
-            (Some(time), Some(moments)) => Some(still(moments.at(time)?, &scene)),
-            _ => None,
-        };
-        let shown = frozen.as_ref().unwrap_or(&scene);
-        dropped.extend(file::save_as(&path, shown, kind)?);
-        let bytes = std::fs::metadata(&path).map_err(|e| Error::io(&path, "read the size", e))?.len();
-        outputs.push(Written { file: path, bytes, time });
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
-    dropped.sort();
-    dropped.dedup();
-    let loss = loss::measure(&before, kind, &outputs, source, args.views, global)?;
-    let summary = Summary {
-        input: args.input.clone(),
-        input_bytes: size(&args.input, 4),
-        gaussians: before.gaussians.len(),
-        outputs,
-        dropped,
-        bake: baked,
-        loss,
-    };
+    let summary = convert(args, global)?;
     if args.json {
         return output::json(&summary);
     }
@@ -121,6 +35,139 @@ pub fn run(args: &ConvertArgs, global: &Global) -> Result<()> {
         summary.lines().iter().for_each(|line| output::line(line));
     }
     Ok(())
+}
+
+/// Converts.
+///
+/// # Errors
+/// [`Error::Usage`] for options that do not fit the model or OUT; those of reading, writing and the device.
+pub fn convert(args: &ConvertArgs, global: &Global) -> Result<Summary> {
+    let kind = output_kind(args)?;
+    let targets = Targets::prepare(names(args, kind))?;
+    let loaded = model::load_level(&args.input, args.level)?;
+    // Before anything is written: OUT may be IN.
+    let input_bytes = size(&args.input, 4);
+    let mut dropped = file::unread(&args.input)?;
+    if loaded.rejected.total() > 0 {
+        dropped.push(format!("{} Gaussians that cannot be drawn", loaded.rejected.total()));
+    }
+    let before = loaded.scene;
+    let source = motion_source(args.motion);
+    check_motion(args, &before, source)?;
+    let gpu = device(args, &before, global)?;
+    let moments = Moments::new(&before, source, gpu.as_ref())?;
+    let quiet = global.quiet || args.json;
+    let mut scene = before.clone();
+    let baked = if args.bake { Some(bake::bake(&mut scene, &moments, args.bake_error, quiet)?) } else { None };
+    dropped.extend(left_behind(args, &before));
+    let outputs = write(targets, &times(args, &scene), kind, &scene, &moments, &mut dropped, quiet)?;
+    dropped.sort();
+    dropped.dedup();
+    let loss = loss::measure(&moments, kind, &outputs, args.views, gpu.as_ref())?;
+    Ok(Summary {
+        input: args.input.clone(),
+        input_bytes,
+        gaussians: before.gaussians.len() + loaded.rejected.total(),
+        rejected: loaded.rejected.total(),
+        outputs,
+        dropped,
+        bake: baked,
+        loss,
+    })
+}
+
+/// What to write, by the name of OUT; options that do not fit it are refused.
+fn output_kind(args: &ConvertArgs) -> Result<Output> {
+    let mut kind = Output::of_name(&args.output)?;
+    match (&mut kind, args.spz_version) {
+        (Output::Spz(version), Some(4)) => *version = spz::Version::Four,
+        (Output::Spz(_), _) | (_, None) => {}
+        (_, Some(_)) => return Err(Error::usage("--spz-version", format!("a {} file", kind.ending()), "a .spz file")),
+    }
+    if args.bake && !kind.holds_motion() {
+        let expected = "a .safetensors file, which holds motion";
+        return Err(Error::usage("--bake", format!("a {} file", kind.ending()), expected));
+    }
+    Ok(kind)
+}
+
+/// Refuses options that ask for motion of a model that has none, or not that.
+fn check_motion(args: &ConvertArgs, scene: &Scene, source: MotionSource) -> Result<()> {
+    scene.motion_source(source)?;
+    if args.times.is_some() && !is_moving(scene) {
+        return Err(Error::usage("--times", "a model that does not move", "one that moves"));
+    }
+    Ok(())
+}
+
+/// The device, where something asks for one: opened before anything is written, so that a wrong name ends the program early.
+/// Without any device the files are written, with a warning.
+fn device(args: &ConvertArgs, scene: &Scene, global: &Global) -> Result<Option<Gpu>> {
+    let has_field = scene.field.is_some() && (args.bake || args.time.is_some() || args.times.is_some());
+    if args.views == 0 && !has_field {
+        return Ok(None);
+    }
+    match gpu_session::open(global) {
+        Ok(gpu) => Ok(Some(gpu)),
+        Err(error @ Error::NoDevice { .. }) => {
+            if args.views > 0 {
+                log::warn!("the loss is not measured: {error}");
+            }
+            if has_field {
+                log::warn!("the deformation field is evaluated on the CPU, which is slow: {error}");
+            }
+            Ok(None)
+        }
+        Err(error) => Err(error),
+    }
+}
+
+/// What the options leave out.
+fn left_behind(args: &ConvertArgs, before: &Scene) -> Vec<String> {
+    if args.bake {
+        let parts = [
+            ("network F", before.deform.is_some()),
+            ("association", before.association.is_some()),
+            ("deformation field", before.field.is_some()),
+        ];
+        return parts.iter().filter(|(_, is_there)| *is_there).map(|(name, _)| (*name).to_owned()).collect();
+    }
+    let is_still = args.time.is_some() || args.times.is_some();
+    if is_still && is_moving(before) { vec!["motion: each file shows one time".into()] } else { Vec::new() }
+}
+
+/// Writes the files: all of them, or none that is new.
+fn write(
+    mut targets: Targets,
+    times: &[Option<f64>],
+    kind: Output,
+    scene: &Scene,
+    moments: &Moments<'_>,
+    dropped: &mut Vec<String>,
+    quiet: bool,
+) -> Result<Vec<Written>> {
+    let bar = progress::bar(times.len() as u64, quiet);
+    let mut outputs = Vec::with_capacity(times.len());
+    for (i, &time) in times.iter().enumerate() {
+        let file = targets.files()[i].clone();
+        let frozen = time.map(|time| moments.at(time).map(|g| still(g, scene))).transpose()?;
+        targets.begin(i);
+        dropped.extend(file::save_as(&file, frozen.as_ref().unwrap_or(scene), kind)?);
+        let bytes = std::fs::metadata(&file).map_err(|e| Error::io(&file, "read the size", e))?.len();
+        outputs.push(Written { file, bytes, time });
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    targets.keep();
+    Ok(outputs)
+}
+
+/// The names of the files, as many as [`times`].
+fn names(args: &ConvertArgs, kind: Output) -> Vec<PathBuf> {
+    match args.times {
+        Some(count) => (0..count as usize).map(|i| numbered(&args.output, kind, i)).collect(),
+        None => vec![args.output.clone()],
+    }
 }
 
 /// The times of the files; `None` for one that holds the whole model.
@@ -157,41 +204,6 @@ fn size(path: &Path, depth: u32) -> u64 {
         }
         _ => 0,
     }
-}
-
-impl Summary {
-    fn lines(&self) -> Vec<String> {
-        let bytes: u64 = self.outputs.iter().map(|o| o.bytes).sum();
-        let name = |o: Option<&Written>| o.map(|o| o.file.display().to_string()).unwrap_or_default();
-        let mut to = name(self.outputs.first());
-        if self.outputs.len() > 1 {
-            to += &format!(" to {} ({} files)", name(self.outputs.last()), self.outputs.len());
-        }
-        let input = self.input.display();
-        let mut lines =
-            vec![format!("{input} ({} bytes, {} Gaussians) → {to} ({bytes} bytes)", self.input_bytes, self.gaussians)];
-        if let Some(bake) = &self.bake {
-            lines.push(bake.line());
-        }
-        lines.push(match &self.dropped[..] {
-            [] => "left out: nothing".into(),
-            dropped => format!("left out: {}", dropped.join("; ")),
-        });
-        lines.push(match &self.loss {
-            Some(loss) => loss.line(),
-            None => "loss: not measured".into(),
-        });
-        lines
-    }
-}
-
-/// Cameras around a scene, all at one time where that is given.
-fn cameras(scene: &Scene, size: [u32; 2], count: usize, time: Option<f64>) -> Vec<Camera> {
-    let mut cameras = view::orbit(scene, size, count);
-    if let Some(time) = time {
-        cameras.iter_mut().for_each(|c| c.time = time);
-    }
-    cameras
 }
 
 /// Whether a scene moves by itself.

@@ -3,7 +3,10 @@
 //! Input is the motion at many candidate times (network F evaluated there). The table keeps a subset of them, chosen
 //! greedily: from each key the farthest next one such that linear interpolation of (r, τ) in between moves no Gaussian by
 //! more than the tolerance on any camera. What is measured is the centre of each Gaussian and the point two standard
-//! deviations along its longest axis, in pixels, on the cameras in whose image it falls.
+//! deviations along its longest axis, in pixels, on the cameras in whose image it falls. A point that falls in none is no
+//! still point: whether it moves is measured as a camera turned to it would see it ([`Views`]).
+
+mod distance;
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -12,12 +15,12 @@ use crate::error::{Error, Result};
 use crate::reference::{exp, rotation_of_quaternion};
 use crate::scene::{Camera, Gaussians, Motion, Superpoints};
 
+pub use distance::Views;
+
 /// How many cameras see each candidate time beside those that were taken at it.
 const OTHER_CAMERAS: usize = 4;
 /// Points per Gaussian: its centre, and two standard deviations along its longest axis.
 const POINTS: usize = 2;
-/// A point counts on a camera when it falls within this share of the image's size around it.
-const IMAGE_MARGIN: f64 = 0.1;
 
 /// A baked motion.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,6 +35,8 @@ pub struct Baked {
     pub still: usize,
     /// Largest error on the cameras, pixels.
     pub error_px: f64,
+    /// Gaussians that no camera sees at any candidate time.
+    pub unseen: usize,
 }
 
 /// A Gaussian's measured points, world space, canonical.
@@ -45,25 +50,26 @@ struct Baker<'a> {
     count: usize,
     probes: Vec<Probe>,
     /// Cameras to look through at each candidate time.
-    views: Vec<Vec<&'a Camera>>,
-    near: f64,
+    views: Vec<Views<&'a Camera>>,
 }
 
 /// Bakes `motion` (given at all candidate times). With `merge_still`, Gaussians of superpoints that never move get their
 /// constant pose applied and share one superpoint, or have no motion at all when nothing moves.
 ///
 /// # Errors
-/// [`Error::Usage`] when the arrays do not fit together.
+/// [`Error::Usage`] when the arrays do not fit together, and without cameras.
 pub fn bake(
     gaussians: &mut Gaussians,
     superpoints: &Superpoints,
     motion: &Motion,
-    cameras: &[Camera],
-    near: f64,
+    views: &Views<Camera>,
     tolerance_px: f64,
     merge_still: bool,
 ) -> Result<Baked> {
     let count = motion.superpoint_count();
+    if views.cameras.is_empty() {
+        return Err(Error::usage("motion to bake", "no camera", "one or more: without, nothing seems to move"));
+    }
     if superpoints.of_gaussian.len() != gaussians.len()
         || superpoints.of_gaussian.iter().any(|&j| j as usize >= count)
         || superpoints.position.len() != count
@@ -76,22 +82,30 @@ pub fn bake(
             format!("{count} superpoints, {} Gaussians", gaussians.len()),
         ));
     }
-    let baker = Baker::new(gaussians, superpoints, motion, cameras, near);
+    let baker = Baker::new(gaussians, superpoints, motion, views);
     let moving = if merge_still { baker.moving(tolerance_px) } else { vec![true; count] };
     let still = moving.iter().filter(|m| !**m).count();
+    let unseen = baker.unseen();
     apply_constant_pose(gaussians, superpoints, motion, &moving);
     let kept = new_indices(&moving);
     if still == count {
-        return Ok(Baked { motion: None, superpoints: None, kept, still, error_px: baker.still_error(&moving) });
+        return Ok(Baked {
+            motion: None,
+            superpoints: None,
+            kept,
+            still,
+            error_px: baker.still_error(&moving),
+            unseen,
+        });
     }
     let keys = baker.keys(&moving, tolerance_px);
     let error_px = baker.error_of(&keys, &moving).max(baker.still_error(&moving));
     let (motion, superpoints) = reduced(superpoints, motion, &keys, &moving, &kept);
-    Ok(Baked { motion: Some(motion), superpoints: Some(superpoints), kept, still, error_px })
+    Ok(Baked { motion: Some(motion), superpoints: Some(superpoints), kept, still, error_px, unseen })
 }
 
 impl<'a> Baker<'a> {
-    fn new(g: &Gaussians, superpoints: &Superpoints, motion: &'a Motion, cameras: &'a [Camera], near: f64) -> Self {
+    fn new(g: &Gaussians, superpoints: &Superpoints, motion: &'a Motion, views: &'a Views<Camera>) -> Self {
         let probe = |i: usize| {
             let mean = promote(g.mean[i]);
             let log_scale = g.log_scale[i];
@@ -101,8 +115,13 @@ impl<'a> Baker<'a> {
             Probe { superpoint: superpoints.of_gaussian[i] as usize, points: [mean, end] }
         };
         let probes = (0..g.len()).map(probe).filter(|p| p.points.iter().all(|x| x.is_finite())).collect();
-        let views = motion.times.iter().enumerate().map(|(k, &t)| cameras_at(cameras, &motion.times, k, f64::from(t)));
-        Self { motion, count: motion.superpoint_count(), probes, views: views.collect(), near }
+        let at = |(k, &t): (usize, &f32)| Views {
+            cameras: cameras_at(&views.cameras, &motion.times, k, f64::from(t)),
+            near: views.near,
+            everywhere: views.everywhere,
+        };
+        let views = motion.times.iter().enumerate().map(at).collect();
+        Self { motion, count: motion.superpoint_count(), probes, views }
     }
 
     fn pose(&self, k: usize, j: usize) -> (DVec3, DVec3) {
@@ -134,9 +153,9 @@ impl<'a> Baker<'a> {
                 return 0.0;
             }
             let ((m1, t1), (m2, t2)) = (one[p.superpoint], two[p.superpoint]);
-            let distances = p.points.iter().flat_map(|&x| {
+            let distances = p.points.iter().map(|&x| {
                 let (x1, x2) = (m1 * x + t1, m2 * x + t2);
-                self.views[k].iter().map(move |c| pixel_distance(c, x1, x2, self.near))
+                self.views[k].displacement(x1, x2)
             });
             distances.fold(0.0, f64::max)
         };
@@ -157,14 +176,29 @@ impl<'a> Baker<'a> {
             let now = self.exact(k);
             let moves = |p: &&Probe| {
                 let ((m1, t1), (m2, t2)) = (first[p.superpoint], now[p.superpoint]);
-                let far = |x: DVec3, c: &&Camera| pixel_distance(c, m1 * x + t1, m2 * x + t2, self.near) > tolerance;
-                p.points.iter().any(|&x| self.views[k].iter().any(|c| far(x, c)))
+                p.points.iter().any(|&x| self.views[k].movement(m1 * x + t1, m2 * x + t2) > tolerance)
             };
             let resting = self.probes.par_iter().filter(|p| !moving[p.superpoint]);
             let found: Vec<usize> = resting.filter(moves).map(|p| p.superpoint).collect();
             found.into_iter().for_each(|j| moving[j] = true);
         }
         moving
+    }
+
+    /// How many Gaussians no camera sees at any candidate.
+    fn unseen(&self) -> usize {
+        let mut unseen: Vec<&Probe> = self.probes.iter().collect();
+        for (k, views) in self.views.iter().enumerate() {
+            if unseen.is_empty() {
+                break;
+            }
+            let now = self.exact(k);
+            unseen.retain(|p| {
+                let (turn, shift) = now[p.superpoint];
+                !p.points.iter().any(|&x| views.see(turn * x + shift))
+            });
+        }
+        unseen.len()
     }
 
     /// Error of holding the superpoints that are not moving at their first pose.
@@ -235,21 +269,6 @@ fn cameras_at<'a>(cameras: &'a [Camera], times: &[f32], k: usize, time: f64) -> 
     let offset = ((time.abs() * 7919.0) as usize).wrapping_add(k) % step;
     chosen.extend(cameras.iter().skip(offset).step_by(step));
     chosen
-}
-
-/// Distance of two points in the image of a camera, pixels; 0 where neither falls into it.
-pub fn pixel_distance(c: &Camera, one: DVec3, two: DVec3, near: f64) -> f64 {
-    let (a, b) = (c.rotation * (one - c.position), c.rotation * (two - c.position));
-    if a.z <= near || b.z <= near {
-        return 0.0;
-    }
-    let pixel = |p: DVec3| (c.fx * p.x / p.z + c.cx, c.fy * p.y / p.z + c.cy);
-    let (w, h) = (f64::from(c.width), f64::from(c.height));
-    let inside = |(x, y): (f64, f64)| {
-        x > -IMAGE_MARGIN * w && x < (1.0 + IMAGE_MARGIN) * w && y > -IMAGE_MARGIN * h && y < (1.0 + IMAGE_MARGIN) * h
-    };
-    let (p, q) = (pixel(a), pixel(b));
-    if inside(p) || inside(q) { (p.0 - q.0).hypot(p.1 - q.1) } else { 0.0 }
 }
 
 /// Applies the first candidate's pose to the Gaussians of superpoints that never move.
@@ -333,6 +352,10 @@ mod tests {
         (0..11).map(at).collect()
     }
 
+    fn views() -> Views<Camera> {
+        Views { cameras: cameras(), near: 0.2, everywhere: false }
+    }
+
     /// Superpoint 0 never moves (but has a pose), 1 moves linearly, 2 bends at t = 0.5.
     fn scene() -> (Gaussians, Superpoints, Motion) {
         let g = random_scene(60, 5, 0).gaussians;
@@ -348,7 +371,7 @@ mod tests {
     fn a_bend_needs_one_more_key_and_a_still_superpoint_none() {
         let (mut g, s, m) = scene();
         let before = g.clone();
-        let baked = bake(&mut g, &s, &m, &cameras(), 0.2, 0.1, true).unwrap();
+        let baked = bake(&mut g, &s, &m, &views(), 0.1, true).unwrap();
         let motion = baked.motion.unwrap();
         assert_eq!(motion.times, [0.0, 0.5, 1.0]);
         assert_eq!((baked.still, baked.kept), (1, vec![2, 0, 1]));
@@ -367,7 +390,7 @@ mod tests {
         }
         let mut last = usize::MAX;
         for tolerance in [0.01, 0.3, 3.0] {
-            let baked = bake(&mut g.clone(), &s, &m, &cameras(), 0.2, tolerance, true).unwrap();
+            let baked = bake(&mut g.clone(), &s, &m, &views(), tolerance, true).unwrap();
             let keys = baked.motion.unwrap().times.len();
             assert!(baked.error_px <= tolerance, "{} > {tolerance}", baked.error_px);
             assert!(keys <= last && keys >= 3, "{keys} keys at {tolerance} px");
@@ -381,7 +404,40 @@ mod tests {
         let (mut g, s, mut m) = scene();
         m.rotation.iter_mut().for_each(|r| *r = [0.2, 0.0, 0.0]);
         m.translation.iter_mut().for_each(|t| *t = [0.0; 3]);
-        let baked = bake(&mut g, &s, &m, &cameras(), 0.2, 0.1, true).unwrap();
+        let baked = bake(&mut g, &s, &m, &views(), 0.1, true).unwrap();
         assert_eq!((baked.motion, baked.superpoints, baked.still), (None, None, 3));
+    }
+
+    #[test]
+    fn what_no_view_sees_keeps_its_motion() {
+        let (g, s, m) = scene();
+        // All cameras behind the near plane, or turned away.
+        let turned = |c: Camera| Camera::look_at(c.position, 2.0 * c.position, DVec3::Y, 0.9, [400, 300]);
+        let away: Vec<Camera> = cameras().into_iter().map(|c| Camera { time: c.time, ..turned(c) }).collect();
+        for (cameras, near) in [(cameras(), 100.0), (away, 0.2)] {
+            let seen = bake(&mut g.clone(), &s, &m, &views(), 0.1, true).unwrap();
+            assert_eq!(seen.unseen, 0);
+            let only = Views { cameras: cameras.clone(), near, everywhere: false };
+            let baked = bake(&mut g.clone(), &s, &m, &only, 0.1, true).unwrap();
+            assert_eq!((baked.unseen, baked.still, &baked.kept), (60, 1, &seen.kept));
+            // The bend counts where everything does.
+            let all = Views { everywhere: true, ..only };
+            let baked = bake(&mut g.clone(), &s, &m, &all, 0.1, true).unwrap();
+            assert_eq!(baked.motion.unwrap().times, [0.0, 0.5, 1.0]);
+        }
+        let none = Views { cameras: Vec::new(), near: 0.2, everywhere: true };
+        assert!(bake(&mut g.clone(), &s, &m, &none, 0.1, true).unwrap_err().to_string().contains("no camera"));
+    }
+
+    #[test]
+    fn what_comes_from_behind_the_camera_moves() {
+        let (mut g, mut s, mut m) = scene();
+        (s.of_gaussian, m.rotation) = (vec![0; 60], vec![[0.0; 3]; m.rotation.len()]);
+        let one = Camera::look_at(DVec3::new(0.0, 0.0, 9.0), DVec3::ZERO, DVec3::Y, 0.9, [400, 300]);
+        let z = |k: usize| if k == 0 { 20.0 } else { 0.0 };
+        m.translation = (0..m.times.len()).flat_map(|k| [[0.0, 0.0, z(k)]; 3]).collect();
+        let views = Views { cameras: vec![one], near: 0.2, everywhere: false };
+        let baked = bake(&mut g, &s, &m, &views, 0.1, true).unwrap();
+        assert_eq!((baked.still, baked.kept[0], baked.unseen), (2, 0, 0));
     }
 }

@@ -1,6 +1,6 @@
 //! From a finished run to the model that is played back: it holds what the scene needs, and says what was left out.
 
-use super::bake::bake;
+use super::bake::{Views, bake};
 use super::parameters::with_sh_degree;
 use super::trainer::Trainer;
 use crate::error::Result;
@@ -35,8 +35,9 @@ pub fn export(gpu: &Gpu, trainer: &Trainer, cameras: &[Camera]) -> Result<Export
     if let (Some(motion), Some(superpoints)) = (trainer.motion_at(&times)?, scene.superpoints.clone()) {
         let keep = config.export.keep_network;
         let tolerance = config.export.motion_error_px;
-        let near = f64::from(config.near);
-        let baked = bake(&mut scene.gaussians, &superpoints, &motion, cameras, near, tolerance, !keep)?;
+        // What no training camera sees keeps its motion, but asks for no key times.
+        let views = Views { cameras: cameras.to_vec(), near: f64::from(config.near), everywhere: false };
+        let baked = bake(&mut scene.gaussians, &superpoints, &motion, &views, tolerance, !keep)?;
         let keys = baked.motion.as_ref().map_or(0, |m| m.times.len());
         decisions.push(format!(
             "motion table: {keys} key times of {} candidates; largest error on the training cameras {:.3} px (bound {tolerance} px)",

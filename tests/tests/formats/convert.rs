@@ -8,16 +8,21 @@ use engine::reference::freeze;
 use engine::scene::MotionSource;
 use engine::scene::synthetic::moving_scene;
 use tools::args::{Cli, Command};
+use tools::convert::Summary;
 
 pub(crate) fn convert(args: &[&str]) -> engine::Result<()> {
+    summary(args).map(|_| ())
+}
+
+pub(crate) fn summary(args: &[&str]) -> engine::Result<Summary> {
     let cli = Cli::try_parse_from(["spgs", "--quiet", "convert"].iter().chain(args)).unwrap();
     match &cli.command {
-        Command::Convert(args) => tools::convert::run(args, &cli.global),
+        Command::Convert(args) => tools::convert::convert(args, &cli.global),
         _ => unreachable!("the subcommand is convert"),
     }
 }
 
-fn text(path: &Path) -> &str {
+pub(crate) fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 

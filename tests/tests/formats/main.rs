@@ -4,6 +4,8 @@
 
 mod checkpoints;
 mod convert;
+mod convert_bake;
+mod convert_refusals;
 mod fields;
 mod fuzz;
 mod hostile;

@@ -1,12 +1,10 @@
 //! A scene at a time, as Gaussians that stand still: on the device where a deformation field moves it, else on the CPU.
 
 use engine::error::{Error, Result};
+use engine::gpu::Gpu;
 use engine::reference::{self, Offset, freeze, freeze_with};
 use engine::render::FieldEvaluator;
 use engine::scene::{Gaussians, MotionSource, Scene};
-
-use crate::args::Global;
-use crate::gpu_session;
 
 /// What places a scene's Gaussians at any time.
 pub(super) struct Moments<'a> {
@@ -18,17 +16,22 @@ pub(super) struct Moments<'a> {
 
 impl<'a> Moments<'a> {
     /// Without a device a field is evaluated on the CPU.
-    pub(super) fn new(scene: &'a Scene, source: MotionSource, global: &Global) -> Result<Self> {
-        let field = match scene.field.as_ref().map(|_| gpu_session::open(global)) {
-            None => None,
-            Some(Ok(gpu)) => Some(FieldEvaluator::new(&gpu, scene)?),
-            Some(Err(error @ Error::NoDevice { .. })) => {
-                log::warn!("the deformation field is evaluated on the CPU, which is slow: {error}");
-                None
-            }
-            Some(Err(error)) => return Err(error),
+    pub(super) fn new(scene: &'a Scene, source: MotionSource, gpu: Option<&Gpu>) -> Result<Self> {
+        let field = match (&scene.field, gpu) {
+            (Some(_), Some(gpu)) => Some(FieldEvaluator::new(gpu, scene)?),
+            _ => None,
         };
         Ok(Self { scene, source, field })
+    }
+
+    /// The scene that is placed.
+    pub(super) fn scene(&self) -> &'a Scene {
+        self.scene
+    }
+
+    /// Where its motion comes from.
+    pub(super) fn source(&self) -> MotionSource {
+        self.source
     }
 
     /// `[N]` offsets of a scene with a field.

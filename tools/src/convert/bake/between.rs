@@ -1,18 +1,18 @@
-//! How far a table is from the deformation field that it was made of, at times between those that it was made at.
+//! How far a table is from the networks that it was made of, at times between those that it was made at.
 
 use engine::error::Result;
 use engine::reference::{freeze, rotation_of_quaternion};
 use engine::scene::{Camera, Gaussians, MotionSource, Scene};
-use engine::train::bake::pixel_distance;
+use engine::train::bake::Views;
 use glam::DVec3;
 use indicatif::ProgressBar;
 
-use super::{Moments, NEAR};
+use super::Moments;
 
 /// Times that are looked at.
 const CHECKED_TIMES: usize = 16;
 
-/// Where the field has all Gaussians at some times between the candidates.
+/// Where the networks have all Gaussians at some times between the candidates.
 pub(super) struct Between {
     moments: Vec<Moment>,
 }
@@ -26,12 +26,12 @@ struct Moment {
 
 impl Between {
     /// In the middle between two candidates, 16 times or as many as there are.
-    pub(super) fn of(field: &Moments<'_>, candidates: &[f32], bar: &ProgressBar) -> Result<Self> {
+    pub(super) fn of(moving: &Moments<'_>, candidates: &[f32], bar: &ProgressBar) -> Result<Self> {
         let step = candidates.len().saturating_sub(1).div_ceil(CHECKED_TIMES).max(1);
         let middle = |pair: &[f32]| 0.5 * (f64::from(pair[0]) + f64::from(pair[1]));
         let at = |time: f64| {
             bar.inc(1);
-            field.at(time).map(|g| Moment { time, mean: g.mean, rotation: g.rotation })
+            moving.at(time).map(|g| Moment { time, mean: g.mean, rotation: g.rotation })
         };
         let moments = candidates.windows(2).step_by(step).map(middle).map(at).collect::<Result<_>>()?;
         Ok(Self { moments })
@@ -39,15 +39,14 @@ impl Between {
 
     /// Largest displacement in the views by the table of `scene`, pixels: of the centres, and of the points two standard
     /// deviations along the longest axes.
-    pub(super) fn error_px(&self, scene: &Scene, cameras: &[Camera]) -> Result<f64> {
+    pub(super) fn error_px(&self, scene: &Scene, views: &Views<Camera>) -> Result<f64> {
         let mut worst: f64 = 0.0;
         for Moment { time, mean, rotation } in &self.moments {
             let table = freeze(scene, *time, MotionSource::Auto)?;
             let of_gaussian = |i: usize| {
                 let ends = points(&table, i, table.mean[i], table.rotation[i]);
                 let pairs = ends.into_iter().zip(points(&table, i, mean[i], rotation[i]));
-                let far = pairs.flat_map(|(a, b)| cameras.iter().map(move |c| pixel_distance(c, a, b, NEAR)));
-                far.filter(|d| d.is_finite()).fold(0.0, f64::max)
+                pairs.map(|(a, b)| views.displacement(a, b)).filter(|d| d.is_finite()).fold(0.0, f64::max)
             };
             worst = (0..table.len()).map(of_gaussian).fold(worst, f64::max);
         }

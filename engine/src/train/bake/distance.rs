@@ -1,0 +1,76 @@
+//! How far the move of a point shows in views.
+
+use std::borrow::Borrow;
+
+use glam::DVec3;
+
+use crate::scene::Camera;
+
+/// A point counts on a camera when it falls within this share of the image's size around it.
+const IMAGE_MARGIN: f64 = 0.1;
+
+/// Cameras through which a motion is measured.
+#[derive(Debug, Clone)]
+pub struct Views<C> {
+    /// The cameras.
+    pub cameras: Vec<C>,
+    /// Nearest depth that is drawn, world units.
+    pub near: f64,
+    /// Whether errors count at points that no camera sees, too: as a camera turned to them would see them. Without, only
+    /// whether they move at all is measured so.
+    pub everywhere: bool,
+}
+
+impl<C: Borrow<Camera>> Views<C> {
+    /// Whether a point falls into an image.
+    pub fn see(&self, point: DVec3) -> bool {
+        self.cameras.iter().any(|c| {
+            let c = c.borrow();
+            pixel(c, point, self.near).is_some_and(|p| is_inside(c, p))
+        })
+    }
+
+    /// Distance of two points, pixels: the largest in the images into which one of them falls, else what a camera turned to
+    /// them would see. Above 0 for different points, wherever they are.
+    pub fn movement(&self, one: DVec3, two: DVec3) -> f64 {
+        let turned = |c: &C| turned_distance(c.borrow(), one, two, self.near);
+        self.in_images(one, two).unwrap_or_else(|| self.cameras.iter().map(turned).fold(0.0, f64::max))
+    }
+
+    /// [`Self::movement`]; 0 of points that no camera sees, unless those count.
+    pub fn displacement(&self, one: DVec3, two: DVec3) -> f64 {
+        if self.everywhere { self.movement(one, two) } else { self.in_images(one, two).unwrap_or(0.0) }
+    }
+
+    fn in_images(&self, one: DVec3, two: DVec3) -> Option<f64> {
+        self.cameras.iter().filter_map(|c| image_distance(c.borrow(), one, two, self.near)).reduce(f64::max)
+    }
+}
+
+/// Where a point in front of the near plane is in the image's plane, pixels.
+fn pixel(c: &Camera, point: DVec3, near: f64) -> Option<(f64, f64)> {
+    let p = c.rotation * (point - c.position);
+    (p.z > near).then(|| (c.fx * p.x / p.z + c.cx, c.fy * p.y / p.z + c.cy))
+}
+
+fn is_inside(c: &Camera, (x, y): (f64, f64)) -> bool {
+    let (w, h) = (f64::from(c.width), f64::from(c.height));
+    x > -IMAGE_MARGIN * w && x < (1.0 + IMAGE_MARGIN) * w && y > -IMAGE_MARGIN * h && y < (1.0 + IMAGE_MARGIN) * h
+}
+
+/// Distance of two points in the image of a camera, pixels; `None` where neither falls into it.
+fn image_distance(c: &Camera, one: DVec3, two: DVec3, near: f64) -> Option<f64> {
+    let (p, q) = (pixel(c, one, near), pixel(c, two, near));
+    let shows = [p, q].into_iter().flatten().any(|p| is_inside(c, p));
+    shows.then(|| match (p, q) {
+        (Some(p), Some(q)) => (p.0 - q.0).hypot(p.1 - q.1),
+        // One of them is behind the camera and has no place in its image.
+        _ => turned_distance(c, one, two, near),
+    })
+}
+
+/// About the same for a camera at that place that is turned to the nearer of the points.
+fn turned_distance(c: &Camera, one: DVec3, two: DVec3, near: f64) -> f64 {
+    let nearest = one.distance(c.position).min(two.distance(c.position)).max(near);
+    c.fx.max(c.fy) * one.distance(two) / nearest
+}
