@@ -46,7 +46,7 @@ pub fn convert(args: &ConvertArgs, global: &Global) -> Result<Summary> {
     let targets = Targets::prepare(names(args, kind))?;
     let loaded = model::load_level(&args.input, args.level)?;
     // Before anything is written: OUT may be IN.
-    let input_bytes = size(&args.input, 4);
+    let input_bytes = size(place(&args.input), 4);
     let mut dropped = file::unread(&args.input)?;
     if loaded.rejected.total() > 0 {
         dropped.push(format!("{} Gaussians that cannot be drawn", loaded.rejected.total()));
@@ -193,6 +193,16 @@ fn numbered(path: &Path, kind: Output, index: usize) -> PathBuf {
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let (stem, ending) = name.split_at(name.len() - kind.ending().len());
     path.with_file_name(format!("{stem}_{index:05}{ending}"))
+}
+
+/// The folder of a description that has its parts beside it; else the path itself.
+fn place(path: &Path) -> &Path {
+    match path.file_name().and_then(|n| n.to_str()) {
+        Some("meta.json" | "lod-meta.json") => {
+            path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+        }
+        _ => path,
+    }
 }
 
 /// Bytes of a file, or of a folder's files, three folders deep.

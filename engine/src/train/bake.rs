@@ -193,10 +193,11 @@ impl<'a> Baker<'a> {
                 break;
             }
             let now = self.exact(k);
-            unseen.retain(|p| {
+            let is_unseen = |p: &&Probe| {
                 let (turn, shift) = now[p.superpoint];
                 !p.points.iter().any(|&x| views.see(turn * x + shift))
-            });
+            };
+            unseen = unseen.into_par_iter().filter(is_unseen).collect();
         }
         unseen.len()
     }

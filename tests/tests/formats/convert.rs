@@ -87,6 +87,12 @@ fn a_level_of_detail_is_converted() {
     let out = folder.path().join("coarse.ply");
     convert(&[text(&root), text(&out), "--level", "4", "--views", "0"]).unwrap();
     assert_eq!(file::load(&out).unwrap().scene.gaussians.len(), 8406);
+    // A description counts with what lies beside it.
+    for name in ["lod-meta.json", "4_0/meta.json"] {
+        let file = root.join(name);
+        let bytes = |path: &Path| summary(&[text(path), text(&out), "--views", "0"]).unwrap().input_bytes;
+        assert_eq!(bytes(&file), bytes(file.parent().unwrap()), "{name}");
+    }
     let refused = convert(&[text(&root), text(&out), "--level", "5"]).unwrap_err();
     assert!(refused.to_string().contains("which lacks 5_0/meta.json") && refused.exit_code() == 2, "{refused}");
 }

@@ -11,7 +11,7 @@ use super::{Baked, Loss};
 pub struct Summary {
     /// The file read.
     pub input: PathBuf,
-    /// Its size, before anything was written.
+    /// Its size, before anything was written; of a folder, or of a description in it, that of all files there.
     pub input_bytes: u64,
     /// Gaussians in it.
     pub gaussians: usize,
