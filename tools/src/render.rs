@@ -50,15 +50,15 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
     if let Some(path) = &args.video {
         video::check(path)?;
     }
+    if args.cameras.is_none() && args.path.is_none() {
+        return Err(no_cameras());
+    }
     let loaded = model::load_level(&args.model, args.level)?;
     let set = cameras(args)?;
     let pictures = match (&args.path, &set) {
         (Some(kind), set) => plan::of_path(args, kind, set.as_ref(), &loaded.scene)?,
         (None, Some(set)) => plan::of_views(args, set)?,
-        (None, None) => {
-            let expected = "--cameras FILE|DATA, or --path turntable, time or FILE";
-            return Err(Error::usage("cameras", "neither --cameras nor --path", expected));
-        }
+        (None, None) => return Err(no_cameras()),
     };
     if args.video.is_some() {
         video::one_size(&pictures)?;
@@ -154,6 +154,11 @@ fn summary(picture: &Picture, file: Option<PathBuf>, image: &Image, render_ms: f
     // Of the sub-frames, the middle.
     let time = views.iter().map(|(_, t)| t).sum::<f64>() / views.len().max(1) as f64;
     FrameSummary { index: *index, name: name.clone(), file, time, width: image.width, height: image.height, render_ms }
+}
+
+fn no_cameras() -> Error {
+    let expected = "--cameras FILE|DATA, or --path turntable, time or FILE";
+    Error::usage("cameras", "neither --cameras nor --path", expected)
 }
 
 /// The views of `--cameras`, or of the recorded path.

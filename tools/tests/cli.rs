@@ -61,7 +61,9 @@ fn usage_mistakes_are_code_2() {
     assert!(mistake(&["nonsense"], 2).contains("nonsense"));
     assert!(mistake(&["demo", "--frames", "0"], 2).contains("--frames"));
     assert!(mistake(&["demo", "--frames", "x"], 2).contains("--frames"));
-    assert!(mistake(&["render", "m.ply"], 2).contains("--cameras"));
+    assert!(mistake(&["render", "m.ply"], 2).ends_with("--out <DIR>; see spgs render --help"));
+    let line = mistake(&["render", "m.ply", "--out", "o"], 2);
+    assert!(line.contains("--cameras") && line.contains("--path"), "{line}");
     assert!(mistake(&["devices", "--nonsense"], 2).contains("--nonsense"));
     for background in ["1,2", "a,b,c", "1,2,nan"] {
         let line = mistake(&["render", "m", "--cameras", "c", "--out", "o", "--background", background], 2);

@@ -8,22 +8,23 @@ use winit::keyboard::PhysicalKey;
 /// Keys that are down, and their names when they were pressed.
 pub(super) type Held = Vec<(PhysicalKey, Key)>;
 
-/// Follows a key whose event has just been added to `input`: what was pressed is let go.
-pub(super) fn follow(held: &mut Held, input: &mut RawInput, physical: PhysicalKey, state: ElementState) {
+/// Follows a key for which the events of `input` from number `first` on have just been added (none for Shift and its like): what
+/// was pressed is let go.
+pub(super) fn follow(held: &mut Held, input: &mut RawInput, first: usize, physical: PhysicalKey, state: ElementState) {
     let before = held.iter().position(|(p, _)| *p == physical).map(|i| held.swap_remove(i).1);
-    let now = match input.events.iter().rev().find(|e| matches!(e, Event::Key { .. })) {
-        Some(Event::Key { key, .. }) => Some(*key),
+    let now = input.events.iter().enumerate().skip(first).find_map(|(at, event)| match event {
+        Event::Key { key, .. } => Some((at, *key)),
         _ => None,
-    };
+    });
     if state == ElementState::Pressed {
-        held.extend(now.map(|key| (physical, key)));
+        held.extend(now.map(|(_, key)| (physical, key)));
     }
-    if let Some(key) = before.filter(|key| state == ElementState::Released || now != Some(*key)) {
+    let is_another = |key: &Key| now.is_none_or(|(_, now)| now != *key);
+    if let Some(key) = before.filter(is_another) {
         let modifiers = Modifiers::NONE;
         let released = Event::Key { key, physical_key: None, pressed: false, repeat: false, modifiers };
         // Before a press of the same key under another name.
-        let at = input.events.len() - usize::from(state == ElementState::Pressed && !input.events.is_empty());
-        input.events.insert(at, released);
+        input.events.insert(now.map_or(input.events.len(), |(at, _)| at), released);
     }
 }
 
@@ -33,11 +34,12 @@ mod tests {
 
     use super::*;
 
+    /// A key in a frame of its own.
     fn add(held: &mut Held, context: &egui::Context, key: Key, pressed: bool) -> Vec<(Key, bool, bool)> {
         let event = Event::Key { key, physical_key: None, pressed, repeat: false, modifiers: Modifiers::NONE };
         let mut input = RawInput { events: vec![event], ..RawInput::default() };
         let state = if pressed { ElementState::Pressed } else { ElementState::Released };
-        follow(held, &mut input, PhysicalKey::Code(KeyCode::Slash), state);
+        follow(held, &mut input, 0, PhysicalKey::Code(KeyCode::Slash), state);
         let mut seen = Vec::new();
         let _ = context.run(input, |context| {
             seen = context.input(|i| {
@@ -49,6 +51,21 @@ mod tests {
             });
         });
         seen
+    }
+
+    #[test]
+    fn keys_without_a_name_let_nothing_go() {
+        let (mut held, mut input) = (Held::default(), RawInput::default());
+        let shift = PhysicalKey::Code(KeyCode::ShiftLeft);
+        let modifiers = Modifiers::NONE;
+        let event = Event::Key { key: Key::D, physical_key: None, pressed: true, repeat: false, modifiers };
+        input.events.push(event);
+        follow(&mut held, &mut input, 0, PhysicalKey::Code(KeyCode::KeyD), ElementState::Pressed);
+        for state in [ElementState::Pressed, ElementState::Released] {
+            follow(&mut held, &mut input, 1, shift, state);
+        }
+        assert_eq!(input.events.len(), 1, "D stays down");
+        assert_eq!(held, [(PhysicalKey::Code(KeyCode::KeyD), Key::D)]);
     }
 
     #[test]

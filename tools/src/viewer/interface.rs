@@ -74,9 +74,10 @@ impl Interface {
 
     /// Takes an event; true when a frame is due because of it.
     pub(super) fn event(&mut self, window: &Window, event: &WindowEvent) -> bool {
+        let first = self.winit.egui_input().events.len();
         let repaint = self.winit.on_window_event(window, event).repaint;
         if let WindowEvent::KeyboardInput { event, .. } = event {
-            held::follow(&mut self.held, self.winit.egui_input_mut(), event.physical_key, event.state);
+            held::follow(&mut self.held, self.winit.egui_input_mut(), first, event.physical_key, event.state);
         }
         self.wanted |= repaint;
         repaint
