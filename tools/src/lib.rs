@@ -15,6 +15,7 @@ pub mod eval;
 pub mod gpu_session;
 pub mod hard_cases;
 pub mod inspect;
+mod interrupt;
 pub mod kernel_docs;
 pub mod measure;
 pub mod measurements;

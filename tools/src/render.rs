@@ -1,7 +1,6 @@
 //! `spgs render`: pictures of a model along a camera file or a path, and videos.
 
 mod average;
-mod interrupt;
 mod plan;
 mod video;
 
@@ -17,9 +16,9 @@ use serde::Serialize;
 use serde_json::json;
 
 use crate::args::{Format, Global, PathArg, RenderArgs};
+use crate::interrupt::{self, Interrupt};
 use crate::{gpu_session, model, output, progress, view};
 use average::{Mean, reduced};
-use interrupt::Interrupt;
 use plan::Picture;
 use video::Encoder;
 
@@ -86,7 +85,10 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
     let mut summaries = Vec::with_capacity(pictures.len());
     let mut encoder = None;
     // Pictures are there whole or not at all; an unfinished video must be taken away.
-    let interrupt = if places.video.is_some() { Interrupt::watch() } else { Interrupt::default() };
+    let interrupt = match places.video {
+        Some(_) => Interrupt::watch("Ctrl-C will leave an unfinished video"),
+        None => Interrupt::default(),
+    };
     for picture in &pictures {
         let begin = Instant::now();
         let image = draw(&mut renderer, picture, args.supersample)?;

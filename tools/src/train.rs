@@ -7,8 +7,6 @@ pub mod report;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use engine::data::dataset::{self, Dataset, DatasetOptions};
 use engine::data::loader::ImageLoader;
@@ -27,11 +25,9 @@ use serde_json::json;
 pub(crate) use self::decide::preset_of;
 use self::log::RunLog;
 use crate::args::{Global, TrainArgs};
+use crate::interrupt::Interrupt;
 use crate::render::create_folder;
 use crate::{gpu_session, output, progress};
-
-/// Exit code of a process that Ctrl-C ended (128 + SIGINT).
-const INTERRUPTED: i32 = 130;
 
 /// A run in progress.
 struct Run<'a> {
@@ -149,17 +145,8 @@ fn load(path: &Path, options: &DatasetOptions, args: &TrainArgs) -> Result<Datas
 impl Run<'_> {
     /// Runs to the end (true) or until interrupted (false); a viewer may watch, with the cameras of this data set.
     fn iterate(&mut self, watch: Option<&Path>) -> Result<bool> {
-        let stop = Arc::new(AtomicBool::new(false));
-        let flag = Arc::clone(&stop);
         // The second Ctrl-C, and one after the last iteration, waits for nothing: every file is there whole or not at all.
-        let on_interrupt = move || {
-            if flag.swap(true, Ordering::Relaxed) {
-                std::process::exit(INTERRUPTED);
-            }
-        };
-        if let Err(e) = ctrlc::set_handler(on_interrupt) {
-            ::log::warn!("Ctrl-C will not save a checkpoint: {e}");
-        }
+        let interrupt = Interrupt::watch("Ctrl-C will not save a checkpoint");
         // A run that is cut off before its first interval is resumed from here.
         if self.trainer.iteration() == 0 && self.trainer.schedule().stage() != Stage::Nonrigid {
             self.save()?;
@@ -170,12 +157,12 @@ impl Run<'_> {
         while !self.trainer.is_done() {
             let step = self.trainer.step()?;
             self.after(&step)?;
-            if stop.load(Ordering::Relaxed) && !self.trainer.is_done() {
+            if interrupt.is_set() && !self.trainer.is_done() {
                 self.save()?;
                 return Ok(false);
             }
         }
-        stop.store(true, Ordering::Relaxed);
+        interrupt.end_at_next();
         Ok(true)
     }
 

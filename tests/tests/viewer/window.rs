@@ -217,9 +217,8 @@ fn lose_devices(at: &[&str]) {
     window.wait("another picture", |w| difference(&before, &w.picture()) > 0.1);
     let json = window.quit();
     assert_eq!((&json["device_losses"], &json["validation_messages"]), (&at.len().into(), &0.into()), "{json}");
-    // Counted over all devices: the interface runs with each movement of the mouse.
-    let runs = json["interface_frames"].as_u64().unwrap();
-    assert!(runs > 100, "{json}");
+    // Counted over all devices: each that drew has images of a first size.
+    assert!(json["resizes"].as_u64().unwrap() >= 2, "{json}");
 }
 
 #[test]
