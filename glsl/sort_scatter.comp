@@ -47,37 +47,39 @@ shared uint rank_rows[MAX_ROWS * SORT_DIGITS];
 // A digit that no key has, for lanes without a key.
 const uint NO_DIGIT = 0xffffffffu;
 
-// Number of lanes with the same digit as this one, below it and in all, from one ballot per bit of the digit.
-uvec2 count_peers_by_ballot(uint digit, uint lane) {
+// Lanes with the same digit as this one: how many below it, how many in all, and the lowest; from one ballot per bit of the
+// digit.
+uvec3 find_peers_by_ballot(uint digit, uint lane) {
     uvec4 peers = subgroupBallot(digit != NO_DIGIT);
     for (uint b = 0u; b < push.digit_bits; b++) {
         bool bit = ((digit >> b) & 1u) != 0u;
         uvec4 vote = subgroupBallot(bit);
         peers &= bit ? vote : ~vote;
     }
-    return uvec2(count_lanes_below(peers, lane), count_lanes(peers));
+    return uvec3(count_lanes_below(peers, lane), count_lanes(peers), lowest_lane(peers));
 }
 
 // The same for small subgroups, by comparing with each lane: on a CPU device a ballot is a loop over lanes, a broadcast
 // of a fixed lane is one instruction.
-uvec2 count_peers_by_broadcast(uint digit, uint lane) {
+uvec3 find_peers_by_broadcast(uint digit, uint lane) {
     uint size = SUBGROUP_SIZE;
-    uvec2 count = uvec2(0u);
-#define COUNT_PEER(j)                                   \
+    uvec3 found = uvec3(0u, 0u, lane);
+#define FIND_PEER(j)                                    \
     {                                                   \
         bool same = subgroupShuffle(digit, j) == digit; \
-        count.x += same && j < lane ? 1u : 0u;          \
-        count.y += same ? 1u : 0u;                      \
+        found.x += same && j < lane ? 1u : 0u;          \
+        found.y += same ? 1u : 0u;                      \
+        found.z = same ? min(found.z, j) : found.z;     \
     }
-    COUNT_PEER(0u) COUNT_PEER(1u) COUNT_PEER(2u) COUNT_PEER(3u)
+    FIND_PEER(0u) FIND_PEER(1u) FIND_PEER(2u) FIND_PEER(3u)
     if (size > 4u) {
-        COUNT_PEER(4u) COUNT_PEER(5u) COUNT_PEER(6u) COUNT_PEER(7u)
+        FIND_PEER(4u) FIND_PEER(5u) FIND_PEER(6u) FIND_PEER(7u)
     }
     if (size > 8u) {
-        COUNT_PEER(8u) COUNT_PEER(9u) COUNT_PEER(10u) COUNT_PEER(11u)
-        COUNT_PEER(12u) COUNT_PEER(13u) COUNT_PEER(14u) COUNT_PEER(15u)
+        FIND_PEER(8u) FIND_PEER(9u) FIND_PEER(10u) FIND_PEER(11u)
+        FIND_PEER(12u) FIND_PEER(13u) FIND_PEER(14u) FIND_PEER(15u)
     }
-    return count;
+    return found;
 }
 
 // First output position of digit d in partition `group`, for thread d: all smaller digits, then the same digit in
@@ -137,18 +139,19 @@ void main() {
     for (uint turn = 0u; turn < share; turn++) {
         barrier();
         if (gl_SubgroupID % share == turn) {
+            // The lowest lane of each digit counts for its peers and hands them what was there: no barrier, because a round
+            // cannot begin before the shuffle has its result. Only subgroups take turns here, and some drivers make a barrier
+            // of the whole workgroup of a subgroup's.
             [[unroll]] for (uint r = 0u; r < SORT_ROUNDS; r++) {
                 bool valid = first + r * size < present;
                 uint digit = (key[r] >> push.shift) & mask;
                 uint own = valid ? digit : NO_DIGIT;
-                uvec2 peers = by_ballot != 0u ? count_peers_by_ballot(own, lane) : count_peers_by_broadcast(own, lane);
-                uint seen = rank_rows[row + digit];
-                rank[r] = seen + peers.x;
-                subgroupBarrier(); // every lane has read before one lane per digit writes
+                uvec3 peers = by_ballot != 0u ? find_peers_by_ballot(own, lane) : find_peers_by_broadcast(own, lane);
+                uint seen = 0u;
                 if (valid && peers.x == 0u) {
-                    rank_rows[row + digit] = seen + peers.y;
+                    seen = atomicAdd(rank_rows[row + digit], peers.y);
                 }
-                subgroupBarrier();
+                rank[r] = subgroupShuffle(seen, valid ? peers.z : lane) + peers.x;
             }
         }
     }

@@ -45,6 +45,8 @@ const uint SUM_PIXELS = 9u;
 const float FAR_VALUE = 1e12;       // gradients and colours past this count as 0: products must stay finite
 const float FAR_PRODUCT = 1e24;
 
+#include "tile_batches.glsl"
+
 shared vec4 staged[3 * 128];
 shared float staged_sums[12 * 128];
 shared uint staged_row[128];
@@ -74,8 +76,8 @@ bool all_below(vec3 x, float limit) {
 
 void add_to_row(uint at, float value); // at: word of the target
 
-void open_pixel(uint i, uvec2 at) {
-    bool in_image = at.x < frame.size.x && at.y < frame.size.y;
+// Takes up the pixel `at` as the lane's i-th, unless it is outside the image.
+void open_pixel(uint i, uvec2 at, bool in_image) {
     transmittance[i] = in_image ? 1.0 : -1.0;
     vec4 g = vec4(0.0);
     float r = 0.0;
@@ -293,9 +295,8 @@ void main() {
     uint per_tile = across * (TILE_SIZE / extent.y) / subtiles; // subgroups
     uint subgroup = workgroup_index() * (128u / size) + gl_SubgroupID;
     uint tile = subgroup / per_tile;
-    if (tile >= frame.limits.y) {
-        return;
-    }
+    uint tiles = frame.limits.y;
+    bool open = tile < tiles; // the subgroup has pixels that are not opaque
     uint inside = (subgroup - tile * per_tile) * subtiles; // first subtile
     uvec2 origin = TILE_SIZE * uvec2(tile % frame.size.z, tile / frame.size.z);
     uint lane = gl_SubgroupInvocationID;
@@ -307,13 +308,17 @@ void main() {
     }
     for (uint s = 0u; s < SUBTILES; s++) {
         for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
-            open_pixel(s * PIXELS_PER_LANE + j, corner[s] + of_lane + uvec2(0u, j * lane_rows));
+            uvec2 at = corner[s] + of_lane + uvec2(0u, j * lane_rows);
+            open_pixel(s * PIXELS_PER_LANE + j, at, tile < tiles && at.x < frame.size.x && at.y < frame.size.y);
         }
     }
 
-    uint end = ranges[2u * tile + 1u];
-    for (uint base = ranges[2u * tile]; base < end; base += size) {
-        bool valid = base + lane < end;
+    uint stage = STAGE;
+    uint base = open ? ranges[2u * tile] : 0u;
+    uint end = open ? ranges[2u * tile + 1u] : 0u;
+    uint batches = batches_to_walk(tile, per_tile, tiles);
+    for (uint batch = 0u; batch < batches; batch++) {
+        bool valid = open && base + lane < end;
         uint row = valid ? values[base + lane] : 0u;
         uint index = row;
         if (accumulate == 0u && valid) {
@@ -330,11 +335,13 @@ void main() {
             walk(3u, corner[3], extent, valid, vec2(of_lane), row_step);
         }
         deliver(valid, row);
-        bool open = false;
+        bool pixel_open = false;
         for (uint i = 0u; i < subtiles * pixels_per_lane; i++) {
-            open = open || transmittance[i] > 0.0;
+            pixel_open = pixel_open || transmittance[i] > 0.0;
         }
-        if (!subgroupAny(open)) {
+        open = subgroupAny(pixel_open);
+        base += size;
+        if (stage != 1u && !open) {
             break;
         }
     }

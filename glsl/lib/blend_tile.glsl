@@ -1,6 +1,6 @@
 // Blends the splats of each tile front to back: the body of the kernels `blend` and `blend_packed`, which declare the
 // constants and buffers and say how a pixel is stored. One subgroup owns one subtile of pixels and shares nothing with the others,
-// so there are no workgroup barriers and a subtile stops as soon as its own pixels are opaque.
+// so a subtile stops as soon as its own pixels are opaque; with STAGE 1 it then only waits for the others of its workgroup.
 //
 //   subgroup size    4      8     16     32     64    128
 //   lane columns     4      8      8      8      8     16
@@ -15,6 +15,8 @@
 //   2 re-read from `splats` at a uniform address (L1 hits).
 #ifndef SPGS_BLEND_TILE
 #define SPGS_BLEND_TILE
+
+#include "tile_batches.glsl"
 
 // What becomes of a finished pixel: at = row * width + column; value: colour over the background, 1 - transmittance.
 void store_pixel(uvec2 pixel, uint at, vec4 value);
@@ -58,9 +60,8 @@ void main() {
     uint subtiles = across * (TILE_SIZE / rows);
     uint subtile = workgroup_index() * (128u / size) + gl_SubgroupID;
     uint tile = subtile / subtiles;
-    if (tile >= frame.limits.y) {
-        return;
-    }
+    uint tiles = frame.limits.y;
+    bool open = tile < tiles; // the subgroup has pixels that are not opaque
     uint inside = subtile - tile * subtiles;
     uvec2 corner = TILE_SIZE * uvec2(tile % frame.size.z, tile / frame.size.z)
         + uvec2(columns * (inside % across), rows * (inside / across));
@@ -72,21 +73,23 @@ void main() {
     float row_step = float(lane_rows);
 
     for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
-        bool in_image = own.x < frame.size.x && own.y + j * lane_rows < frame.size.y;
+        bool in_image = tile < tiles && own.x < frame.size.x && own.y + j * lane_rows < frame.size.y;
         transmittance[j] = in_image ? 1.0 : -1.0;
         sum_colour[j] = vec3(0.0);
         sum_depth[j] = 0.0;
     }
 
-    uint end = ranges[2u * tile + 1u];
-    for (uint base = ranges[2u * tile]; base < end; base += size) {
+    uint base = open ? ranges[2u * tile] : 0u;
+    uint end = open ? ranges[2u * tile + 1u] : 0u;
+    uint batches = batches_to_walk(tile, subtiles, tiles);
+    for (uint batch = 0u; batch < batches; batch++) {
         bool hit = false;
         uint index = 0u;
         vec4 first = vec4(0.0);
         vec4 second = vec4(0.0);
         uvec4 own_a = uvec4(0u);
         uvec4 own_b = uvec4(0u);
-        if (base + lane < end) {
+        if (open && base + lane < end) {
             index = values[base + lane];
             if (with_slots == 1u) {
                 index = gaussian_of_slot[index];
@@ -157,18 +160,20 @@ void main() {
                 }
             }
         }
-        bool open = false;
+        bool pixel_open = false;
         for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
-            open = open || transmittance[j] > 0.0;
+            pixel_open = pixel_open || transmittance[j] > 0.0;
         }
-        if (!subgroupAny(open)) {
+        open = subgroupAny(pixel_open);
+        base += size;
+        if (stage != 1u && !open) {
             break;
         }
     }
 
     for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
         uint y = own.y + j * lane_rows;
-        if (own.x < frame.size.x && y < frame.size.y) {
+        if (tile < tiles && own.x < frame.size.x && y < frame.size.y) {
             uint at = y * frame.size.x + own.x;
             float rest = abs(transmittance[j]);
             store_pixel(uvec2(own.x, y), at, vec4(sum_colour[j] + rest * frame.background.xyz, 1.0 - rest));

@@ -41,6 +41,20 @@ uint count_lanes_below(uvec4 ballot, uint lane) {
     return n;
 }
 
+// The lowest lane of a ballot; some lane when it is empty.
+uint lowest_lane(uvec4 ballot) {
+    uint size = SUBGROUP_SIZE;
+    uint lane = uint(findLSB(ballot.x));
+    if (size > 32u) {
+        lane = ballot.x != 0u ? lane : 32u + uint(findLSB(ballot.y));
+    }
+    if (size > 64u) {
+        uint high = ballot.z != 0u ? 64u + uint(findLSB(ballot.z)) : 96u + uint(findLSB(ballot.w));
+        lane = (ballot.x | ballot.y) != 0u ? lane : high;
+    }
+    return lane & (size - 1u);
+}
+
 // Exclusive prefix sum over the 256 threads and its total. Every thread must call it; contains barriers.
 uint workgroup_exclusive_add(uint value, out uint total) {
     uint size = SUBGROUP_SIZE;
