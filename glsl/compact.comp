@@ -4,6 +4,7 @@
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #extension GL_KHR_shader_subgroup_vote : require
+#extension GL_KHR_shader_subgroup_shuffle : require
 #extension GL_EXT_control_flow_attributes : require
 
 // Stable compaction of the visible Gaussians into (depth key, index) pairs, 1,024 Gaussians per workgroup; also the
@@ -53,10 +54,11 @@ uint depth_key(uint z) {
 // Visible Gaussians before block `first_block` (256 Gaussians each), summed by the workgroup.
 uint visible_before(uint first_block) {
     uint super_block = first_block / SCAN_SUPER;
-    uint block = super_block * SCAN_SUPER + gl_LocalInvocationID.x;
+    uint thread = thread_index();
+    uint block = super_block * SCAN_SUPER + thread;
     uint sum = block < min(first_block, push.block_capacity) ? visible_block[block] : 0u;
     uint supers = min(super_block, (push.block_capacity + SCAN_SUPER - 1u) / SCAN_SUPER);
-    for (uint s = gl_LocalInvocationID.x; s < supers; s += SCAN_SUPER) {
+    for (uint s = thread; s < supers; s += SCAN_SUPER) {
         sum += visible_block[push.block_capacity + s];
     }
     uint total;
@@ -112,13 +114,14 @@ void main() {
         count_digit(to, key & ((1u << push.digit_bits) - 1u), visible);
     }
 
-    if (group == 0u && gl_LocalInvocationID.x < 4u) {
+    uint thread = thread_index();
+    if (group == 0u && thread < 4u) {
         uint instances = atomicAdd(counters[COUNT_INSTANCES_LOW], 0u);
         bool failed = atomicAdd(counters[COUNT_INSTANCES_HIGH], 0u) != 0u || instances > frame.limits.x;
         uint visible = failed ? 0u : atomicAdd(counters[COUNT_VISIBLE], 0u);
         instances = failed ? 0u : instances;
-        write_arguments(gl_LocalInvocationID.x, visible, instances);
-        if (gl_LocalInvocationID.x == 0u) {
+        write_arguments(thread, visible, instances);
+        if (thread == 0u) {
             atomicExchange(counters[COUNT_INSTANCES], instances);
             atomicOr(counters[COUNT_FAILED], failed ? FAILED_INSTANCES : 0u);
         }

@@ -7,6 +7,7 @@
 //   cov = J W R S S R' W' J' + 0.3 I with J at the clamped tangents; colour = max(0, 0.5 + sum of SH), not rotated.
 #version 460
 #extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
 layout(local_size_x = 256) in;
@@ -22,6 +23,7 @@ layout(constant_id = 8) const uint MEAN_STORAGE = 0; // 0 f32, 1 unorm16 with a 
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
+#include "lib/thread.glsl"
 #include "lib/limits.glsl"
 #include "lib/ellipse.glsl"
 #include "lib/splat.glsl"
@@ -140,85 +142,107 @@ vec3 read_mean(uint g, uint n) {
     return level.x == 65535u ? vec3(uintBitsToFloat(0x7fc00000u)) : low + vec3(level) * step;
 }
 
-// Processes Gaussian g; the reads come in the order in which the tests need them.
+// Camera space: the centre relative to the camera in world axes (d) and in the camera's (p).
+bool place_centre(uint g, uint n, out float logit, out vec3 d, out vec4 turn, out vec3 p) {
+    vec3 canonical = read_mean(g, n);
+    logit = opacity_logit[g];
+    d = vec3(0.0);
+    turn = vec4(1.0, 0.0, 0.0, 0.0);
+    p = vec3(0.0);
+    bool logit_is_nan = (floatBitsToUint(logit) & 0x7fffffffu) > 0x7f800000u;
+    bool usable = within(canonical, MAX_ABS_MEAN) && !logit_is_nan;
+    if (usable) {
+        usable = place_mean(g, n, canonical, d, turn);
+    }
+    if (usable) {
+        p = vec3(dot(frame.world_to_camera_0.xyz, d), dot(frame.world_to_camera_1.xyz, d),
+                 dot(frame.world_to_camera_2.xyz, d));
+        usable = is_finite(p);
+    }
+    return usable;
+}
+
+// The ellipse of the splat, but for its opacity, and the variance along x in units of the footprint.
+bool project_shape(uint g, uint n, vec4 turn, vec3 p, inout Ellipse e, out float variance_x) {
+    variance_x = 0.0;
+    Shape shape;
+    bool usable = place_shape(g, n, turn, shape);
+    if (usable) {
+        vec3 axis_0;
+        vec3 axis_1;
+        vec3 axis_2;
+        quaternion_columns(shape.q, axis_0, axis_1, axis_2);
+        mat3 rows = mat3(frame.world_to_camera_0.xyz, frame.world_to_camera_1.xyz, frame.world_to_camera_2.xyz);
+        vec2 slope = p.xy / p.z;
+        vec2 tangent = min(max(slope, frame.tan_limit.xz), frame.tan_limit.yw);
+        // `v * rows` is the product of the matrix with these rows by v.
+        Footprint footprint = footprint_of(axis_0 * rows, axis_1 * rows, axis_2 * rows, shape.scale / p.z, tangent,
+                                           frame.intrinsics.xy);
+        vec4 root = conic_root(footprint);
+        e.mean = frame.intrinsics.xy * slope + frame.intrinsics.zw;
+        e.l11 = root.x;
+        e.l12 = root.y;
+        e.l22 = root.z;
+        variance_x = root.w;
+        usable = is_finite(e.mean.x) && is_finite(e.mean.y) && is_finite(root.xyz) && root.x > 0.0 && root.z > 0.0;
+    }
+    return usable;
+}
+
+// Colour, and then the splat; false and nothing written when the colour is unusable.
+bool write_splat(uint g, uint n, Ellipse e, float z, vec3 d) {
+    vec3 colour = 0.5 + sh_sum(g, n, d / sqrt(dot(d, d)));
+    bool usable = within(colour, MAX_ABS_COLOUR);
+    if (usable) {
+        uvec4 first;
+        uvec4 second;
+        uvec4 third;
+        pack_splat(vec4(e.mean, e.l11, e.l12), vec3(e.l22, e.log2_opacity, z), max(colour, vec3(0.0)), first, second, third);
+        uint stride = splat_stride();
+        splats[stride * g] = first;
+        splats[stride * g + 1u] = second;
+        if (stride == 3u) {
+            splats[stride * g + 2u] = third;
+        }
+    }
+    return usable;
+}
+
+// Processes Gaussian g; the reads come in the order in which the tests need them. No early return: see lib/place.glsl.
 uint project(uint g, uint n, out uint tiles) {
     tiles = 0u;
-    vec3 canonical = read_mean(g, n);
-    float logit = opacity_logit[g];
-    bool logit_is_nan = (floatBitsToUint(logit) & 0x7fffffffu) > 0x7f800000u;
-    if (!within(canonical, MAX_ABS_MEAN) || logit_is_nan) {
-        return REJECTED;
-    }
+    float logit;
     vec3 d;
     vec4 turn;
-    if (!place_mean(g, n, canonical, d, turn)) {
-        return REJECTED;
-    }
-    vec3 p = vec3(dot(frame.world_to_camera_0.xyz, d), dot(frame.world_to_camera_1.xyz, d),
-                  dot(frame.world_to_camera_2.xyz, d));
-    if (!is_finite(p)) {
-        return REJECTED;
-    }
-    if (!(p.z > frame.camera_position_high.w)) {
-        return CULLED;
-    }
+    vec3 p;
     Ellipse e;
-    e.log2_opacity = -log2(1.0 + exp(-logit));
-    if (!(ellipse_threshold(e) > 0.0)) {
-        return CULLED;
+    float variance_x = 0.0;
+    uint outcome = place_centre(g, n, logit, d, turn, p) ? VISIBLE : REJECTED;
+    if (outcome == VISIBLE) {
+        e.log2_opacity = -log2(1.0 + exp(-logit));
+        outcome = p.z > frame.camera_position_high.w && ellipse_threshold(e) > 0.0 ? VISIBLE : CULLED;
     }
-
-    Shape shape;
-    if (!place_shape(g, n, turn, shape)) {
-        return REJECTED;
+    if (outcome == VISIBLE) {
+        outcome = project_shape(g, n, turn, p, e, variance_x) ? VISIBLE : REJECTED;
     }
-    vec3 axis_0;
-    vec3 axis_1;
-    vec3 axis_2;
-    quaternion_columns(shape.q, axis_0, axis_1, axis_2);
-    mat3 rows = mat3(frame.world_to_camera_0.xyz, frame.world_to_camera_1.xyz, frame.world_to_camera_2.xyz);
-    vec2 slope = p.xy / p.z;
-    vec2 tangent = min(max(slope, frame.tan_limit.xz), frame.tan_limit.yw);
-    // `v * rows` is the product of the matrix with these rows by v.
-    Footprint footprint = footprint_of(axis_0 * rows, axis_1 * rows, axis_2 * rows, shape.scale / p.z, tangent,
-                                       frame.intrinsics.xy);
-    vec4 root = conic_root(footprint);
-    e.mean = frame.intrinsics.xy * slope + frame.intrinsics.zw;
-    e.l11 = root.x;
-    e.l12 = root.y;
-    e.l22 = root.z;
-    if (!is_finite(e.mean.x) || !is_finite(e.mean.y) || !is_finite(root.xyz) || !(root.x > 0.0) || !(root.z > 0.0)) {
-        return REJECTED;
+    if (outcome == VISIBLE) {
+        round_conic(e.l11, e.l12, e.l22, e.log2_opacity);
+        if (reaches_image(e, variance_x)) {
+            tiles = ellipse_tile_count(e, frame.size.xy);
+        }
+        outcome = tiles != 0u ? VISIBLE : CULLED;
     }
-    round_conic(e.l11, e.l12, e.l22, e.log2_opacity);
-    if (reaches_image(e, root.w)) {
-        tiles = ellipse_tile_count(e, frame.size.xy);
+    if (outcome == VISIBLE) {
+        outcome = write_splat(g, n, e, p.z, d) ? VISIBLE : REJECTED;
+        tiles = outcome == VISIBLE ? tiles : 0u;
     }
-    if (tiles == 0u) {
-        return CULLED;
-    }
-
-    vec3 colour = 0.5 + sh_sum(g, n, d / sqrt(dot(d, d)));
-    if (!within(colour, MAX_ABS_COLOUR)) {
-        tiles = 0u;
-        return REJECTED;
-    }
-    uvec4 first;
-    uvec4 second;
-    uvec4 third;
-    pack_splat(vec4(e.mean, e.l11, e.l12), vec3(e.l22, e.log2_opacity, p.z), max(colour, vec3(0.0)), first, second, third);
-    uint stride = splat_stride();
-    splats[stride * g] = first;
-    splats[stride * g + 1u] = second;
-    if (stride == 3u) {
-        splats[stride * g + 2u] = third;
-    }
-    return VISIBLE;
+    return outcome;
 }
 
 void main() {
     uint group = workgroup_index();
-    uint g = group * 256u + gl_LocalInvocationIndex;
+    uint thread = thread_index();
+    uint g = group * 256u + thread;
     uint n = frame.counts.x;
     uint tiles = 0u;
     uint outcome = CULLED;
@@ -234,7 +258,7 @@ void main() {
         subgroup_tiles[gl_SubgroupID] = tiles_of_subgroup;
     }
     barrier();
-    if (gl_LocalInvocationIndex == 0u && group * 256u < n) {
+    if (thread == 0u && group * 256u < n) {
         uint size = SUBGROUP_SIZE;
         uint subgroups = 256u / size;
         uint total_flags = 0u;

@@ -39,29 +39,24 @@ bool not_finite(float x) {
 
 uint decide(uint i, out bool refused) {
     uint n = push.gaussians;
-    refused = false;
     vec3 scale = vec3(log_scale[i], log_scale[n + i], log_scale[2u * n + i]);
     float largest = max(scale.x, max(scale.y, scale.z));
     // Phrased so that a Gaussian that is not finite is pruned.
-    if (!(opacity_logit[i] >= push.min_opacity_logit)
-        || not_finite(scale.x) || not_finite(scale.y) || not_finite(scale.z)) {
-        return ACTION_PRUNE;
-    }
+    bool usable = opacity_logit[i] >= push.min_opacity_logit && !not_finite(scale.x) && !not_finite(scale.y)
+        && !not_finite(scale.z);
     float g = mean_gradient(density[i], density[n + i]);
-    if (g >= push.gradient_threshold) {
-        bool clone = largest <= push.dense_log_scale;
-        // What the new rows will have: a split divides scales by 1.6.
-        if (largest - (clone ? 0.0 : SPLIT_LOG_SCALE) > push.world_log_scale) {
-            return ACTION_PRUNE;
-        }
-        uint key = floatBitsToUint(g);
-        if (key > push.accept_key || (key == push.accept_key && i <= push.accept_index)) {
-            return clone ? ACTION_CLONE : ACTION_SPLIT;
-        }
-        refused = true;
-    }
-    bool too_large = largest > push.world_log_scale || (!refused && max_radius[i] > push.max_screen_radius);
-    return too_large ? ACTION_PRUNE : ACTION_KEEP;
+    bool grows = usable && g >= push.gradient_threshold;
+    bool clone = largest <= push.dense_log_scale;
+    // By what the new rows will have: a split divides scales by 1.6.
+    bool outgrown = grows && largest - (clone ? 0.0 : SPLIT_LOG_SCALE) > push.world_log_scale;
+    uint key = floatBitsToUint(g);
+    bool accepted = key > push.accept_key || (key == push.accept_key && i <= push.accept_index);
+    bool granted = grows && !outgrown && accepted;
+    refused = grows && !outgrown && !accepted;
+    bool too_large =
+        outgrown || largest > push.world_log_scale || (!refused && max_radius[i] > push.max_screen_radius);
+    uint unchanged = !usable || too_large ? ACTION_PRUNE : ACTION_KEEP;
+    return granted ? (clone ? ACTION_CLONE : ACTION_SPLIT) : unchanged;
 }
 
 void count(uint word, bool hit) {
@@ -73,7 +68,8 @@ void count(uint word, bool hit) {
 
 void main() {
     uint group = workgroup_index();
-    uint i = group * SCAN_THREADS + gl_LocalInvocationID.x;
+    uint thread = thread_index();
+    uint i = group * SCAN_THREADS + thread;
     bool real = i < push.gaussians;
     uint what = ACTION_PRUNE;
     bool refused = false;
@@ -83,7 +79,7 @@ void main() {
     }
     uint total;
     workgroup_exclusive_add(real ? rows_of_action(what) : 0u, total);
-    if (gl_LocalInvocationID.x == 0u && group * SCAN_THREADS < push.gaussians) {
+    if (thread == 0u && group * SCAN_THREADS < push.gaussians) {
         row_block[group] = total;
     }
     count(0u, real && what == ACTION_PRUNE);

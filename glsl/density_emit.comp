@@ -24,7 +24,7 @@ layout(push_constant) uniform PushBlock {
 
 void main() {
     uint group = workgroup_index();
-    uint i = group * SCAN_THREADS + gl_LocalInvocationID.x;
+    uint i = group * SCAN_THREADS + thread_index();
     uint what = i < push.gaussians ? action[i] : ACTION_PRUNE;
     uint count = rows_of_action(what);
     uint total;

@@ -19,7 +19,7 @@ layout(push_constant) uniform PushBlock {
 
 void main() {
     uint carry = 0u;
-    uint thread = gl_LocalInvocationID.x;
+    uint thread = thread_index();
     for (uint first = 0u; first < push.blocks; first += SCAN_THREADS) {
         uint i = first + thread;
         uint value = i < push.blocks ? row_block[i] : 0u;

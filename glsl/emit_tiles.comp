@@ -4,6 +4,7 @@
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #extension GL_KHR_shader_subgroup_vote : require
+#extension GL_KHR_shader_subgroup_shuffle : require
 
 // Writes one (tile, Gaussian) pair for each tile that a visible Gaussian reaches, in depth order, and counts the first
 // digit of the tile ids. A workgroup has 256 depth-sorted Gaussians. Those that reach few tiles are written by a thread
@@ -54,10 +55,11 @@ shared uint block_order[SCAN_BLOCK];
 // Instances of the blocks before this one, summed by the workgroup.
 uint instances_before(uint group) {
     uint super_block = group / SCAN_SUPER;
-    uint block = super_block * SCAN_SUPER + gl_LocalInvocationID.x;
+    uint thread = thread_index();
+    uint block = super_block * SCAN_SUPER + thread;
     uint sum = block < min(group, push.block_capacity) ? instance_block[block] : 0u;
     uint supers = min(super_block, (push.block_capacity + SCAN_SUPER - 1u) / SCAN_SUPER);
-    for (uint s = gl_LocalInvocationID.x; s < supers; s += SCAN_SUPER) {
+    for (uint s = thread; s < supers; s += SCAN_SUPER) {
         sum += instance_block[push.block_capacity + s];
     }
     uint total;
@@ -139,7 +141,7 @@ uint tile_of(Ellipse e, uint k) {
 
 void main() {
     uint group = workgroup_index();
-    uint t = gl_LocalInvocationID.x;
+    uint t = thread_index();
     uint visible = counters[COUNT_FAILED] == 0u ? counters[COUNT_VISIBLE] : 0u;
     uint capacity = min(counters[COUNT_INSTANCES], frame.limits.x);
     uint i = group * SCAN_BLOCK + t;

@@ -10,6 +10,7 @@
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 
 #include "lib/dispatch.glsl"
+#include "lib/thread.glsl"
 
 layout(local_size_x = 256) in;
 
@@ -57,7 +58,7 @@ void farthest(inout float d, inout uint index) {
 
 void main() {
     uint group = workgroup_index();
-    uint thread = gl_LocalInvocationID.x;
+    uint thread = thread_index();
     uint n = push.points;
     float d = -2.0;
     uint index = NO_POINT;

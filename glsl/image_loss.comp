@@ -15,6 +15,7 @@ layout(constant_id = 2) const uint WITH_SSIM = 1u; // 0: lambda is 0 and `ssim_m
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
+#include "lib/thread.glsl"
 #define STEP_BINDING 1
 #include "lib/step.glsl"
 #define COLOR_BINDING 2
@@ -129,7 +130,7 @@ void main() {
     uint groups = 3u * tiles.x * tiles.y;
     uint tile = group / 3u;
     uvec2 corner = uvec2(LOSS_TILE_WIDTH, LOSS_TILE_HEIGHT) * uvec2(tile % tiles.x, tile / tiles.x);
-    uint thread = gl_LocalInvocationID.x;
+    uint thread = thread_index();
     uint size = SUBGROUP_SIZE;
 
     if (with_ssim == 1u) {

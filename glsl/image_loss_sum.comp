@@ -11,6 +11,7 @@ layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 layout(constant_id = 1) const uint WITH_SSIM = 1u; // 0: lambda is 0 and there are no sums of SSIM
 
 #include "lib/frame.glsl"
+#include "lib/thread.glsl"
 #define STEP_BINDING 1
 #include "lib/step.glsl"
 #include "lib/ssim.glsl"
@@ -25,8 +26,9 @@ void main() {
     uint size = SUBGROUP_SIZE;
     uvec2 tiles = loss_tiles(frame.size.xy);
     uint groups = 3u * tiles.x * tiles.y;
+    uint thread = thread_index();
     vec3 total = vec3(0.0); // L1, SSIM, MSE
-    for (uint g = gl_LocalInvocationID.x; g < groups; g += 256u) {
+    for (uint g = thread; g < groups; g += 256u) {
         float ssim = with_ssim == 1u ? loss_partial[g] : 0.0;
         total += vec3(loss_partial[groups + g], ssim, loss_partial[2u * groups + g]);
     }
@@ -35,7 +37,7 @@ void main() {
         sums[gl_SubgroupID] = of_subgroup;
     }
     barrier();
-    if (gl_WorkGroupID.x == 0u && gl_LocalInvocationID.x == 0u) {
+    if (gl_WorkGroupID.x == 0u && thread == 0u) {
         vec3 sum = vec3(0.0);
         for (uint s = 0u; s < 256u / size; s++) {
             sum += sums[s];

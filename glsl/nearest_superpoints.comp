@@ -16,6 +16,7 @@ layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 #include "lib/status.glsl"
 #include "lib/limits.glsl"
 #include "lib/dispatch.glsl"
+#include "lib/thread.glsl"
 #include "lib/association.glsl"
 
 layout(local_size_x = 256) in;
@@ -208,7 +209,7 @@ void write_pairs(uint i, uint nearest[MAX_NEIGHBORS]) {
 }
 
 void main() {
-    uint i = workgroup_index() * 256u + gl_LocalInvocationID.x;
+    uint i = workgroup_index() * 256u + thread_index();
     uint slots = SLOTS;
     uint n = step_data.counts.x;
     // A thread without a Gaussian keeps its subgroup company, which shuffles need.

@@ -18,6 +18,7 @@ layout(constant_id = 2) const uint STAGE = 1;
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
+#include "lib/thread.glsl"
 #include "lib/quaternion.glsl"
 #include "lib/encoding.glsl"
 
@@ -79,10 +80,12 @@ void accumulate_outputs(uint base, uint inputs, uint rows, uint first_output, ui
 
 void main() {
     uint stage = STAGE;
-    uint thread = gl_LocalInvocationIndex;
+    uint thread = thread_index();
     uint part = thread % PARTS;
     uint per_thread = stage == 0u ? 16u : 8u;
-    uint first_output = thread / PARTS * per_thread;
+    // With STAGE 0, for subgroups of at most PARTS lanes, the same for the whole subgroup: it decides who shuffles.
+    uint size = SUBGROUP_SIZE;
+    uint first_output = (stage == 0u ? gl_SubgroupID * size / PARTS : thread / PARTS) * per_thread;
     uint count = frame.counts.x;
     uint first_gaussian = workgroup_index() * GROUP_GAUSSIANS;
 

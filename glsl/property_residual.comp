@@ -19,6 +19,7 @@ layout(constant_id = 3) const uint PAPER = 0u; // superpoints' properties are me
 #include "lib/status.glsl"
 #include "lib/limits.glsl"
 #include "lib/dispatch.glsl"
+#include "lib/thread.glsl"
 #include "lib/quaternion.glsl"
 #include "lib/association.glsl"
 #define SUM_VALUES 3
@@ -71,7 +72,8 @@ void update_logits(uint i, float gradient[MAX_NEIGHBORS]) {
 }
 
 void main() {
-    uint i = workgroup_index() * 256u + gl_LocalInvocationID.x;
+    uint thread = thread_index();
+    uint i = workgroup_index() * 256u + thread;
     uint n = step_data.counts.x;
     uint neighbors = NEIGHBORS;
     uint slots = SLOTS;
@@ -126,7 +128,7 @@ void main() {
         }
     }
     float total = workgroup_sums(squares);
-    if (gl_LocalInvocationID.x < 3u && workgroup_index() * 256u < n) {
-        loss_partial[workgroup_index()][gl_LocalInvocationID.x] = total;
+    if (thread < 3u && workgroup_index() * 256u < n) {
+        loss_partial[workgroup_index()][thread] = total;
     }
 }

@@ -10,6 +10,7 @@ layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 
 #define STEP_BINDING 0
 #include "lib/step.glsl"
+#include "lib/thread.glsl"
 #define SUM_VALUES 3
 #include "lib/workgroup_sum.glsl"
 
@@ -27,20 +28,21 @@ void main() {
     sums[0] = 0.0;
     sums[1] = 0.0;
     sums[2] = 0.0;
-    for (uint g = gl_LocalInvocationID.x; g < groups; g += 256u) {
+    for (uint g = thread_index(); g < groups; g += 256u) {
         vec4 partial = loss_partial[g];
         sums[0] += partial.x;
         sums[1] += partial.y;
         sums[2] += partial.z;
     }
     float total = workgroup_sums(sums);
-    if (gl_LocalInvocationID.x < 3u) {
+    uint thread = thread_index();
+    if (thread < 3u) {
         float value = total / (3.0 * float(n));
-        loss[gl_LocalInvocationID.x] = value;
-        property_loss[gl_LocalInvocationID.x] = value;
+        loss[thread] = value;
+        property_loss[thread] = value;
     }
     barrier();
-    if (gl_LocalInvocationID.x == 0u) {
+    if (thread == 0u) {
         vec4 w = step_data.weights;
         property_loss[3] = w.y * loss[0] + w.z * loss[1] + w.w * loss[2];
     }

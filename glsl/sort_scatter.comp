@@ -85,7 +85,7 @@ uvec3 find_peers_by_broadcast(uint digit, uint lane) {
 // First output position of digit d in partition `group`, for thread d: all smaller digits, then the same digit in
 // earlier partitions. Contains barriers.
 uint digit_base(uint group, uint partitions) {
-    uint d = gl_LocalInvocationID.x;
+    uint d = thread_index();
     uint before = 0u;
     uint all = 0u;
     uint prescanned = PRESCANNED;
@@ -105,7 +105,7 @@ uint digit_base(uint group, uint partitions) {
 
 void main() {
     uint group = workgroup_index();
-    uint d = gl_LocalInvocationID.x;
+    uint d = thread_index();
     uint lane = gl_SubgroupInvocationID;
     uint size = SUBGROUP_SIZE;
     uint has_values = HAS_VALUES;

@@ -15,6 +15,7 @@ layout(constant_id = 1) const uint TARGET = 0u; // 0: RGBA8, 1: float bits
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
+#include "lib/thread.glsl"
 #define COLOR_BINDING 1
 #define TARGET_BINDING 2
 #include "lib/image_target.glsl"
@@ -116,7 +117,7 @@ void main() {
     uint groups = 3u * tiles.x * tiles.y;
     uint tile = group / 3u;
     uvec2 corner = uvec2(LOSS_TILE_WIDTH, LOSS_TILE_HEIGHT) * uvec2(tile % tiles.x, tile / tiles.x);
-    uint thread = gl_LocalInvocationID.x;
+    uint thread = thread_index();
     uint size = SUBGROUP_SIZE;
 
     if (thread < ROW_TASKS) {

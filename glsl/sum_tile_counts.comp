@@ -25,10 +25,11 @@ layout(push_constant) uniform PushBlock {
 void main() {
     uint group = workgroup_index();
     uint visible = counters[COUNT_FAILED] == 0u ? counters[COUNT_VISIBLE] : 0u;
-    uint i = group * SCAN_BLOCK + gl_LocalInvocationID.x;
+    uint thread = thread_index();
+    uint i = group * SCAN_BLOCK + thread;
     uint total;
     workgroup_exclusive_add(i < visible ? tile_count[order[i]] : 0u, total);
-    if (gl_LocalInvocationID.x == 0u && i < visible) {
+    if (thread == 0u && i < visible) {
         atomicExchange(instance_block[group], total);
         atomicAdd(instance_block[push.block_capacity + group / SCAN_SUPER], total);
     }

@@ -19,6 +19,7 @@ layout(constant_id = 4) const uint OWN_PLANES = 0u;  // at most 9
 #define STATUS_BINDING 8
 #include "lib/status.glsl"
 #include "lib/dispatch.glsl"
+#include "lib/thread.glsl"
 #define SUM_VALUES 22
 #include "lib/workgroup_sum.glsl"
 
@@ -119,7 +120,7 @@ void main() {
     uint moments = MOMENTS;
     uint pair_planes = PAIR_PLANES;
     uint own_planes = OWN_PLANES;
-    uint thread = gl_LocalInvocationID.x;
+    uint thread = thread_index();
     if (thread < 3u) {
         // A surplus workgroup of a folded grid finds an empty segment.
         uint at = superpoint + (thread == 2u ? 1u : 0u);

@@ -316,7 +316,7 @@ void main() {
     uint stage = STAGE;
     uint base = open ? ranges[2u * tile] : 0u;
     uint end = open ? ranges[2u * tile + 1u] : 0u;
-    uint batches = batches_to_walk(tile, per_tile, tiles);
+    uint batches = batches_to_walk(tile, per_tile, tiles, stage != 0u);
     for (uint batch = 0u; batch < batches; batch++) {
         bool valid = open && base + lane < end;
         uint row = valid ? values[base + lane] : 0u;
@@ -341,7 +341,7 @@ void main() {
         }
         open = subgroupAny(pixel_open);
         base += size;
-        if (stage != 1u && !open) {
+        if (stage == 0u && !open) {
             break;
         }
     }

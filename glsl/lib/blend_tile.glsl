@@ -81,7 +81,7 @@ void main() {
 
     uint base = open ? ranges[2u * tile] : 0u;
     uint end = open ? ranges[2u * tile + 1u] : 0u;
-    uint batches = batches_to_walk(tile, subtiles, tiles);
+    uint batches = batches_to_walk(tile, subtiles, tiles, stage == 1u);
     for (uint batch = 0u; batch < batches; batch++) {
         bool hit = false;
         uint index = 0u;

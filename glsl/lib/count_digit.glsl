@@ -1,5 +1,6 @@
 // Counting the digits of keys while they are written, for the next pass of the sort. Include after the declaration of
-// the buffer `next_histogram`, one row of SORT_DIGITS counts for each SORT_PARTITION keys.
+// the buffer `next_histogram`, one row of SORT_DIGITS counts for each SORT_PARTITION keys. The includer enables
+// GL_KHR_shader_subgroup_{basic,vote,ballot,shuffle}.
 #ifndef SPGS_COUNT_DIGIT
 #define SPGS_COUNT_DIGIT
 
@@ -7,7 +8,7 @@
 #include "subgroup.glsl"
 
 // Counts digit `digit` of the key written at position `at`, for lanes with `valid`. Every lane of the subgroup must call
-// it. Where the lanes agree, as in a run of equal keys, one lane adds for all, so that they do not queue at one address;
+// it, in uniform flow. Where the lanes agree, as in a run of equal keys, one lane adds for all, so that they do not queue at one address;
 // small subgroups would gain less than the agreement costs.
 void count_digit(uint at, uint digit, bool valid) {
     uint slot = at / SORT_PARTITION * SORT_DIGITS + digit;
@@ -18,13 +19,12 @@ void count_digit(uint at, uint digit, bool valid) {
         }
     } else {
         uvec4 lanes = subgroupBallot(valid);
-        if (valid) {
-            bool agree = subgroupAll(slot == subgroupBroadcastFirst(slot));
-            if (!agree) {
-                atomicAdd(next_histogram[slot], 1u);
-            } else if (count_lanes_below(lanes, gl_SubgroupInvocationID) == 0u) {
-                atomicAdd(next_histogram[slot], count_lanes(lanes));
-            }
+        uint lowest = lowest_lane(lanes);
+        uint of_lowest = subgroupShuffle(slot, lowest); // not in the line below, where || would make a branch around it
+        bool agree = subgroupAll(!valid || slot == of_lowest);
+        bool adds = valid && (!agree || gl_SubgroupInvocationID == lowest);
+        if (adds) {
+            atomicAdd(next_histogram[slot], agree ? count_lanes(lanes) : 1u);
         }
     }
 }

@@ -12,12 +12,15 @@ struct EncodedElement {
 };
 
 EncodedElement encoded_element(uint e) {
+    EncodedElement found;
     if (e < POSITION_ELEMENTS) {
         uint wave = e < 3u ? 0u : e - 3u;
-        return EncodedElement(e < 3u ? e : wave % 3u, wave / 6u, e < 3u ? 0u : 1u + wave % 6u / 3u);
+        found = EncodedElement(e < 3u ? e : wave % 3u, wave / 6u, e < 3u ? 0u : 1u + wave % 6u / 3u);
+    } else {
+        uint wave = e == POSITION_ELEMENTS ? 0u : e - POSITION_ELEMENTS - 1u;
+        found = EncodedElement(3u, wave / 2u, e == POSITION_ELEMENTS ? 0u : 1u + wave % 2u);
     }
-    uint wave = e == POSITION_ELEMENTS ? 0u : e - POSITION_ELEMENTS - 1u;
-    return EncodedElement(3u, wave / 2u, e == POSITION_ELEMENTS ? 0u : 1u + wave % 2u);
+    return found;
 }
 
 float encoded_value(EncodedElement e, float x) {

@@ -11,6 +11,8 @@
 #ifndef SPGS_MATRIX_PRODUCT
 #define SPGS_MATRIX_PRODUCT
 
+#include "thread.glsl"
+
 // Never called with a, b or k outside the matrices.
 float operand_a(uint a, uint k);
 float operand_b(uint k, uint b);
@@ -112,7 +114,7 @@ void product_by_shuffle(uint tile, uint tiles_b, uint rows, uint columns, uint k
 }
 
 void product_by_shared(uint tile, uint tiles_b, uint rows, uint columns, uint k_first, uint k_end) {
-    uint thread = gl_LocalInvocationIndex;
+    uint thread = thread_index();
     uint group = thread / 64u;
     uint a_own = thread % 64u / 8u; // in vec4
     uint b_own = thread % 8u;

@@ -4,39 +4,41 @@
 #ifndef SPGS_PLACE
 #define SPGS_PLACE
 
-// Camera-relative centre d and rotation `turn` of Exp(r); false when a number that enters is unusable.
+// Camera-relative centre d and rotation `turn` of Exp(r); false when a number that enters is unusable, which then moves nothing.
+// One way out, here and below: subgroup operations follow, and where lanes meet after early returns is left to compilers.
 //
 // In two parts, d is exact for a camera and a Gaussian that share a large offset from the origin.
 bool place_mean(uint g, uint n, vec3 canonical, out vec3 d, out vec4 turn) {
     precise vec3 relative = (canonical - frame.camera_position_high.xyz) - frame.camera_position_low.xyz;
     d = relative;
     turn = vec4(1.0, 0.0, 0.0, 0.0);
+    bool usable = true;
     uint motion = MOTION;
     if (motion == 1u) {
         uint superpoint = superpoint_of_gaussian[g];
-        if (superpoint >= frame.counts.y) {
-            return false;
+        usable = superpoint < frame.counts.y;
+        if (usable) {
+            uint first = 2u * (frame.counts.z * frame.counts.y + superpoint);
+            uint second = 2u * (frame.counts.w * frame.counts.y + superpoint);
+            float weight = frame.camera_position_low.w;
+            vec3 r = pose[first].xyz * (1.0 - weight) + pose[second].xyz * weight;
+            vec3 translation = pose[first + 1u].xyz * (1.0 - weight) + pose[second + 1u].xyz * weight;
+            usable = within(r, MAX_ABS_TRANSLATION) && within(translation, MAX_ABS_TRANSLATION);
+            if (usable) {
+                turn = quaternion_exp(r);
+                d += quaternion_displacement(turn, canonical) + translation;
+            }
         }
-        uint first = 2u * (frame.counts.z * frame.counts.y + superpoint);
-        uint second = 2u * (frame.counts.w * frame.counts.y + superpoint);
-        float weight = frame.camera_position_low.w;
-        vec3 r = pose[first].xyz * (1.0 - weight) + pose[second].xyz * weight;
-        vec3 translation = pose[first + 1u].xyz * (1.0 - weight) + pose[second + 1u].xyz * weight;
-        if (!within(r, MAX_ABS_TRANSLATION) || !within(translation, MAX_ABS_TRANSLATION)) {
-            return false;
-        }
-        turn = quaternion_exp(r);
-        d += quaternion_displacement(turn, canonical) + translation;
     }
     uint nonrigid = NONRIGID;
     if (nonrigid == 1u) {
         vec3 dx = vec3(nonrigid_offset[g], nonrigid_offset[n + g], nonrigid_offset[2u * n + g]);
-        if (!within(dx, MAX_ABS_TRANSLATION)) {
-            return false;
+        usable = usable && within(dx, MAX_ABS_TRANSLATION);
+        if (usable) {
+            d += dx;
         }
-        d += dx;
     }
-    return true;
+    return usable;
 }
 
 // Rotation and standard deviations, with what their backward needs.
@@ -56,9 +58,7 @@ bool place_shape(uint g, uint n, vec4 turn, out Shape shape) {
     vec3 log_s = vec3(log_scale[g], log_scale[n + g], log_scale[2u * n + g]);
     vec4 q = rotation[g];
     float norm2 = dot(q, q);
-    if (!within(log_s, MAX_ABS_LOG_SCALE) || !is_finite(norm2) || !(norm2 > MIN_ROTATION_NORM2)) {
-        return false;
-    }
+    bool usable = within(log_s, MAX_ABS_LOG_SCALE) && is_finite(norm2) && norm2 > MIN_ROTATION_NORM2;
     shape.norm = sqrt(norm2);
     shape.unit = q / shape.norm;
     shape.rigid = quaternion_product(turn, shape.unit);
@@ -74,14 +74,12 @@ bool place_shape(uint g, uint n, vec4 turn, out Shape shape) {
         vec4 sum = shape.rigid + dq;
         float sum2 = dot(sum, sum);
         shape.added += vec3(nonrigid_offset[7u * n + g], nonrigid_offset[8u * n + g], nonrigid_offset[9u * n + g]);
-        if (!is_finite(sum2) || !(sum2 > MIN_ROTATION_NORM2) || !within(shape.added, MAX_SCALE)) {
-            return false;
-        }
+        usable = usable && is_finite(sum2) && sum2 > MIN_ROTATION_NORM2 && within(shape.added, MAX_SCALE);
         shape.sum = sqrt(sum2);
         shape.q = sum / shape.sum;
         shape.scale = max(shape.added, vec3(MIN_SCALE));
     }
-    return true;
+    return usable;
 }
 
 #endif

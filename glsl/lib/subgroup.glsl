@@ -6,6 +6,8 @@
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 
+#include "thread.glsl"
+
 const uint SCAN_THREADS = 256u;
 shared uint scan_totals[64]; // one per subgroup: 256 / 4
 

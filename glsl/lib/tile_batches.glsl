@@ -1,5 +1,5 @@
-// How many batches of splats a subgroup goes through. Include after the declaration of the buffer `ranges` and the constants
-// SUBGROUP_SIZE and STAGE.
+// How many batches of splats a subgroup goes through. Include after the declaration of the buffer `ranges` and the constant
+// SUBGROUP_SIZE.
 #ifndef SPGS_TILE_BATCHES
 #define SPGS_TILE_BATCHES
 
@@ -10,13 +10,12 @@ uint batches_of_tile(uint tile) {
     return (end - first + size - 1u) / size;
 }
 
-// Batches of the subgroup's own tile or, where subgroups share memory (STAGE 1), of the longest tile of the workgroup: their
-// barriers then sit in flow that is uniform for the workgroup, because some drivers make a barrier of the whole workgroup of a
-// subgroup's. per_tile: subgroups of a tile.
-uint batches_to_walk(uint tile, uint per_tile, uint tiles) {
-    uint stage = STAGE;
+// Batches of the subgroup's own tile or, where subgroups hand data over in shared memory (`together`, a constant), of the
+// longest tile of the workgroup: their barriers then sit in flow that is uniform for the workgroup, because some drivers make a
+// barrier of the whole workgroup of a subgroup's. per_tile: subgroups of a tile.
+uint batches_to_walk(uint tile, uint per_tile, uint tiles, bool together) {
     uint size = SUBGROUP_SIZE;
-    if (stage != 1u) {
+    if (!together) {
         return tile < tiles ? batches_of_tile(tile) : 0u;
     }
     uint subgroups = 128u / size;

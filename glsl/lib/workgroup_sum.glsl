@@ -3,6 +3,8 @@
 #ifndef SPGS_WORKGROUP_SUM
 #define SPGS_WORKGROUP_SUM
 
+#include "thread.glsl"
+
 shared float sum_rows[64 * SUM_VALUES]; // one row per subgroup: 256 / 4 at most
 
 // Every thread calls it; contains barriers. Thread v < SUM_VALUES gets the sum of value[v], others 0.
@@ -15,10 +17,11 @@ float workgroup_sums(float value[SUM_VALUES]) {
         }
     }
     barrier();
+    uint thread = thread_index();
     float total = 0.0;
-    if (gl_LocalInvocationID.x < SUM_VALUES) {
+    if (thread < SUM_VALUES) {
         for (uint s = 0u; s < subgroups; s++) {
-            total += sum_rows[s * SUM_VALUES + gl_LocalInvocationID.x];
+            total += sum_rows[s * SUM_VALUES + thread];
         }
     }
     barrier();

@@ -35,5 +35,6 @@ pub mod scores;
 pub mod spirv_task;
 pub mod sweep;
 pub mod train;
+pub mod uniform_flow;
 pub mod view;
 pub mod viewer;

@@ -12,6 +12,8 @@ use engine::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
+use crate::uniform_flow;
+
 /// Flags of the compiler, as recorded in the manifest.
 pub const FLAGS: &[&str] = &["--target-env=vulkan1.2", "--target-spv=spv1.5", "-O0", "-Werror", "-Iglsl"];
 const MANIFEST: &str = "manifest.json";
@@ -127,6 +129,19 @@ pub fn check(root: &Path) -> Result<Outcome> {
     };
     outcome.lines.push(how);
     Ok(outcome)
+}
+
+/// Subgroup and workgroup operations of the committed kernels in flow that is not uniform for their scope, one line each; see
+/// [`uniform_flow`].
+pub fn check_flow(root: &Path) -> Result<Vec<String>> {
+    let cache = root.join("spirv_cache");
+    let mut lines = Vec::new();
+    // The shaders of the graphics pipeline have two stems.
+    for (name, path) in stems(&cache, "spv")?.into_iter().filter(|(name, _)| !name.contains('.')) {
+        let spirv = std::fs::read(&path).map_err(|e| Error::io(&path, "read", e))?;
+        lines.extend(uniform_flow::violations(&path, &spirv)?.into_iter().map(|line| format!("{name}: {line}")));
+    }
+    Ok(lines)
 }
 
 impl Outcome {

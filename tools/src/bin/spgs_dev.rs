@@ -24,6 +24,7 @@ enum Task {
     /// Compile glsl/ to spirv_cache/ and write its manifest
     Spirv {
         /// Change nothing; fail when spirv_cache/ is not what glsl/ compiles to
+        /// (either way: fail when a barrier or subgroup operation sits in flow that is not uniform)
         #[arg(long)]
         check: bool,
     },
@@ -97,8 +98,13 @@ fn spirv(cli: &Cli, check: bool) -> Result<ExitCode> {
         output::line(line);
     }
     let verdict = if outcome.stale { "stale" } else { "fresh" };
-    output::line(&format!("spirv_cache: {} kernels, {verdict}", outcome.kernels));
-    Ok(status(!outcome.stale))
+    let uneven = spirv_task::check_flow(&cli.root)?;
+    for line in &uneven {
+        output::line(line);
+    }
+    let flow = if uneven.is_empty() { "uniform flow" } else { "flow that is not uniform" };
+    output::line(&format!("spirv_cache: {} kernels, {verdict}, {flow}", outcome.kernels));
+    Ok(status(!outcome.stale && uneven.is_empty()))
 }
 
 fn plan(cli: &Cli, check: bool, write: bool) -> Result<ExitCode> {
