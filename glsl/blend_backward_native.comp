@@ -6,6 +6,7 @@
 #extension GL_KHR_shader_subgroup_vote : require
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_shuffle : require
+#extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_shader_atomic_float : require
 
 #include "lib/blend_backward.glsl"

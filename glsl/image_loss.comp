@@ -29,20 +29,20 @@ layout(std430, set = 0, binding = 6) writeonly buffer LossPartialBlock { float l
 #define STATUS_BINDING 7
 #include "lib/status.glsl"
 
-shared float maps[3 * 58 * 33];
+// Two of the three maps, then the third: with all of them shared memory would leave too few subgroups in flight.
+shared float maps[2 * 58 * 33];
 shared vec2 sums[32]; // one per subgroup: 128 / 4
 
 const uint MAP_WORDS = 1914u; // 58 * 33
 
 // Row pass: the three maps of a run of pixels.
-void convolve_row(uint task, uvec2 corner, uint channel) {
+void convolve_row(uint task, uvec2 corner, uint channel, out vec3 sum[ROW_RUN]) {
     uint pixels = image_size.x * image_size.y;
     uint row = task % TILE_ROWS;
     uint first = ROW_RUN * (task / TILE_ROWS);
     int y = int(corner.y + row) - int(WINDOW_RADIUS);
     int x = int(corner.x + first) - int(WINDOW_RADIUS);
     bool row_inside = y >= 0 && y < int(image_size.y);
-    vec3 sum[ROW_RUN];
     [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
         sum[j] = vec3(0.0);
     }
@@ -59,36 +59,47 @@ void convolve_row(uint task, uvec2 corner, uint channel) {
             }
         }
     }
-    [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
-        uint at = row * ROW_STRIDE + first + j;
-        maps[at] = sum[j].x;
-        maps[MAP_WORDS + at] = sum[j].y;
-        maps[2u * MAP_WORDS + at] = sum[j].z;
-    }
 }
 
-// Column pass: gradients of a run of pixels. Returns their sums of |d| and d^2.
-vec2 convolve_column(uint task, uvec2 corner, uint channel) {
-    uint kind = TARGET;
-    uint with_ssim = WITH_SSIM;
-    uint column = task % LOSS_TILE_WIDTH;
+// Column pass: two maps of a run of pixels.
+void convolve_column_of_two(uint task, out vec2 sum[COLUMN_RUN]) {
     uint first = COLUMN_RUN * (task / LOSS_TILE_WIDTH);
-    vec3 sum[COLUMN_RUN];
     [[unroll]] for (uint j = 0u; j < COLUMN_RUN; j++) {
-        sum[j] = vec3(0.0);
+        sum[j] = vec2(0.0);
     }
-    if (with_ssim == 1u) {
-        [[unroll]] for (uint i = 0u; i < COLUMN_INPUTS; i++) {
-            uint at = (first + i) * ROW_STRIDE + column;
-            vec3 m = vec3(maps[at], maps[MAP_WORDS + at], maps[2u * MAP_WORDS + at]);
-            [[unroll]] for (uint k = 0u; k < WINDOW_SIZE; k++) {
-                if (i >= k && i - k < COLUMN_RUN) {
-                    sum[i - k] += WINDOW[k] * m;
-                }
+    [[unroll]] for (uint i = 0u; i < COLUMN_INPUTS; i++) {
+        uint at = (first + i) * ROW_STRIDE + task % LOSS_TILE_WIDTH;
+        vec2 m = vec2(maps[at], maps[MAP_WORDS + at]);
+        [[unroll]] for (uint k = 0u; k < WINDOW_SIZE; k++) {
+            if (i >= k && i - k < COLUMN_RUN) {
+                sum[i - k] += WINDOW[k] * m;
             }
         }
     }
-    uint x = corner.x + column;
+}
+
+// The same for the third map.
+void convolve_column_of_one(uint task, out float sum[COLUMN_RUN]) {
+    uint first = COLUMN_RUN * (task / LOSS_TILE_WIDTH);
+    [[unroll]] for (uint j = 0u; j < COLUMN_RUN; j++) {
+        sum[j] = 0.0;
+    }
+    [[unroll]] for (uint i = 0u; i < COLUMN_INPUTS; i++) {
+        float m = maps[(first + i) * ROW_STRIDE + task % LOSS_TILE_WIDTH];
+        [[unroll]] for (uint k = 0u; k < WINDOW_SIZE; k++) {
+            if (i >= k && i - k < COLUMN_RUN) {
+                sum[i - k] += WINDOW[k] * m;
+            }
+        }
+    }
+}
+
+// Gradients of a run of pixels. Returns their sums of |d| and d^2.
+vec2 store_run(uint task, uvec2 corner, uint channel, vec2 two[COLUMN_RUN], float one[COLUMN_RUN]) {
+    uint kind = TARGET;
+    uint with_ssim = WITH_SSIM;
+    uint first = COLUMN_RUN * (task / LOSS_TILE_WIDTH);
+    uint x = corner.x + task % LOSS_TILE_WIDTH;
     float lambda = with_ssim == 1u ? step_data.weights.x : 0.0;
     float per_value = 1.0 / (3.0 * float(image_size.x * image_size.y));
     vec2 total = vec2(0.0);
@@ -100,7 +111,7 @@ vec2 convolve_column(uint task, uvec2 corner, uint channel) {
             uint at = y * image_size.x + x;
             vec3 v = image_and_target(kind, at, channel);
             float d = v.x - v.y;
-            float by_ssim = sum[j].x + 2.0 * v.x * sum[j].y + 2.0 * d * sum[j].z;
+            float by_ssim = two[j].x + 2.0 * v.x * two[j].y + 2.0 * d * one[j];
             float gradient = per_value * ((1.0 - lambda) * sign(d) - lambda * by_ssim);
             bool good = v.z != 0.0 && number_is_finite(gradient);
             bad_count += good ? 0u : 1u;
@@ -133,13 +144,35 @@ void main() {
     uint thread = thread_index();
     uint size = SUBGROUP_SIZE;
 
-    if (with_ssim == 1u) {
-        if (thread < ROW_TASKS) {
-            convolve_row(thread, corner, channel);
-        }
+    vec2 two[COLUMN_RUN];
+    float one[COLUMN_RUN];
+    [[unroll]] for (uint j = 0u; j < COLUMN_RUN; j++) {
+        two[j] = vec2(0.0);
+        one[j] = 0.0;
     }
-    barrier();
-    vec2 total = convolve_column(thread, corner, channel);
+    if (with_ssim == 1u) {
+        bool has_row = thread < ROW_TASKS;
+        uint row_at = row_of(thread);
+        vec3 row[ROW_RUN];
+        if (has_row) {
+            convolve_row(thread, corner, channel, row);
+            [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
+                maps[row_at + j] = row[j].x;
+                maps[MAP_WORDS + row_at + j] = row[j].y;
+            }
+        }
+        barrier();
+        convolve_column_of_two(thread, two);
+        barrier();
+        if (has_row) {
+            [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
+                maps[row_at + j] = row[j].z;
+            }
+        }
+        barrier();
+        convolve_column_of_one(thread, one);
+    }
+    vec2 total = store_run(thread, corner, channel, two, one);
     vec2 of_subgroup = subgroupAdd(total);
     if (gl_SubgroupInvocationID == 0u) {
         sums[gl_SubgroupID] = of_subgroup;

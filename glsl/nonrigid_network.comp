@@ -1,7 +1,8 @@
 // Network G for every Gaussian: its rigidly moved centre and the time to (dx, dq, ds), as planes.
 //
-// A workgroup owns 64 Gaussians. Activations lie in shared memory, [inputs][64 Gaussians]; a thread owns 4 Gaussians (one
-// vec4) and 8 outputs of the current layer (STAGE 0: 16, and half of the threads none). Threads of a subgroup share their
+// A workgroup owns 64 Gaussians. Activations lie in shared memory, [64 inputs][64 Gaussians]: with the 84 encoded inputs at
+// once there would be too few subgroups in flight, so the last 20 of them follow when the first 64 have been summed. A thread
+// owns 4 Gaussians (one vec4) and 8 outputs of the current layer (STAGE 0: 16, and half of the threads none). Threads of a subgroup share their
 // outputs, so that a weight is one broadcast read (STAGE 1), or is read once by some lane and shuffled (STAGE 0, for devices
 // where a read costs the same whatever the neighbours do). Layers 84 -> 64 -> 64 -> 64 with ReLU, then 10 outputs (12 rows
 // of weights, two of them 0). `parameter` holds each layer's [outputs][inputs] and bias, padded to 64 floats, as training
@@ -40,16 +41,18 @@ const uint HIDDEN = 64u;
 const uint HEAD_ROWS = 12u;
 const uint HEADS = 10u;
 
-shared vec4 activations[84 * 16];
-shared vec4 centres[64];
+shared vec4 activations[64 * 16];
 
-// Sums of `count` outputs from first_output on, over `inputs` inputs; weights start at vec4 `base`, rows has their number.
-void accumulate_outputs(uint base, uint inputs, uint rows, uint first_output, uint part, inout vec4 sum[16]) {
+// Adds inputs [first, end) of `inputs` to the sums of the outputs from first_output on; activations begin with input `first`,
+// weights at vec4 `base`, rows has their number.
+void accumulate_outputs(
+    uint base, uint inputs, uint first, uint end, uint rows, uint first_output, uint part, inout vec4 sum[16]
+) {
     uint size = SUBGROUP_SIZE;
     uint stage = STAGE;
     uint lane = gl_SubgroupInvocationID;
     if (stage == 0u) {
-        for (uint k = 0u; k < inputs; k += 4u) {
+        for (uint k = first; k < end; k += 4u) {
             vec4 own[4]; // weights of outputs lane, lane + size, ..
             for (uint i = 0u; i < 4u; i++) {
                 if (i * size < 16u) {
@@ -58,23 +61,33 @@ void accumulate_outputs(uint base, uint inputs, uint rows, uint first_output, ui
                 }
             }
             for (uint j = 0u; j < 4u; j++) {
-                vec4 a = activations[(k + j) * PARTS + part];
+                vec4 a = activations[(k - first + j) * PARTS + part];
                 for (uint o = 0u; o < 16u; o++) {
                     sum[o] += subgroupShuffle(own[o / size][j], o % size) * a;
                 }
             }
         }
     } else {
-        for (uint k = 0u; k < inputs; k += 4u) {
-            vec4 a_0 = activations[k * PARTS + part];
-            vec4 a_1 = activations[(k + 1u) * PARTS + part];
-            vec4 a_2 = activations[(k + 2u) * PARTS + part];
-            vec4 a_3 = activations[(k + 3u) * PARTS + part];
+        for (uint k = first; k < end; k += 4u) {
+            uint at = (k - first) * PARTS + part;
+            vec4 a_0 = activations[at];
+            vec4 a_1 = activations[at + PARTS];
+            vec4 a_2 = activations[at + 2u * PARTS];
+            vec4 a_3 = activations[at + 3u * PARTS];
             for (uint o = 0u; o < 8u; o++) {
                 vec4 w = parameter[base + (min(first_output + o, rows - 1u) * inputs + k) / 4u];
                 sum[o] += w.x * a_0 + w.y * a_1 + w.z * a_2 + w.w * a_3;
             }
         }
+    }
+}
+
+// Elements [first, end) of the encoding; the centre is that of Gaussian thread % 64.
+void encode(uint first, uint end, uint thread, vec4 centre) {
+    uint g = thread % GROUP_GAUSSIANS;
+    for (uint at = first + thread / GROUP_GAUSSIANS; at < end; at += GROUP_THREADS / GROUP_GAUSSIANS) {
+        EncodedElement e = encoded_element(at);
+        activations[(at - first) * PARTS + g / 4u][g % 4u] = encoded_value(e, centre[e.axis]);
     }
 }
 
@@ -89,45 +102,52 @@ void main() {
     uint count = frame.counts.x;
     uint first_gaussian = workgroup_index() * GROUP_GAUSSIANS;
 
+    // A thread encodes elements of one Gaussian, its own or the one that 64 threads before it has moved.
     if (thread < GROUP_GAUSSIANS) {
         uint g = min(first_gaussian + thread, max(count, 1u) - 1u);
-        centres[thread] = vec4(moved_centre(g) + vec3(push.origin_x, push.origin_y, push.origin_z), frame.background.w);
+        activations[thread] = vec4(moved_centre(g) + vec3(push.origin_x, push.origin_y, push.origin_z), frame.background.w);
     }
     barrier();
-    for (uint item = thread; item < ENCODED * GROUP_GAUSSIANS; item += GROUP_THREADS) {
-        uint g = item % GROUP_GAUSSIANS;
-        EncodedElement e = encoded_element(item / GROUP_GAUSSIANS);
-        activations[item / GROUP_GAUSSIANS * PARTS + g / 4u][g % 4u] = encoded_value(e, centres[g][e.axis]);
-    }
+    vec4 centre = activations[thread % GROUP_GAUSSIANS];
+    barrier();
+    encode(0u, HIDDEN, thread, centre);
     barrier();
 
     uint base = 0u; // vec4
-    for (uint layer = 0u; layer < 4u; layer++) {
+    vec4 sum[16];
+    for (uint o = 0u; o < 16u; o++) {
+        sum[o] = vec4(0.0);
+    }
+    // Layer 0 takes two passes, the others one.
+    for (uint pass = 0u; pass < 5u; pass++) {
+        uint layer = max(pass, 1u) - 1u;
         uint inputs = layer == 0u ? ENCODED : HIDDEN;
         uint outputs = layer == 3u ? HEAD_ROWS : HIDDEN;
-        vec4 sum[16];
-        for (uint o = 0u; o < 16u; o++) {
-            sum[o] = vec4(0.0);
-        }
-        bool busy = first_output < outputs;
-        accumulate_outputs(base, busy ? inputs : 0u, outputs, first_output, part, sum);
-        uint bias_at = base + outputs * inputs / 4u;
-        base = (base + outputs * (inputs + 1u) / 4u + 15u) / 16u * 16u;
+        uint first = pass == 1u ? HIDDEN : 0u;
+        uint end = first_output < outputs ? min(inputs, first + HIDDEN) : first;
+        accumulate_outputs(base, inputs, first, end, outputs, first_output, part, sum);
         barrier();
-        for (uint o = 0u; o < per_thread; o++) {
-            uint output_index = first_output + o;
-            if (output_index < outputs) {
-                vec4 y = sum[o] + parameter[bias_at + output_index / 4u][output_index % 4u];
-                if (layer < 3u) {
-                    activations[output_index * PARTS + part] = max(y, vec4(0.0));
-                } else if (output_index < HEADS) {
-                    for (uint i = 0u; i < 4u; i++) {
-                        uint g = first_gaussian + 4u * part + i;
-                        if (g < count) {
-                            nonrigid_offset[output_index * count + g] = y[i];
+        if (pass == 0u) {
+            encode(HIDDEN, ENCODED, thread, centre);
+        } else {
+            uint bias_at = base + outputs * inputs / 4u;
+            base = (base + outputs * (inputs + 1u) / 4u + 15u) / 16u * 16u;
+            for (uint o = 0u; o < per_thread; o++) {
+                uint output_index = first_output + o;
+                if (output_index < outputs) {
+                    vec4 y = sum[o] + parameter[bias_at + output_index / 4u][output_index % 4u];
+                    if (layer < 3u) {
+                        activations[output_index * PARTS + part] = max(y, vec4(0.0));
+                    } else if (output_index < HEADS) {
+                        for (uint i = 0u; i < 4u; i++) {
+                            uint g = first_gaussian + 4u * part + i;
+                            if (g < count) {
+                                nonrigid_offset[output_index * count + g] = y[i];
+                            }
                         }
                     }
                 }
+                sum[o] = vec4(0.0);
             }
         }
         barrier();

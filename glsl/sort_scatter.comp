@@ -51,7 +51,9 @@ const uint NO_DIGIT = 0xffffffffu;
 // digit.
 uvec3 find_peers_by_ballot(uint digit, uint lane) {
     uvec4 peers = subgroupBallot(digit != NO_DIGIT);
-    for (uint b = 0u; b < push.digit_bits; b++) {
+    // All eight bits, though those past digit_bits are 0 in every digit: around a loop of unknown length a compiler cannot
+    // unroll the one over the keys, which then are in memory instead of registers.
+    [[unroll]] for (uint b = 0u; b < 8u; b++) {
         bool bit = ((digit >> b) & 1u) != 0u;
         uvec4 vote = subgroupBallot(bit);
         peers &= bit ? vote : ~vote;

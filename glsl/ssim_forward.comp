@@ -24,18 +24,18 @@ layout(constant_id = 1) const uint TARGET = 0u; // 0: RGBA8, 1: float bits
 layout(std430, set = 0, binding = 3) writeonly buffer SsimMapsBlock { float ssim_maps[]; };
 layout(std430, set = 0, binding = 4) writeonly buffer LossPartialBlock { float loss_partial[]; };
 
-shared vec4 moments[58 * 33];
+// Two of the four moments at a time: with all of them shared memory would leave too few subgroups in flight.
+shared vec2 moments[58 * 33];
 shared float sums[32]; // one per subgroup: 128 / 4
 
 // Row pass: moments (x, d, d^2, x^2 + y^2) of a run of pixels.
-void convolve_row(uint task, uvec2 corner, uint channel) {
+void convolve_row(uint task, uvec2 corner, uint channel, out vec4 sum[ROW_RUN]) {
     uint kind = TARGET;
     uint row = task % TILE_ROWS;
     uint first = ROW_RUN * (task / TILE_ROWS);
     int y = int(corner.y + row) - int(WINDOW_RADIUS);
     int x = int(corner.x + first) - int(WINDOW_RADIUS);
     bool row_inside = y >= 0 && y < int(image_size.y);
-    vec4 sum[ROW_RUN];
     [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
         sum[j] = vec4(0.0);
     }
@@ -52,9 +52,6 @@ void convolve_row(uint task, uvec2 corner, uint channel) {
                 sum[i - k] += WINDOW[k] * m;
             }
         }
-    }
-    [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
-        moments[row * ROW_STRIDE + first + j] = sum[j];
     }
 }
 
@@ -76,29 +73,33 @@ vec4 ssim_and_derivatives(vec4 m) {
     return vec4(l * c, by_mean, by_sum, by_difference);
 }
 
-// Column pass: results of a run of pixels. Returns the sum of their SSIM.
-float convolve_column(uint task, uvec2 corner, uint channel) {
+// Column pass: two moments of a run of pixels.
+void convolve_column(uint task, out vec2 sum[COLUMN_RUN]) {
     uint column = task % LOSS_TILE_WIDTH;
     uint first = COLUMN_RUN * (task / LOSS_TILE_WIDTH);
-    vec4 sum[COLUMN_RUN];
     [[unroll]] for (uint j = 0u; j < COLUMN_RUN; j++) {
-        sum[j] = vec4(0.0);
+        sum[j] = vec2(0.0);
     }
     [[unroll]] for (uint i = 0u; i < COLUMN_INPUTS; i++) {
-        vec4 m = moments[(first + i) * ROW_STRIDE + column];
+        vec2 m = moments[(first + i) * ROW_STRIDE + column];
         [[unroll]] for (uint k = 0u; k < WINDOW_SIZE; k++) {
             if (i >= k && i - k < COLUMN_RUN) {
                 sum[i - k] += WINDOW[k] * m;
             }
         }
     }
+}
+
+// Results of a run of pixels. Returns the sum of their SSIM.
+float store_run(uint task, uvec2 corner, uint channel, vec2 low[COLUMN_RUN], vec2 high[COLUMN_RUN]) {
+    uint first = COLUMN_RUN * (task / LOSS_TILE_WIDTH);
     uint pixels = image_size.x * image_size.y;
-    uint x = corner.x + column;
+    uint x = corner.x + task % LOSS_TILE_WIDTH;
     float total = 0.0;
     [[unroll]] for (uint j = 0u; j < COLUMN_RUN; j++) {
         uint y = corner.y + first + j;
         if (x < image_size.x && y < image_size.y) {
-            vec4 s = ssim_and_derivatives(sum[j]);
+            vec4 s = ssim_and_derivatives(vec4(low[j], high[j]));
             uint at = 3u * channel * pixels + y * image_size.x + x;
             ssim_maps[at] = s.y;
             ssim_maps[at + pixels] = s.z;
@@ -120,11 +121,28 @@ void main() {
     uint thread = thread_index();
     uint size = SUBGROUP_SIZE;
 
-    if (thread < ROW_TASKS) {
-        convolve_row(thread, corner, channel);
+    bool has_row = thread < ROW_TASKS;
+    uint row_at = row_of(thread);
+    vec4 row[ROW_RUN];
+    if (has_row) {
+        convolve_row(thread, corner, channel, row);
+        [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
+            moments[row_at + j] = row[j].xy;
+        }
     }
     barrier();
-    float total = convolve_column(thread, corner, channel);
+    vec2 low[COLUMN_RUN];
+    convolve_column(thread, low);
+    barrier();
+    if (has_row) {
+        [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
+            moments[row_at + j] = row[j].zw;
+        }
+    }
+    barrier();
+    vec2 high[COLUMN_RUN];
+    convolve_column(thread, high);
+    float total = store_run(thread, corner, channel, low, high);
     float of_subgroup = subgroupAdd(total);
     if (gl_SubgroupInvocationID == 0u) {
         sums[gl_SubgroupID] = of_subgroup;

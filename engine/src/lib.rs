@@ -74,7 +74,8 @@
 //! - Camera axes: x right, y down, z forward; pixel centres at +0.5; quaternions w, x, y, z.
 //! - Raw parameters carry their transform in the name: `log_scale`, `opacity_logit`.
 //! - `a_from_b` is an array indexed by b; plurals are arrays; counts are `n` of something or the plural's length.
-//! - Subgroup size is specialisation constant 0 of every kernel: 4 to 128, never assumed 32. Float atomics are not used.
+//! - Subgroup size is specialisation constant 0 of every kernel: 4 to 128, never assumed 32, and chosen per kernel where the
+//!   driver can pin it ([`gpu::subgroup_size`]). Float atomics are not used.
 
 #![deny(unsafe_code)]
 

@@ -96,10 +96,10 @@ void open_pixel(uint i, uvec2 at, bool in_image) {
 void replay(uint s, vec4 first, vec4 second, vec3 colour, vec2 pixel, float row_step) {
     float u_x = first.z * (pixel.x - first.x);
     float dy_0 = pixel.y - first.y;
-    for (uint c = 0u; c < SUMS; c++) {
+    [[unroll]] for (uint c = 0u; c < SUMS; c++) {
         sums[c] = 0.0;
     }
-    for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
+    [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
         uint i = s * PIXELS_PER_LANE + j;
         float dy = dy_0 + float(j) * row_step;
         float u = u_x + first.w * dy;
@@ -141,7 +141,7 @@ float butterfly(float value, uint mask) {
 void reduce() {
     uint size = SUBGROUP_SIZE;
     float a[5];
-    for (uint i = 0u; i < 5u; i++) {
+    [[unroll]] for (uint i = 0u; i < 5u; i++) {
         a[i] = exchange(sums[2u * i], sums[2u * i + 1u], 1u);
     }
     sums[0] = exchange(a[0], a[1], 2u);
@@ -172,16 +172,17 @@ void collect(uint source) {
     uint size = SUBGROUP_SIZE;
     uint lane = gl_SubgroupInvocationID;
     if (stage == 0u) {
-        for (uint c = 0u; c < SUMS; c++) {
+        [[unroll]] for (uint c = 0u; c < SUMS; c++) {
             float sum = total(c);
             own[c] += lane == source ? sum : 0.0;
         }
     } else {
         uint wide = min(size, 16u);
         uint row = ROW * (gl_SubgroupID * size + source);
-        for (uint k = 0u; k * wide < SUMS; k++) {
+        // At most three columns per lane; k must be a constant for `sums` to stay in registers.
+        [[unroll]] for (uint k = 0u; k < 3u; k++) {
             uint c = k * wide + lane;
-            if (lane < wide && c < SUMS) {
+            if (k * wide < SUMS && lane < wide && c < SUMS) {
                 staged_sums[row + c] += sums[k];
             }
         }
@@ -197,7 +198,7 @@ void walk(uint s, uvec2 corner, uvec2 extent, bool valid, vec2 offset, float row
     vec2 high = low + vec2(extent - 1u);
     vec2 x = ellipse_row_interval(ellipse_of_splat(own_first, own_second), low.y, high.y);
     bool open = false;
-    for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
+    [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
         open = open || transmittance[s * PIXELS_PER_LANE + j] > 0.0;
     }
     open = subgroupAny(open);
@@ -267,7 +268,7 @@ void load(bool valid, uint index, uint row) {
     }
     own_colour = all_below(own_colour, FAR_VALUE) ? own_colour : vec3(0.0);
     if (stage == 0u) {
-        for (uint c = 0u; c < SUMS; c++) {
+        [[unroll]] for (uint c = 0u; c < SUMS; c++) {
             own[c] = 0.0;
         }
     } else {
@@ -275,7 +276,7 @@ void load(bool valid, uint index, uint row) {
         staged[128u + at] = own_second;
         staged[256u + at] = vec4(own_colour, 0.0);
         staged_row[at] = row;
-        for (uint c = 0u; c < ROW; c++) {
+        [[unroll]] for (uint c = 0u; c < ROW; c++) {
             staged_sums[ROW * at + c] = 0.0;
         }
         subgroupMemoryBarrierShared();
@@ -303,11 +304,11 @@ void main() {
     uvec2 of_lane = uvec2(lane % columns, lane / columns);
     float row_step = float(lane_rows);
     uvec2 corner[4];
-    for (uint s = 0u; s < 4u; s++) {
+    [[unroll]] for (uint s = 0u; s < 4u; s++) {
         corner[s] = origin + extent * uvec2((inside + s) % across, (inside + s) / across);
     }
-    for (uint s = 0u; s < SUBTILES; s++) {
-        for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
+    [[unroll]] for (uint s = 0u; s < SUBTILES; s++) {
+        [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
             uvec2 at = corner[s] + of_lane + uvec2(0u, j * lane_rows);
             open_pixel(s * PIXELS_PER_LANE + j, at, tile < tiles && at.x < frame.size.x && at.y < frame.size.y);
         }
@@ -336,7 +337,7 @@ void main() {
         }
         deliver(valid, row);
         bool pixel_open = false;
-        for (uint i = 0u; i < subtiles * pixels_per_lane; i++) {
+        [[unroll]] for (uint i = 0u; i < subtiles * pixels_per_lane; i++) {
             pixel_open = pixel_open || transmittance[i] > 0.0;
         }
         open = subgroupAny(pixel_open);

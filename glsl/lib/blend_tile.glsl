@@ -33,7 +33,7 @@ void blend(vec4 first, vec4 second, vec3 colour, vec2 pixel, float row_step) {
     uint with_depth = WITH_DEPTH;
     float u_x = first.z * (pixel.x - first.x);
     float dy_0 = pixel.y - first.y;
-    for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
+    [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
         float dy = dy_0 + float(j) * row_step;
         float u = u_x + first.w * dy;
         float v = second.x * dy;
@@ -72,7 +72,7 @@ void main() {
     vec2 pixel = vec2(own) + 0.5;
     float row_step = float(lane_rows);
 
-    for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
+    [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
         bool in_image = tile < tiles && own.x < frame.size.x && own.y + j * lane_rows < frame.size.y;
         transmittance[j] = in_image ? 1.0 : -1.0;
         sum_colour[j] = vec3(0.0);
@@ -114,7 +114,7 @@ void main() {
             uint slice = gl_SubgroupID * size;
             uint before = 0u;
             uint count = 0u;
-            for (uint word = 0u; word < 4u; word++) {
+            [[unroll]] for (uint word = 0u; word < 4u; word++) {
                 uint start = 32u * word;
                 uint below = lane >= start + 32u ? 0xffffffffu : lane > start ? (1u << (lane - start)) - 1u : 0u;
                 before += bitCount(survivors[word] & below);
@@ -161,7 +161,7 @@ void main() {
             }
         }
         bool pixel_open = false;
-        for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
+        [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
             pixel_open = pixel_open || transmittance[j] > 0.0;
         }
         open = subgroupAny(pixel_open);
@@ -171,7 +171,7 @@ void main() {
         }
     }
 
-    for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
+    [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
         uint y = own.y + j * lane_rows;
         if (tile < tiles && own.x < frame.size.x && y < frame.size.y) {
             uint at = y * frame.size.x + own.x;

@@ -25,6 +25,11 @@ uvec2 loss_tiles(uvec2 size) {
     return uvec2((size.x + LOSS_TILE_WIDTH - 1u) / LOSS_TILE_WIDTH, (size.y + LOSS_TILE_HEIGHT - 1u) / LOSS_TILE_HEIGHT);
 }
 
+// Where the run of a thread's row task begins in shared memory.
+uint row_of(uint task) {
+    return task % TILE_ROWS * ROW_STRIDE + ROW_RUN * (task / TILE_ROWS);
+}
+
 // Gaussian of standard deviation 1.5 px, normalised to sum 1.
 const float WINDOW[11] = float[11](
     0.0010283801, 0.007598758, 0.036000773, 0.10936069, 0.21300554, 0.26601172,

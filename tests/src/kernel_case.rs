@@ -49,7 +49,7 @@ impl KernelCase {
             }
         }
         let result = self.run_gpu(gpu);
-        let mut spec = vec![gpu.subgroup_size()];
+        let mut spec = vec![gpu.subgroup_size_of(self.kernel)];
         spec.extend(&self.spec);
         let mut call =
             TwinCall { groups: [self.groups, 1, 1], spec: &spec, push: &self.push, buffers: &mut self.buffers };

@@ -110,13 +110,13 @@ impl Rendered {
     }
 
     fn case(&self, gpu: &Gpu, accumulation: Accumulation, stage: Stage, subtiles: u32) -> KernelCase {
-        let size = gpu.subgroup_size();
         let by_slot = accumulation == Accumulation::Instances;
         let rows = if by_slot { self.gaussian_of_slot.len() } else { self.tile_count.len() };
         let kernel = match accumulation {
             Accumulation::NativeAtomics => &BLEND_BACKWARD_NATIVE,
             _ => &BLEND_BACKWARD,
         };
+        let size = gpu.subgroup_size_of(kernel);
         KernelCase {
             kernel,
             spec: blend_backward::spec(accumulation, stage, size, subtiles).to_vec(),
@@ -154,7 +154,7 @@ impl Rendered {
 
     /// Every way of adding, on the device and by twins, and all of them against each other.
     fn check(&self, gpu: &Gpu, context: &str) -> Vec<f32> {
-        let all = blend_backward::subtiles_of_tile(gpu.subgroup_size());
+        let all = blend_backward::subtiles_of_tile(gpu.subgroup_size_of(&BLEND_BACKWARD));
         let mut truth: Option<Vec<f32>> = None;
         for stage in [Stage::Shuffle, Stage::Shared] {
             for (accumulation, subtiles) in [
@@ -256,7 +256,7 @@ fn poison_gives_finite_gradients() {
             scene.splats[at] = poison.to_bits();
         }
         for stage in [Stage::Shuffle, Stage::Shared] {
-            let subtiles = blend_backward::subtiles_of_tile(gpu.subgroup_size());
+            let subtiles = blend_backward::subtiles_of_tile(gpu.subgroup_size_of(&BLEND_BACKWARD));
             let result = scene.case(&gpu, Accumulation::Instances, stage, subtiles).run(&gpu);
             for (side, words) in [("device", &result.gpu[7]), ("twin", &result.twin[7])] {
                 assert!(floats(words).iter().all(|v| v.is_finite()), "{side}, splats with {poison}");

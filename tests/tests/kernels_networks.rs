@@ -57,7 +57,8 @@ fn forward_and_backward_input_match_their_twins() {
                     spec: vec![stage as u32, relu],
                     push: bytemuck::bytes_of(&push).to_vec(),
                     buffers: vec![input.clone(), parameter.clone(), vec![0; (rows * outputs) as usize]],
-                    groups: linear::product_groups(stage, gpu.subgroup_size(), rows, outputs, 1) as u32,
+                    groups: linear::product_groups(stage, gpu.subgroup_size_of(&LINEAR_FORWARD), rows, outputs, 1)
+                        as u32,
                 };
                 case.run(&gpu).assert_equal(&LINEAR_FORWARD, &format!("{rows} x {inputs} -> {outputs}, {stage:?}"));
             }
@@ -73,7 +74,8 @@ fn forward_and_backward_input_match_their_twins() {
                     floats(&mut r, (rows * columns) as usize, 1.0),
                     vec![0; (rows * columns) as usize],
                 ],
-                groups: linear::product_groups(stage, gpu.subgroup_size(), rows, columns, 1) as u32,
+                groups: linear::product_groups(stage, gpu.subgroup_size_of(&LINEAR_BACKWARD_INPUT), rows, columns, 1)
+                    as u32,
             };
             case.run(&gpu).assert_equal(&LINEAR_BACKWARD_INPUT, &format!("{rows} x {outputs} -> {columns}, {stage:?}"));
         }
@@ -110,7 +112,13 @@ fn weight_gradients_match_their_twins() {
                     floats(&mut r, (input_1_at + rows * i1) as usize, 1.0),
                     vec![0; ((slices + 1) * weights) as usize],
                 ],
-                groups: linear::product_groups(stage, gpu.subgroup_size(), outputs, i0 + i1, slices) as u32,
+                groups: linear::product_groups(
+                    stage,
+                    gpu.subgroup_size_of(&LINEAR_BACKWARD_WEIGHT),
+                    outputs,
+                    i0 + i1,
+                    slices,
+                ) as u32,
             };
             let context = format!("{rows} rows, {} -> {outputs}, {stage:?}", i0 + i1);
             case.run(&gpu).assert_equal(&LINEAR_BACKWARD_WEIGHT, &context);
@@ -226,7 +234,7 @@ fn network_g_matches_its_twin() {
         let (input, frame) = moving_input(count);
         for motion in [0, 1] {
             let mut stages = vec![1];
-            if gpu.subgroup_size() <= 16 {
+            if gpu.subgroup_size_of(&NONRIGID_NETWORK) <= 16 {
                 stages.push(0);
             }
             for stage in stages {

@@ -141,7 +141,7 @@ fn assert_blend(result: &KernelResult, kernel: &Kernel, context: &str) {
 #[test]
 fn blend_matches_its_twin() {
     let gpu = tests_harness::gpu();
-    let size = gpu.subgroup_size();
+    let size = gpu.subgroup_size_of(&BLEND);
     let usual = blend::pixels_per_lane(size);
     for (n, width, height) in [(0, 33, 17), (1, 1, 1), (300, 64, 64), (3000, 150, 91), (2000, 17, 200)] {
         let input = RenderInput::random(n, 1, n as u64);
@@ -185,7 +185,7 @@ fn blend_matches_its_twin() {
 #[test]
 fn blend_packed_stores_what_its_twin_stores() {
     let gpu = tests_harness::gpu();
-    let size = gpu.subgroup_size();
+    let size = gpu.subgroup_size_of(&BLEND);
     let input = RenderInput::random(800, 1, 5);
     let frame = input.frame(&test_camera(75, 53));
     let (splats, tile_count) = twin_splats(&input, &frame);
@@ -248,7 +248,7 @@ fn chain(gpu: Option<&Gpu>, input: &RenderInput, camera: &Camera) -> Vec<f32> {
             (buffers.swap_remove(11), buffers.swap_remove(12))
         }
     };
-    let size = gpu.map_or(32, Gpu::subgroup_size);
+    let size = gpu.map_or(32, |gpu| gpu.subgroup_size_of(&BLEND));
     let spec = [0, Stage::Shuffle as u32, blend::pixels_per_lane(size)];
     let mut case = blend_case(&frame, &splats, &tile_count, spec, size);
     let words = match gpu {

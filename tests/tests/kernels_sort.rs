@@ -25,7 +25,7 @@ fn run(gpu: &TestGpu, kernel: &'static Kernel, case: KernelCase, context: &str) 
 /// Sorts on the device pass by pass, each pass compared with its twin, and checks the end against a stable sort.
 fn sort_and_check(gpu: &TestGpu, keys: &[u32], key_bits: u32, has_values: bool, prescanned: bool, context: &str) {
     // Both ways of ranking must give the same bits wherever both work.
-    let fewest_lanes = rank_by_ballot(gpu.subgroup_size());
+    let fewest_lanes = rank_by_ballot(gpu.subgroup_size_of(&SORT_SCATTER));
     for by_ballot in [true, fewest_lanes] {
         sort_and_check_by(gpu, keys, key_bits, has_values, (prescanned, by_ballot), context);
     }

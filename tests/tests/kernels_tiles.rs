@@ -176,7 +176,7 @@ fn sort(
         let push = plan.scatter_push(pass, count_word);
         let (out, next) = (vec![0; keys.len()], vec![0; histogram.len()]);
         let buffers = vec![counters.to_vec(), histogram, keys, values, out.clone(), out, next];
-        let spec = plan.scatter_spec(pass, true, rank_by_ballot(gpu.subgroup_size()));
+        let spec = plan.scatter_spec(pass, true, rank_by_ballot(gpu.subgroup_size_of(&SORT_SCATTER)));
         let mut done = run(gpu, &SORT_SCATTER, &spec, bytemuck::bytes_of(&push), buffers, groups.max(1));
         histogram = done.swap_remove(6);
         values = done.swap_remove(5);

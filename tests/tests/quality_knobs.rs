@@ -81,14 +81,14 @@ fn project_case(input: &RenderInput, frame: &Frame, q: &Quality) -> KernelCase {
 /// Tile lists as the sorts would make them, from the emitted pairs, and the whole chain of one setting on device and twin.
 fn check_kernels(gpu: &Gpu, q: &Quality) {
     let name = q.describe();
-    let (size, packing) = (gpu.subgroup_size(), q.packing_constant());
+    let (size, packing) = (gpu.subgroup_size_of(&BLEND), q.packing_constant());
     let input = RenderInput::random(COUNT, 3, 5).moving(7, 11);
     let mut frame = input.frame(&test_camera(150, 91));
     (frame.world_to_camera_0[3], frame.world_to_camera_1[3], frame.limits[0]) = (1.5, 11.0, 40_000);
 
     // Projection: the device's splats decode to the twin's within the packing's last place.
     let case = project_case(&input, &frame, q);
-    let twin = run_twin(case.kernel, size, &case);
+    let twin = run_twin(case.kernel, gpu.subgroup_size_of(case.kernel), &case);
     let device = case.run(gpu).gpu;
     let mut flips = (0..COUNT).filter(|&g| device[12][g] != twin[12][g]).count();
     assert!(flips <= 1 + COUNT / 200, "{name}: {flips} tile counts differ");

@@ -26,11 +26,14 @@ const STEPS: [[u32; 2]; 2] = [[20, 3], [3, 1]];
 const SWEEP: [[u32; 3]; 2] = [[10_000, 100_000, 300_000], [200, 400, 800]];
 
 /// A training set to measure on.
-struct Case {
+pub(crate) struct Case {
     name: String,
-    data: TrainingData,
-    first: Gaussians,
-    config: Config,
+    /// Its photos.
+    pub(crate) data: TrainingData,
+    /// Where training starts.
+    pub(crate) first: Gaussians,
+    /// A configuration whose steps are all alike.
+    pub(crate) config: Config,
     /// Keeps the photos that were made.
     _folder: Option<tempfile::TempDir>,
 }
@@ -122,7 +125,7 @@ fn posed(args: &BenchArgs) -> Result<Case> {
 }
 
 /// A synthetic scene, disturbed, and photos of it.
-fn synthetic(gpu: &Gpu, superpoints: u32, background: [f32; 3], n: u32, size: [u32; 2]) -> Result<Case> {
+pub(crate) fn synthetic(gpu: &Gpu, superpoints: u32, background: [f32; 3], n: u32, size: [u32; 2]) -> Result<Case> {
     let (count, superpoints) = (n as usize, superpoints.min(n));
     let scene = match superpoints {
         0 => random_scene(count, SYNTHETIC_SEED, SYNTHETIC_SH_DEGREE),

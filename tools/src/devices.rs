@@ -6,7 +6,7 @@ use engine::gpu::{DeviceInfo, devices};
 use serde_json::{Value, json};
 
 use crate::args::DevicesArgs;
-use crate::output;
+use crate::{gpu_session, output};
 
 /// Lists the devices.
 pub fn run(args: &DevicesArgs) -> Result<()> {
@@ -39,7 +39,9 @@ fn describe(info: &DeviceInfo) {
     output::line(&format!("    driver    {}", info.driver));
     output::line(&format!(
         "    subgroups {} used ({} to {} possible)",
-        c.subgroup_size, c.min_subgroup_size, c.max_subgroup_size
+        gpu_session::subgroup_sizes(|kernel| info.subgroup_size_of(kernel, None)),
+        c.min_subgroup_size,
+        c.max_subgroup_size
     ));
     output::line(&format!(
         "    memory    {:.0} MiB on the device, {:.0} MiB per allocation, {:.0} MiB per binding",

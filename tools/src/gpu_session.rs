@@ -1,7 +1,9 @@
 //! Opening the device that the command line names.
 
+use std::collections::BTreeSet;
+
 use engine::error::Result;
-use engine::gpu::{Gpu, GpuOptions};
+use engine::gpu::{Gpu, GpuOptions, Kernel};
 
 use crate::args::Global;
 
@@ -43,8 +45,14 @@ pub fn describe(gpu: &Gpu) -> String {
         info.kind,
         info.driver,
         info.vulkan,
-        gpu.subgroup_size()
+        subgroup_sizes(|kernel| gpu.subgroup_size_of(kernel))
     )
+}
+
+/// The subgroup sizes that kernels have, as `32 and 64`.
+pub fn subgroup_sizes(of: impl Fn(&Kernel) -> u32) -> String {
+    let sizes: BTreeSet<u32> = engine::kernels().map(of).collect();
+    sizes.iter().map(u32::to_string).collect::<Vec<_>>().join(" and ")
 }
 
 /// Prints the messages of the validation layer, if it is on and said anything.

@@ -16,6 +16,7 @@ pub mod gpu_session;
 pub mod hard_cases;
 pub mod inspect;
 mod interrupt;
+pub mod isa;
 pub mod kernel_docs;
 pub mod measure;
 pub mod measurements;

@@ -13,12 +13,14 @@ pub struct Capabilities {
     pub api_version: u32,
     /// Queue family with compute support.
     pub compute_family: Option<u32>,
-    /// Subgroup size that kernels will use.
+    /// The driver's usual subgroup size; kernels may be given another one ([`super::subgroup_size`]).
     pub subgroup_size: u32,
     /// Smallest subgroup size the driver may choose.
     pub min_subgroup_size: u32,
     /// Largest subgroup size the driver may choose.
     pub max_subgroup_size: u32,
+    /// Subgroups of a workgroup whose subgroup size is pinned.
+    pub max_workgroup_subgroups: u32,
     /// Basic, vote, arithmetic, ballot and shuffle operations in compute shaders.
     pub subgroup_operations: bool,
     /// The size can be pinned and full subgroups required.
@@ -164,12 +166,14 @@ pub const REQUIREMENTS: &[Requirement] = &[
 ];
 
 /// What a device is and can do.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct DeviceInfo {
     /// Index for `--device`.
     pub index: usize,
     /// Device name.
     pub name: String,
+    /// `VkPhysicalDeviceProperties::vendorID`.
+    pub vendor: u32,
     /// `discrete`, `integrated`, `virtual`, `cpu` or `other`.
     pub kind: &'static str,
     /// Driver name and version text.
@@ -220,6 +224,7 @@ impl DeviceInfo {
         let mut info = Self {
             index,
             name,
+            vendor: base.vendor_id,
             kind,
             driver: String::new(),
             vulkan: show_version(base.api_version),
@@ -289,6 +294,7 @@ impl DeviceInfo {
         } else {
             (subgroup.subgroup_size, subgroup.subgroup_size)
         };
+        c.max_workgroup_subgroups = control.max_compute_workgroup_subgroups;
         c.subgroup_size_control = size_features.subgroup_size_control != 0 && size_features.compute_full_subgroups != 0;
         // A size that varies must be pinned in the compute stage; without that right only a fixed size is usable.
         let pinnable = control.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE);

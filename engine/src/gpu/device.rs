@@ -15,7 +15,7 @@ use super::pipeline::{PipelineCacheFile, Pipelines};
 use crate::error::{Error, Result};
 
 /// How to make a [`Gpu`]. The defaults come from the environment: `SPGS_DEVICE`, `SPGS_VALIDATION=1`,
-/// `SPGS_BREADCRUMBS=0|1`, `SPGS_TIMEOUT_S`.
+/// `SPGS_BREADCRUMBS=0|1`, `SPGS_TIMEOUT_S`, `SPGS_SUBGROUP_SIZE`.
 #[derive(Debug, Clone)]
 pub struct GpuOptions {
     /// Index in `spgs devices`, or part of the device's name. `None`: discrete before integrated before virtual before CPU.
@@ -33,6 +33,11 @@ pub struct GpuOptions {
     pub pipeline_cache: bool,
     /// Seconds before a wait for the device gives up.
     pub timeout_s: f64,
+    /// The subgroup size of every kernel, where the device can pin it; `None`: that of
+    /// [`CHOICES`](super::subgroup_size::CHOICES). `SPGS_SUBGROUP_SIZE`.
+    pub subgroup_size: Option<u32>,
+    /// Pipelines keep what the driver's compiler says of them ([`Gpu::compiled_kernels`]).
+    pub statistics: bool,
     /// Instance extensions that the caller needs beside the engine's, for a window's surface; a loader without one of
     /// them is refused.
     pub instance_extensions: Vec<CString>,
@@ -45,6 +50,7 @@ impl Default for GpuOptions {
     fn default() -> Self {
         let flag = |name: &str, default: bool| std::env::var(name).map_or(default, |v| v != "0" && !v.is_empty());
         let timeout = std::env::var("SPGS_TIMEOUT_S").ok().and_then(|v| v.parse().ok());
+        let subgroup_size = std::env::var("SPGS_SUBGROUP_SIZE").ok().and_then(|v| v.parse().ok());
         Self {
             device: std::env::var("SPGS_DEVICE").ok().filter(|v| !v.is_empty()),
             validation: flag("SPGS_VALIDATION", false),
@@ -53,6 +59,8 @@ impl Default for GpuOptions {
             byte_budget: None,
             pipeline_cache: true,
             timeout_s: timeout.unwrap_or(60.0),
+            subgroup_size,
+            statistics: false,
             instance_extensions: Vec::new(),
             device_extensions: Vec::new(),
         }
@@ -85,6 +93,8 @@ pub(super) struct Shared {
     pub(super) lose_at: AtomicU64,
     pub(super) family: u32,
     pub(super) sync2: Sync2,
+    /// Pipelines are made with statistics.
+    pub(super) statistics: bool,
     pub(super) device: ash::Device,
     pub(super) physical: vk::PhysicalDevice,
     /// Made by the engine, and destroyed by it; a host's device is neither.
@@ -106,6 +116,8 @@ pub(super) struct Opened {
     pub(super) family: u32,
     pub(super) queue: vk::Queue,
     pub(super) owned: bool,
+    /// `pipelineExecutableInfo` is enabled.
+    pub(super) statistics: bool,
     pub(super) host_lock: Option<Arc<dyn QueueLock>>,
     pub(super) debug: Option<Messenger>,
     pub(super) messages: Messages,
@@ -163,7 +175,9 @@ impl Gpu {
         let candidates = enumerate(instance)?;
         let index = choose(&candidates, options)?;
         let (physical, info) = candidates[index].clone();
-        let (device, family) = create_device(instance, physical, &info, &options.device_extensions)?;
+        let statistics =
+            options.statistics && info.capabilities.has_extension(ash::khr::pipeline_executable_properties::NAME);
+        let (device, family) = create_device(instance, physical, &info, &options.device_extensions, statistics)?;
         // SAFETY: the queue was requested at device creation.
         let queue = unsafe { device.get_device_queue(family, 0) };
         let instance = instance.clone();
@@ -177,6 +191,7 @@ impl Gpu {
             family,
             queue,
             owned,
+            statistics,
             host_lock,
             debug,
             messages,
@@ -191,8 +206,20 @@ impl Gpu {
 
     /// The engine's own objects on an open device. When it fails, nothing of them is left.
     pub(super) fn from_opened(opened: Opened, options: &GpuOptions) -> Result<Self> {
-        let Opened { entry, instance, physical, info, device, family, queue, owned, host_lock, debug, messages } =
-            opened;
+        let Opened {
+            entry,
+            instance,
+            physical,
+            info,
+            device,
+            family,
+            queue,
+            owned,
+            statistics,
+            host_lock,
+            debug,
+            messages,
+        } = opened;
         let sync2 = if info.capabilities.api_version >= vk::API_VERSION_1_3 {
             Sync2::Core
         } else {
@@ -216,6 +243,7 @@ impl Gpu {
             lose_at: AtomicU64::new(0),
             family,
             sync2,
+            statistics,
             device,
             physical,
             owned,
@@ -262,7 +290,7 @@ impl Gpu {
         &self.0.info
     }
 
-    /// The subgroup size that kernels are specialised for.
+    /// The driver's usual subgroup size; that of a kernel is [`Gpu::subgroup_size_of`].
     pub fn subgroup_size(&self) -> u32 {
         self.0.info.capabilities.subgroup_size
     }
@@ -413,6 +441,7 @@ fn create_device(
     physical: vk::PhysicalDevice,
     info: &DeviceInfo,
     wanted: &[CString],
+    statistics: bool,
 ) -> Result<(ash::Device, u32)> {
     let capabilities: &Capabilities = &info.capabilities;
     let family = capabilities
@@ -431,6 +460,9 @@ fn create_device(
         enable(ash::ext::subgroup_size_control::NAME);
     }
     enable(ash::khr::portability_subset::NAME);
+    if statistics {
+        enable(ash::khr::pipeline_executable_properties::NAME);
+    }
     if capabilities.float_atomics {
         enable(ash::ext::shader_atomic_float::NAME);
     }
@@ -448,6 +480,11 @@ fn create_device(
         .push_next(&mut sync2)
         .push_next(&mut subgroup)
         .push_next(&mut timeline);
+    let mut executable_info =
+        vk::PhysicalDevicePipelineExecutablePropertiesFeaturesKHR::default().pipeline_executable_info(true);
+    if statistics {
+        create = create.push_next(&mut executable_info);
+    }
     if capabilities.float_atomics {
         create = create.push_next(&mut atomic_float);
     }

@@ -168,6 +168,7 @@ impl Gpu {
             family: host.queue_family,
             queue: vk::Queue::from_raw(host.queue),
             owned: false,
+            statistics: false,
             host_lock: host.queue_lock.clone(),
             debug: None,
             messages: Messages::default(),

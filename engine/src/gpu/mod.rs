@@ -24,6 +24,8 @@ pub mod product;
 mod recorder;
 mod sequence;
 pub mod spirv;
+mod statistics;
+pub mod subgroup_size;
 #[cfg(feature = "window")]
 mod surface;
 #[cfg(feature = "window")]
@@ -39,5 +41,6 @@ pub use kernel::Kernel;
 pub use memory::{Buffer, Memory, Slice};
 pub use recorder::{Groups, Recorder, SLICE_ALIGNMENT};
 pub use sequence::Sequence;
+pub use statistics::{CompiledKernel, Statistic};
 #[cfg(feature = "window")]
 pub use surface::{Surface, WindowHandle};

@@ -30,14 +30,20 @@ struct Interface {
 #[derive(Debug, Default)]
 pub(super) struct Pipelines {
     interfaces: BTreeMap<&'static str, Interface>,
-    pipelines: HashMap<(&'static str, Vec<u32>), Pipeline>,
+    /// By kernel and all its specialisation constants.
+    pipelines: HashMap<(&'static str, Vec<u32>), (&'static Kernel, Pipeline)>,
 }
 
 impl Pipelines {
+    /// Every pipeline with its kernel and constants, in no order.
+    pub(super) fn all(&self) -> impl Iterator<Item = (&'static Kernel, &[u32], vk::Pipeline)> {
+        self.pipelines.iter().map(|((_, constants), (kernel, p))| (*kernel, constants.as_slice(), p.raw))
+    }
+
     pub(super) fn destroy(&mut self, device: &ash::Device) {
         // SAFETY: called once, when the device is idle and about to be destroyed.
         unsafe {
-            for (_, p) in self.pipelines.drain() {
+            for (_, (_, p)) in self.pipelines.drain() {
                 device.destroy_pipeline(p.raw, None);
             }
             for i in std::mem::take(&mut self.interfaces).into_values() {
@@ -50,9 +56,9 @@ impl Pipelines {
 }
 
 impl Gpu {
-    /// The pipeline of a kernel for these specialisation constants (ids 1…; id 0 is the subgroup size); made once.
+    /// The pipeline of a kernel for these specialisation constants (ids 1…; id 0 is the kernel's subgroup size); made once.
     pub(super) fn pipeline(&self, kernel: &'static Kernel, spec: &[u32]) -> Result<Pipeline> {
-        let mut constants = vec![self.subgroup_size()];
+        let mut constants = vec![self.subgroup_size_of(kernel)];
         constants.extend_from_slice(spec);
         if constants.len() != kernel.spec.len() {
             let why = format!("{} specialisation constants given, {} declared", constants.len(), kernel.spec.len());
@@ -60,7 +66,7 @@ impl Gpu {
         }
         let mut pipelines = lock(&self.0.pipelines);
         let key = (kernel.name, constants);
-        if let Some(found) = pipelines.pipelines.get(&key) {
+        if let Some((_, found)) = pipelines.pipelines.get(&key) {
             return Ok(*found);
         }
         let interface = match pipelines.interfaces.get(kernel.name) {
@@ -72,8 +78,16 @@ impl Gpu {
             }
         };
         let pipeline = self.create_pipeline(interface, &key.1)?;
-        pipelines.pipelines.insert(key, pipeline);
+        pipelines.pipelines.insert(key, (kernel, pipeline));
         Ok(pipeline)
+    }
+
+    /// Makes the pipeline of a kernel for these specialisation constants (from id 1 on), without a use for it yet.
+    ///
+    /// # Errors
+    /// `Kernel` when the constants or the SPIR-V do not fit the declaration; `Vulkan` when the driver fails.
+    pub fn compile(&self, kernel: &'static Kernel, spec: &[u32]) -> Result<()> {
+        self.pipeline(kernel, spec).map(|_| ())
     }
 
     /// Module and layouts, after checking the SPIR-V against the declaration.
@@ -127,6 +141,7 @@ impl Gpu {
         }
     }
 
+    /// `constants`: from id 0, the subgroup size, on.
     fn create_pipeline(&self, interface: Interface, constants: &[u32]) -> Result<Pipeline> {
         let entries: Vec<_> = (0..constants.len() as u32)
             .map(|id| vk::SpecializationMapEntry { constant_id: id, offset: id * 4, size: 4 })
@@ -134,8 +149,8 @@ impl Gpu {
         let specialization =
             vk::SpecializationInfo::default().map_entries(&entries).data(bytemuck::cast_slice(constants));
         let capabilities = &self.0.info.capabilities;
-        let mut pinned = vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default()
-            .required_subgroup_size(capabilities.subgroup_size);
+        let mut pinned =
+            vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default().required_subgroup_size(constants[0]);
         let mut stage = vk::PipelineShaderStageCreateInfo::default()
             .stage(vk::ShaderStageFlags::COMPUTE)
             .flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS)
@@ -146,7 +161,12 @@ impl Gpu {
         if capabilities.min_subgroup_size != capabilities.max_subgroup_size {
             stage = stage.push_next(&mut pinned);
         }
-        let create = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(interface.layout)];
+        let flags = if self.0.statistics {
+            vk::PipelineCreateFlags::CAPTURE_STATISTICS_KHR
+        } else {
+            vk::PipelineCreateFlags::empty()
+        };
+        let create = [vk::ComputePipelineCreateInfo::default().flags(flags).stage(stage).layout(interface.layout)];
         // SAFETY: interface and constants were checked against the SPIR-V.
         let made = unsafe { self.0.device.create_compute_pipelines(self.0.cache.raw, &create, None) };
         match made {

@@ -273,9 +273,9 @@ impl Recorder {
         self.operations.push(Operation { label, work, uses, barrier });
     }
 
-    /// The subgroup size that kernels are specialised for.
-    pub fn subgroup_size(&self) -> u32 {
-        self.gpu.subgroup_size()
+    /// The subgroup size that a kernel is specialised for.
+    pub fn subgroup_size_of(&self, kernel: &Kernel) -> u32 {
+        self.gpu.subgroup_size_of(kernel)
     }
 
     /// Number of operations so far.

@@ -58,7 +58,7 @@ pub(crate) fn record(
     relu: bool,
     buffers: &[Slice; 3],
 ) -> Result<()> {
-    let groups = Groups::Direct(product_groups(stage, r.subgroup_size(), push.rows, push.outputs, 1));
+    let groups = Groups::Direct(product_groups(stage, r.subgroup_size_of(&LINEAR_FORWARD), push.rows, push.outputs, 1));
     r.dispatch(&LINEAR_FORWARD, &[stage as u32, u32::from(relu)], bytemuck::bytes_of(&push), buffers, groups)
 }
 

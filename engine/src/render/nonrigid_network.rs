@@ -89,7 +89,7 @@ pub fn pack_parameters(network: &NonrigidNetwork) -> Result<Vec<f32>> {
 /// Specialisation of [`NONRIGID_NETWORK`] on this device (ids 1…): moving or not, and how weights are read.
 pub fn specialisation(gpu: &Gpu, moving: bool) -> [u32; 2] {
     // Shuffles serve lanes that share their outputs: 16 at most.
-    let shuffle = gpu.info().is_cpu() && gpu.subgroup_size() <= 16;
+    let shuffle = gpu.info().is_cpu() && gpu.subgroup_size_of(&NONRIGID_NETWORK) <= 16;
     [u32::from(moving), u32::from(!shuffle)]
 }
 

@@ -234,7 +234,7 @@ fn sort(
         r.dispatch_labelled(
             &label,
             &SORT_SCATTER,
-            &s.plan.scatter_spec(pass, true, rank_by_ballot(r.subgroup_size())),
+            &s.plan.scatter_spec(pass, true, rank_by_ballot(r.subgroup_size_of(&SORT_SCATTER))),
             bytemuck::bytes_of(&push),
             &buffers,
             groups,
@@ -286,7 +286,8 @@ fn ranges_and_blend(
         [Slice::from(&frame.frame), work.counters.clone(), Slice::from(&work.tile.keys[sorted]), work.ranges.clone()];
     let groups = Groups::Indirect(work.indirect.clone(), u64::from(INDIRECT_RANGES) * 4);
     r.dispatch(&TILE_RANGES, &[], &[], &buffers, groups)?;
-    let size = gpu.subgroup_size();
+    // All kernels that blend have the same.
+    let size = gpu.subgroup_size_of(&BLEND);
     let pixels_per_lane = blend::pixels_per_lane(size);
     let stage = blend::Stage::of_device(gpu) as u32;
     let q = &shape.quality;

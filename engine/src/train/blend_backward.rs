@@ -232,7 +232,6 @@ pub fn record(
     target: &BackwardTarget,
     splat_gradient: &Slice,
 ) -> Result<()> {
-    let size = gpu.subgroup_size();
     if matches!(target, BackwardTarget::NativeAtomics) && !gpu.info().capabilities.float_atomics {
         let found = "native float atomics on a device without shaderBufferFloat32AtomicAdd";
         return Err(Error::usage("gradient accumulation", found, "compare-and-swap or per-instance rows"));
@@ -242,6 +241,7 @@ pub fn record(
         BackwardTarget::NativeAtomics => (Accumulation::NativeAtomics, &BLEND_BACKWARD_NATIVE, splat_gradient),
         BackwardTarget::CompareAndSwap => (Accumulation::CompareAndSwap, &BLEND_BACKWARD, splat_gradient),
     };
+    let size = gpu.subgroup_size_of(kernel);
     // A subgroup per subtile keeps a GPU fuller, a subgroup per tile writes fewer rows; only the latter needs no atomics.
     let whole = accumulation == Accumulation::Instances || gpu.info().is_cpu();
     let subtiles = if whole { subtiles_of_tile(size) } else { 1 };

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use engine::error::{Error, Result};
 use engine::gpu::{Gpu, GpuOptions};
-use tools::{kernel_docs, measurements, oracle_task, output, plan_task, spirv_task};
+use tools::{isa, kernel_docs, measurements, oracle_task, output, plan_task, spirv_task};
 
 /// The project's own tasks: shaders, barrier plan, checks against the oracle.
 #[derive(Parser)]
@@ -46,6 +46,8 @@ enum Task {
         #[arg(long)]
         json: bool,
     },
+    /// What compilers of GPUs make of every kernel: registers, spills, subgroups in flight, estimated cycles
+    Isa(isa::task::Options),
     /// Print the kernels as a table, from their declarations
     Docs,
     /// Write the README's table of recorded measurements from tests/measurements/*.json
@@ -71,6 +73,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Task::Spirv { check } => spirv(cli, *check),
         Task::Plan { check, write } => plan(cli, *check, *write),
         Task::OracleCheck { files, json } => oracle_check(files, *json),
+        Task::Isa(options) => Ok(status(isa::task::run(&cli.root, options)?)),
         Task::Docs => {
             output::line(kernel_docs::table().trim_end());
             Ok(ExitCode::SUCCESS)

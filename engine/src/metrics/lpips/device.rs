@@ -214,7 +214,7 @@ impl Lpips {
             let stage = product::Stage::of(&self.gpu);
             let spec = [stage as u32, conv.kernel as u32, conv.stride as u32, conv.pad as u32];
             let pixels = push.out_rows * push.out_width;
-            let groups = product_groups(stage, self.gpu.subgroup_size(), push.output_count, pixels, 1);
+            let groups = product_groups(stage, self.gpu.subgroup_size_of(&LPIPS_CONV), push.output_count, pixels, 1);
             let buffers = [(&input.buffer).into(), parameter.into(), (&output.buffer).into()];
             self.run(&LPIPS_CONV, &spec, bytemuck::bytes_of(&push), &buffers, groups)?;
         }

@@ -27,6 +27,17 @@ pub struct WeightsFile {
     pub vgg: Option<Weights>,
 }
 
+impl Weights {
+    /// All zero: for what does not depend on them.
+    pub fn zero(network: Network) -> Self {
+        let slices = network.slices();
+        let length = |c: &Conv| c.outputs * (c.inputs * c.kernel * c.kernel + 1);
+        let convs = slices.iter().flat_map(|s| s.convs).map(|c| vec![0.0; length(c)]).collect();
+        let heads = std::array::from_fn(|i| vec![0.0; slices[i].convs.last().map_or(0, |c| c.outputs)]);
+        Self { network, convs, heads }
+    }
+}
+
 impl WeightsFile {
     /// Reads the weights of one or both networks (names and layout: see [`super`]).
     ///

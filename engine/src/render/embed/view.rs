@@ -155,6 +155,15 @@ impl View {
         }
     }
 
+    /// Makes buffers and pipelines for this size without running anything. A first frame that needs more tile instances than
+    /// there is room for by then is incomplete; [`View::warm_up`] prevents that.
+    ///
+    /// # Errors
+    /// As [`View::record`].
+    pub fn prepare(&mut self, camera: &Camera, time: f64) -> Result<()> {
+        self.prepare_frame(camera, time).map(|_| ())
+    }
+
     /// Says that everything recorded so far has finished (or will never be executed): counters are looked at and replaced
     /// buffers freed. Returns the latest frame that was executed.
     ///

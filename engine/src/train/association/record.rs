@@ -132,7 +132,7 @@ impl SuperpointState {
                 Slice::from(next),
             ];
             let push = w.plan.scatter_push(pass, 0);
-            let spec = w.plan.scatter_spec(pass, true, rank_by_ballot(r.subgroup_size()));
+            let spec = w.plan.scatter_spec(pass, true, rank_by_ballot(r.subgroup_size_of(&SORT_SCATTER)));
             let label = format!("sort_scatter pairs {pass}");
             r.dispatch_labelled(&label, &SORT_SCATTER, &spec, bytemuck::bytes_of(&push), &buffers, groups())?;
         }

@@ -67,7 +67,7 @@ impl Layer {
         let Shape { inputs_0, inputs_1, outputs } = self.shape;
         let (first_input, inputs) = if inputs_1 > 0 { (inputs_0, inputs_1) } else { (0, inputs_0) };
         let push = InputPush { rows: self.rows, outputs, inputs, weight_stride: self.shape.inputs(), first_input };
-        let groups = product_groups(self.stage, r.subgroup_size(), self.rows, inputs, 1);
+        let groups = product_groups(self.stage, r.subgroup_size_of(&LINEAR_BACKWARD_INPUT), self.rows, inputs, 1);
         let buffers = [
             self.output_gradient.clone(),
             self.parameters[0].clone(),
@@ -92,7 +92,13 @@ impl Layer {
             slice_stride: split.slice_stride,
         };
         let slices = self.rows.div_ceil(split.rows_per_slice);
-        let groups = product_groups(self.stage, r.subgroup_size(), outputs, self.shape.inputs(), slices);
+        let groups = product_groups(
+            self.stage,
+            r.subgroup_size_of(&LINEAR_BACKWARD_WEIGHT),
+            outputs,
+            self.shape.inputs(),
+            slices,
+        );
         let buffers = [self.output_gradient.clone(), self.input.clone(), split.gradient.clone()];
         let spec = [self.stage as u32];
         r.dispatch(&LINEAR_BACKWARD_WEIGHT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
