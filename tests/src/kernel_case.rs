@@ -4,6 +4,8 @@
 use engine::gpu::kernel::{Access, Element, Kernel, TwinCall};
 use engine::gpu::{Gpu, Groups, Memory};
 
+use crate::model;
+
 /// Bytes of sentinel before and after each bound range.
 pub const SENTINEL_BYTES: usize = 4096;
 const SENTINEL: u32 = 0xDEAD_BEEF;
@@ -35,10 +37,10 @@ pub struct KernelResult {
 }
 
 impl KernelCase {
-    /// Runs both sides.
+    /// Runs both sides; with `SPGS_TEST_MODEL` the executable model in place of the device ([`crate::model`]).
     ///
     /// # Panics
-    /// When the device fails or a sentinel was overwritten.
+    /// When the device fails, a sentinel was overwritten, or the model finds an error.
     pub fn run(mut self, gpu: &Gpu) -> KernelResult {
         for (words, binding) in self.buffers.iter_mut().zip(self.kernel.bindings) {
             if words.is_empty() {
@@ -48,8 +50,12 @@ impl KernelCase {
                 words.fill(POISON);
             }
         }
-        let result = self.run_gpu(gpu);
-        let mut spec = vec![gpu.subgroup_size_of(self.kernel)];
+        let model = model::options();
+        let result = match &model {
+            Some(options) => model::run(&self, options),
+            None => self.run_gpu(gpu),
+        };
+        let mut spec = vec![model.map_or_else(|| gpu.subgroup_size_of(self.kernel), |options| options.lanes)];
         spec.extend(&self.spec);
         let mut call =
             TwinCall { groups: [self.groups, 1, 1], spec: &spec, push: &self.push, buffers: &mut self.buffers };

@@ -3,11 +3,13 @@
 pub mod compare;
 pub mod gradient;
 pub mod kernel_case;
+pub mod model;
 pub mod posed;
 pub mod procedural_lpips;
 pub mod render_case;
 pub mod widths;
 
+use engine::gpu::kernel::Kernel;
 use engine::gpu::{Gpu, GpuOptions};
 pub use kernel_case::{KernelCase, KernelResult};
 
@@ -25,6 +27,18 @@ pub fn gpu() -> TestGpu {
 /// A device whose validation messages must be empty when it is dropped.
 #[derive(Debug)]
 pub struct TestGpu(pub Gpu);
+
+impl TestGpu {
+    /// Lanes of a subgroup: the device's, or those of the executable model when that runs the kernels.
+    pub fn subgroup_size(&self) -> u32 {
+        model::options().map_or_else(|| self.0.subgroup_size(), |options| options.lanes)
+    }
+
+    /// The same for the pipelines of one kernel.
+    pub fn subgroup_size_of(&self, kernel: &Kernel) -> u32 {
+        model::options().map_or_else(|| self.0.subgroup_size_of(kernel), |options| options.lanes)
+    }
+}
 
 impl std::ops::Deref for TestGpu {
     type Target = Gpu;

@@ -1,6 +1,5 @@
 //! `blend_backward` and `sum_instance_gradients` on the device against their twins.
 
-use engine::gpu::Gpu;
 use engine::gpu::Kernel;
 use engine::gpu::kernel::TwinCall;
 use engine::render::blend::{self, BLEND, Stage};
@@ -9,7 +8,7 @@ use engine::render::frame::Frame;
 use engine::train::blend_backward::{self, *};
 use tests_harness::gradient::{assert_gradients_close, columns};
 use tests_harness::render_case::{Random, RenderInput, test_camera, tile_lists};
-use tests_harness::{KernelCase, widths};
+use tests_harness::{KernelCase, TestGpu, widths};
 
 /// A rendered frame with tile lists of Gaussians and of slots, and a gradient of its image.
 struct Rendered {
@@ -109,7 +108,7 @@ impl Rendered {
         }
     }
 
-    fn case(&self, gpu: &Gpu, accumulation: Accumulation, stage: Stage, subtiles: u32) -> KernelCase {
+    fn case(&self, gpu: &TestGpu, accumulation: Accumulation, stage: Stage, subtiles: u32) -> KernelCase {
         let by_slot = accumulation == Accumulation::Instances;
         let rows = if by_slot { self.gaussian_of_slot.len() } else { self.tile_count.len() };
         let kernel = match accumulation {
@@ -153,7 +152,7 @@ impl Rendered {
     }
 
     /// Every way of adding, on the device and by twins, and all of them against each other.
-    fn check(&self, gpu: &Gpu, context: &str) -> Vec<f32> {
+    fn check(&self, gpu: &TestGpu, context: &str) -> Vec<f32> {
         let all = blend_backward::subtiles_of_tile(gpu.subgroup_size_of(&BLEND_BACKWARD));
         let mut truth: Option<Vec<f32>> = None;
         for stage in [Stage::Shuffle, Stage::Shared] {

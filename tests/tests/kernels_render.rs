@@ -1,7 +1,7 @@
 //! `deform_project`, `blend` and `deform_network` on the device against their twins.
 
 use engine::gpu::kernel::TwinCall;
-use engine::gpu::{Gpu, Kernel};
+use engine::gpu::Kernel;
 use engine::image::difference;
 use engine::reference::{self, ReferenceOptions};
 use engine::render::blend::{self, BLEND, BLEND_PACKED, PixelFormat, Stage};
@@ -15,7 +15,7 @@ use engine::scene::{Camera, DeformNetwork, Linear};
 use glam::DVec3;
 use tests_harness::kernel_case::POISON;
 use tests_harness::render_case::{Random, RenderInput, test_camera, tile_lists};
-use tests_harness::{KernelCase, KernelResult};
+use tests_harness::{KernelCase, KernelResult, TestGpu};
 
 const SIZES: [usize; 11] = [0, 1, 7, 8, 31, 32, 33, 255, 256, 257, 65_537];
 
@@ -239,7 +239,7 @@ fn twins_that_store_to_an_image_store_what_those_of_buffers_do() {
 }
 
 /// The image of the chain deform_project -> tile lists -> blend, by the twins or on the device.
-fn chain(gpu: Option<&Gpu>, input: &RenderInput, camera: &Camera) -> Vec<f32> {
+fn chain(gpu: Option<&TestGpu>, input: &RenderInput, camera: &Camera) -> Vec<f32> {
     let frame = input.frame(camera);
     let (splats, tile_count) = match gpu {
         None => twin_splats(input, &frame),
@@ -263,7 +263,7 @@ fn chain(gpu: Option<&Gpu>, input: &RenderInput, camera: &Camera) -> Vec<f32> {
     words.into_iter().map(f32::from_bits).collect()
 }
 
-fn assert_close_to_reference(gpu: Option<&Gpu>, input: &RenderInput, camera: &Camera, context: &str) {
+fn assert_close_to_reference(gpu: Option<&TestGpu>, input: &RenderInput, camera: &Camera, context: &str) {
     let options =
         ReferenceOptions { background: [0.1, 0.2, 0.3].map(|c: f32| c.into()), ..ReferenceOptions::default() };
     let truth = reference::render(&input.scene(), camera, f64::from(0.3_f32), &options).unwrap();
@@ -279,7 +279,7 @@ fn assert_close_to_reference(gpu: Option<&Gpu>, input: &RenderInput, camera: &Ca
 #[test]
 fn images_agree_with_the_reference() {
     let gpu = tests_harness::gpu();
-    for gpu in [None, Some(&gpu.0)] {
+    for gpu in [None, Some(&gpu)] {
         for degree in 0..4 {
             let input = RenderInput::random(800, degree, 40 + u64::from(degree));
             assert_close_to_reference(gpu, &input, &test_camera(160, 121), &format!("static, degree {degree}"));

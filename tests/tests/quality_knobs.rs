@@ -20,7 +20,7 @@ use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::{demo_camera, demo_scene, hard_cases, moving_scene, random_scene};
 use engine::scene::{Camera, Scene};
 use glam::DVec3;
-use tests_harness::KernelCase;
+use tests_harness::{KernelCase, TestGpu};
 use tests_harness::render_case::{RenderInput, test_camera};
 use tools::args::{Cli, Command as Subcommand};
 
@@ -79,7 +79,7 @@ fn project_case(input: &RenderInput, frame: &Frame, q: &Quality) -> KernelCase {
 }
 
 /// Tile lists as the sorts would make them, from the emitted pairs, and the whole chain of one setting on device and twin.
-fn check_kernels(gpu: &Gpu, q: &Quality) {
+fn check_kernels(gpu: &TestGpu, q: &Quality) {
     let name = q.describe();
     let (size, packing) = (gpu.subgroup_size_of(&BLEND), q.packing_constant());
     let input = RenderInput::random(COUNT, 3, 5).moving(7, 11);
