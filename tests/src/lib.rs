@@ -19,7 +19,10 @@ pub use kernel_case::{KernelCase, KernelResult};
 /// When no usable Vulkan device is found.
 pub fn gpu() -> TestGpu {
     match Gpu::new(&GpuOptions { pipeline_cache: false, ..GpuOptions::default() }) {
-        Ok(gpu) => TestGpu(gpu),
+        Ok(gpu) => {
+            assert_driver(&gpu);
+            TestGpu(gpu)
+        }
         Err(error) => panic!("tests need a Vulkan device (run ci/setup --tests): {error}"),
     }
 }
@@ -53,6 +56,23 @@ impl Drop for TestGpu {
         if !messages.is_empty() && !std::thread::panicking() {
             panic!("the validation layer reported {} messages, first: {}", messages.len(), messages[0]);
         }
+    }
+}
+
+/// Whether tests shall be as small as they can be and still run every kernel: `SPGS_TEST_SMALL=1`, for drivers beside the
+/// system's own.
+pub fn small() -> bool {
+    std::env::var("SPGS_TEST_SMALL").is_ok_and(|v| v == "1")
+}
+
+/// The driver is the one that `SPGS_TEST_DRIVER` names, if it is set: part of its name and version.
+///
+/// # Panics
+/// When it is another one.
+pub fn assert_driver(gpu: &Gpu) {
+    if let Ok(wanted) = std::env::var("SPGS_TEST_DRIVER") {
+        let found = &gpu.info().driver;
+        assert!(found.contains(&wanted), "the driver is `{found}`, expected `{wanted}` (SPGS_TEST_DRIVER)");
     }
 }
 

@@ -4,6 +4,8 @@ use std::path::Path;
 
 use engine::file::picture::{self, Alpha};
 use engine::gpu::Gpu;
+use engine::image::Image;
+use engine::reference::{self, ReferenceOptions};
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::moving_scene;
 use engine::scene::{Camera, Scene};
@@ -44,40 +46,25 @@ pub struct Posed {
 }
 
 impl Posed {
-    /// Renders and writes a data set.
+    /// Renders on the device and writes a data set.
     ///
     /// # Panics
     /// When rendering fails or a file cannot be written.
     pub fn new(gpu: &Gpu, options: &PosedOptions) -> Self {
-        let mut scene = moving_scene(options.gaussians, options.superpoints, 33, 7, false);
-        if let Some(motion) = &mut scene.motion {
-            let superpoints = options.superpoints;
-            for (at, translation) in motion.translation.iter_mut().enumerate() {
-                let (time, j) = (motion.times[at / superpoints], at % superpoints);
-                translation[j % 3] += options.swing * (std::f32::consts::TAU * time).sin();
-            }
-        }
-        let folder = tempfile::tempdir().unwrap();
+        let scene = scene(options);
         let mut renderer = Renderer::new(gpu, &scene, &RenderOptions::default()).unwrap();
-        let mut split = |name: &str, count: usize, offset: f64| {
-            if count == 0 {
-                return;
-            }
-            std::fs::create_dir(folder.path().join(name)).unwrap();
-            let mut frames = Vec::new();
-            for i in 0..count {
-                let time = if options.moving { (i as f64 + offset) / count.max(2) as f64 } else { 0.0 };
-                let camera = camera(i, offset, options.sizes[i % options.sizes.len()]);
-                let image = renderer.render(&camera, time).unwrap();
-                let file = format!("{name}/r_{i:03}");
-                picture::write_png(&folder.path().join(format!("{file}.png")), &image, Alpha::Straight).unwrap();
-                frames.push(frame(&camera, time, &file));
-            }
-            let text = json!({ "camera_angle_x": FIELD_OF_VIEW, "frames": frames }).to_string();
-            std::fs::write(folder.path().join(format!("transforms_{name}.json")), text).unwrap();
-        };
-        split("train", options.train, 0.0);
-        split("test", options.test, 0.5);
+        let folder = write(options, |camera, time| renderer.render(camera, time).unwrap());
+        Self { scene, folder }
+    }
+
+    /// The same, rendered by the f64 reference: what training on it comes to tells devices apart, not data sets.
+    ///
+    /// # Panics
+    /// As [`Posed::new`].
+    pub fn by_reference(options: &PosedOptions) -> Self {
+        let scene = scene(options);
+        let exact = ReferenceOptions::default();
+        let folder = write(options, |camera, time| reference::render(&scene, camera, time, &exact).unwrap().to_image());
         Self { scene, folder }
     }
 
@@ -85,6 +72,42 @@ impl Posed {
     pub fn path(&self) -> &Path {
         self.folder.path()
     }
+}
+
+/// What the images show.
+fn scene(options: &PosedOptions) -> Scene {
+    let mut scene = moving_scene(options.gaussians, options.superpoints, 33, 7, false);
+    if let Some(motion) = &mut scene.motion {
+        let superpoints = options.superpoints;
+        for (at, translation) in motion.translation.iter_mut().enumerate() {
+            let (time, j) = (motion.times[at / superpoints], at % superpoints);
+            translation[j % 3] += options.swing * (std::f32::consts::TAU * time).sin();
+        }
+    }
+    scene
+}
+
+/// Writes both splits with the pictures that `render` makes.
+fn write(options: &PosedOptions, mut render: impl FnMut(&Camera, f64) -> Image) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, count, offset) in [("train", options.train, 0.0), ("test", options.test, 0.5)] {
+        if count == 0 {
+            continue;
+        }
+        std::fs::create_dir(folder.path().join(name)).unwrap();
+        let mut frames = Vec::new();
+        for i in 0..count {
+            let time = if options.moving { (i as f64 + offset) / count.max(2) as f64 } else { 0.0 };
+            let camera = camera(i, offset, options.sizes[i % options.sizes.len()]);
+            let file = format!("{name}/r_{i:03}");
+            let path = folder.path().join(format!("{file}.png"));
+            picture::write_png(&path, &render(&camera, time), Alpha::Straight).unwrap();
+            frames.push(frame(&camera, time, &file));
+        }
+        let text = json!({ "camera_angle_x": FIELD_OF_VIEW, "frames": frames }).to_string();
+        std::fs::write(folder.path().join(format!("transforms_{name}.json")), text).unwrap();
+    }
+    folder
 }
 
 const FIELD_OF_VIEW: f64 = 0.8;

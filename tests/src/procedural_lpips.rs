@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use engine::file::tensors;
-use engine::metrics::lpips::Network;
+use engine::metrics::lpips::{Network, Weights, WeightsFile};
 
 /// Shapes of the convolutions, in their order.
 fn shapes(network: Network) -> Vec<[usize; 4]> {
@@ -68,4 +68,15 @@ pub fn write(path: &Path, network: Network, names: &[String]) {
     }
     let tensors = all.iter().map(|(n, s, v)| tensors::floats(*n, s.clone(), v)).collect();
     tensors::write(path, ["test", "1"], tensors, &Default::default()).unwrap();
+}
+
+/// Weights as they are read from the file that [`write`] makes.
+///
+/// # Panics
+/// When the file cannot be written or read.
+pub fn weights(network: Network, names: &[String]) -> Weights {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("weights.safetensors");
+    write(&path, network, names);
+    WeightsFile::read(&path).unwrap().get(network).unwrap().clone()
 }

@@ -9,7 +9,6 @@ mod desktop;
 mod details;
 mod drop;
 mod input;
-mod kernel;
 mod window;
 
 /// Counts what the program allocates; that of drivers and layers is theirs.

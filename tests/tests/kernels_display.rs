@@ -1,4 +1,5 @@
 //! What a window needs of the renderer: kernel `display` against its twin, picking, other colours.
+#![allow(clippy::unwrap_used, reason = "tests")]
 
 use engine::render::display::{DISPLAY, Display, palette};
 use engine::render::{Quality, RenderOptions, Renderer};
