@@ -86,7 +86,7 @@ fn convolutions_match_their_twin() {
                     floats(&mut r, outputs * (depth + 1), 1.0 / (depth as f32).sqrt()),
                     vec![0; (outputs * pixels) as usize],
                 ],
-                groups: product_groups(stage, gpu.subgroup_size(), push.output_count, pixels, 1) as u32,
+                groups: product_groups(stage, gpu.subgroup_size_of(&LPIPS_CONV), push.output_count, pixels, 1) as u32,
             };
             case.run(&gpu).assert_equal(&LPIPS_CONV, &format!("{push:?}, window {side}, {stage:?}"));
         }
