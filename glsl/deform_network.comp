@@ -23,6 +23,7 @@ layout(constant_id = 4) const uint SKIP_LAYER = 5; // LAYERS: none
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
 #include "lib/angle.glsl"
+#include "lib/relu.glsl"
 
 layout(std430, set = 0, binding = 1) readonly buffer SuperpointPositionBlock { float superpoint_position[]; };
 layout(std430, set = 0, binding = 2) readonly buffer WeightsBlock { uvec4 weights[]; };
@@ -115,8 +116,8 @@ void main() {
         base += words + width / 4u;
         barrier();
         if (has_neuron) {
-            activations[2u * (ENCODING + thread)] = max(sum_0, vec4(0.0));
-            activations[2u * (ENCODING + thread) + 1u] = max(sum_1, vec4(0.0));
+            activations[2u * (ENCODING + thread)] = relu(sum_0);
+            activations[2u * (ENCODING + thread) + 1u] = relu(sum_1);
         }
         barrier();
     }

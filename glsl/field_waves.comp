@@ -13,6 +13,7 @@ layout(constant_id = 2) const uint OCTAVES = 10;
 #include "lib/dispatch.glsl"
 #include "lib/angle.glsl"
 #include "lib/encoding.glsl"
+#include "lib/relu.glsl"
 
 layout(std430, set = 0, binding = 1) readonly buffer PointBlock { float point[]; }; // [3][points]
 // [256, 13], its bias, [30, 256], its bias.
@@ -48,7 +49,7 @@ void main() {
         for (uint i = 0u; i < TIME_INPUTS; i++) {
             sum += parameter[thread * TIME_INPUTS + i] * time_element(i, time);
         }
-        hidden_value[thread] = max(sum, 0.0);
+        hidden_value[thread] = relu(sum);
     }
     barrier();
     if (time_network == 1u && thread < TIME_OUTPUTS) {

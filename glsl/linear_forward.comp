@@ -14,6 +14,7 @@ layout(constant_id = 2) const uint RELU = 1;
 #define ROW_SUMS 0
 #include "lib/dispatch.glsl"
 #include "lib/matrix_product.glsl"
+#include "lib/relu.glsl"
 
 // input_0 as [rows, inputs_0] at 0, input_1 as [rows, inputs_1] at push.input_1_at.
 layout(std430, set = 0, binding = 0) readonly buffer LayerInputBlock { float layer_input[]; };
@@ -39,9 +40,9 @@ float operand_b(uint k, uint o) {
 }
 
 void store_element(uint row, uint o, float value) {
-    uint relu = RELU;
+    uint with_relu = RELU;
     float y = value + parameter[push.outputs * (push.inputs_0 + push.inputs_1) + o];
-    layer_output[row * push.outputs + o] = relu == 1u ? max(y, 0.0) : y;
+    layer_output[row * push.outputs + o] = with_relu == 1u ? relu(y) : y;
 }
 
 void main() {

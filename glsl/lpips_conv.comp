@@ -17,6 +17,7 @@ layout(constant_id = 4) const uint PAD = 1;
 #define ROW_SUMS 0
 #include "lib/dispatch.glsl"
 #include "lib/matrix_product.glsl"
+#include "lib/relu.glsl"
 
 // [inputs, in_rows, in_width]: rows in_first_row… of a picture of in_height rows.
 layout(std430, set = 0, binding = 0) readonly buffer FeatureInputBlock { float feature_input[]; };
@@ -65,7 +66,7 @@ float operand_b(uint k, uint pixel) {
 void store_element(uint at, uint pixel, float value) {
     uint o = push.first_output + at;
     float biased = value + parameter[push.outputs * push.inputs * window_size() + o];
-    feature_output[o * push.out_rows * push.out_width + pixel] = max(biased, 0.0);
+    feature_output[o * push.out_rows * push.out_width + pixel] = relu(biased);
 }
 
 void main() {

@@ -32,12 +32,13 @@ void main() {
         uint row = item % plane / push.out_width;
         uint column = item % push.out_width;
         uint first = (channel * push.in_rows + 2u * row) * push.in_width + 2u * column;
-        float largest = 0.0; // inputs have passed a ReLU
+        // Inputs have passed a ReLU, so that their bits are in their order; those of NaN are larger.
+        uint largest = 0u;
         for (uint y = 0u; y < kernel; y++) {
             for (uint x = 0u; x < kernel; x++) {
-                largest = max(largest, feature_input[first + y * push.in_width + x]);
+                largest = max(largest, floatBitsToUint(feature_input[first + y * push.in_width + x]));
             }
         }
-        feature_output[(channel * push.out_height + push.out_first_row + row) * push.out_width + column] = largest;
+        feature_output[(channel * push.out_height + push.out_first_row + row) * push.out_width + column] = uintBitsToFloat(largest);
     }
 }

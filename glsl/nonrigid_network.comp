@@ -22,6 +22,7 @@ layout(constant_id = 2) const uint STAGE = 1;
 #include "lib/thread.glsl"
 #include "lib/quaternion.glsl"
 #include "lib/encoding.glsl"
+#include "lib/relu.glsl"
 
 layout(std430, set = 0, binding = 1) readonly buffer MeanBlock { float mean[]; };
 layout(std430, set = 0, binding = 2) readonly buffer SuperpointOfGaussianBlock { uint superpoint_of_gaussian[]; };
@@ -137,7 +138,7 @@ void main() {
                 if (output_index < outputs) {
                     vec4 y = sum[o] + parameter[bias_at + output_index / 4u][output_index % 4u];
                     if (layer < 3u) {
-                        activations[output_index * PARTS + part] = max(y, vec4(0.0));
+                        activations[output_index * PARTS + part] = relu(y);
                     } else if (output_index < HEADS) {
                         for (uint i = 0u; i < 4u; i++) {
                             uint g = first_gaussian + 4u * part + i;

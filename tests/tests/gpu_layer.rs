@@ -1,8 +1,10 @@
 //! The GPU layer by itself: transfers, budgets, refusals, injected failures.
 
 use engine::Error;
-use engine::gpu::{Groups, Memory, Slice};
+use engine::gpu::{Commands, Gpu, Groups, Memory, Slice};
 use engine::render::radix_sort::{SORT_HISTOGRAM, SortHistogramPush};
+use engine::render::{RenderOptions, Renderer};
+use engine::scene::synthetic::{demo_camera, demo_scene};
 
 #[test]
 fn upload_fill_copy_download() {
@@ -65,4 +67,90 @@ fn lost_device_names_the_running_kernel() {
             other => panic!("{other:?}"),
         }
     }
+}
+
+/// Reads `constants` in the first operation and then works for a while.
+fn long_work(gpu: &Gpu, constants: &engine::gpu::Buffer, readback: &engine::gpu::Buffer) -> Commands {
+    let large = gpu.buffer("large", 64 << 20, Memory::Device).unwrap();
+    let mut recorder = gpu.recorder("long");
+    recorder.copy(constants, readback.slice(0, constants.bytes())).unwrap();
+    (0..20).for_each(|value| recorder.fill(&large, value).unwrap());
+    recorder.host_read(readback);
+    recorder.finish().unwrap()
+}
+
+#[test]
+fn the_host_leaves_alone_what_a_submission_uses() {
+    let gpu = tests_harness::gpu();
+    for memory in [Memory::Upload, Memory::Constants] {
+        let written = gpu.buffer("written", 64, memory).unwrap();
+        let readback = gpu.buffer("readback", 64, Memory::Readback).unwrap();
+        let mut commands = long_work(&gpu, &written, &readback);
+        written.write(0, &[1; 64]).unwrap();
+        let submission = gpu.submit(&mut commands).unwrap();
+        let (write, read) = (written.write(0, &[2; 64]), readback.read(0, &mut [0; 64]));
+        // Had the work been done by then, nothing would be shown: it takes a hundred times as long as these calls.
+        assert!(!gpu.is_finished(submission).unwrap(), "the work is too short");
+        for (name, outcome) in [("written", write), ("readback", read)] {
+            let text = outcome.unwrap_err().to_string();
+            assert!(text.contains(name) && text.contains("still uses it"), "{text}");
+        }
+        gpu.wait(submission).unwrap();
+        let mut bytes = [0; 64];
+        readback.read(0, &mut bytes).unwrap();
+        assert_eq!(bytes, [1; 64], "what was written before");
+        written.write(0, &[3; 64]).unwrap();
+        gpu.submit(&mut commands).unwrap();
+        gpu.wait_for(&commands).unwrap();
+        readback.read(0, &mut bytes).unwrap();
+        assert_eq!(bytes, [3; 64]);
+    }
+}
+
+#[test]
+fn constants_apart_from_the_host_give_the_same_pictures() {
+    let gpu = tests_harness::gpu();
+    let pictures = |apart: bool| {
+        gpu.inject_memory_apart(apart);
+        let mut renderer = Renderer::new(&gpu, &demo_scene(), &RenderOptions::default()).unwrap();
+        let draw = |i: u32| renderer.render(&demo_camera(f64::from(i) / 3.0, 96, 72), f64::from(i) / 3.0).unwrap().rgba;
+        let pictures: Vec<Vec<f32>> = (0..3).map(draw).collect();
+        let plan = renderer.commands().unwrap().plan().to_owned();
+        (pictures, plan.contains("copy frame"), renderer.commands().unwrap().barriers())
+    };
+    let (near, near_copies, near_barriers) = pictures(false);
+    let (apart, apart_copies, apart_barriers) = pictures(true);
+    assert!(near == apart, "other pictures");
+    assert!(near[0] != near[1], "pictures that do not move show nothing");
+    let on_device = gpu.info().capabilities.device_upload;
+    assert_eq!((near_copies, apart_copies), (!on_device, true));
+    println!("barriers: {near_barriers}, apart {apart_barriers}");
+    assert!(apart_barriers <= near_barriers + 1, "{near_barriers} {apart_barriers}");
+}
+
+#[test]
+fn the_budget_is_what_the_device_has_free() {
+    let gpu = tests_harness::gpu();
+    let heap = gpu.info().capabilities.device_heap;
+    let (used, budget) = gpu.memory_used();
+    println!("heap {} MiB, free {:?} MiB, budget {} MiB", heap.bytes >> 20, heap.free.map(|f| f >> 20), budget >> 20);
+    assert_eq!((used, budget), (0, heap.budget(0)));
+    assert!(budget > 0 && budget <= heap.bytes / 5 * 4);
+    let Err(Error::OutOfMemory { name, need, free, budget }) = fill_up(&gpu) else { panic!("it never ends") };
+    println!("`{name}`: {need} bytes wanted, {free} free, budget {budget}");
+    assert!(need > free && budget <= heap.bytes / 5 * 4, "{need} {free} {budget}");
+    // A budget that somebody sets stays.
+    gpu.set_byte_budget(1000);
+    assert!(gpu.buffer("more", 4096, Memory::Device).is_err());
+    assert_eq!(gpu.memory_used().1, 1000);
+}
+
+/// Asks for one allocation after another, each smaller than the limit, without touching the memory, until one is refused.
+fn fill_up(gpu: &Gpu) -> engine::Result<()> {
+    let bytes = gpu.info().capabilities.max_allocation_bytes.min(1 << 30);
+    let mut kept = Vec::new();
+    for i in 0..10_000 {
+        kept.push(gpu.buffer(&format!("part {i}"), bytes, Memory::Device)?);
+    }
+    Ok(())
 }

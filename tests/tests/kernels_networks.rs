@@ -39,6 +39,40 @@ fn step_words() -> Vec<u32> {
 }
 
 #[test]
+fn a_layer_does_not_hide_what_is_no_number() {
+    let gpu = tests_harness::gpu();
+    let mut r = Random(21);
+    let (rows, inputs, outputs) = (37, 40, 70_u32);
+    for (stage, relu) in STAGES.into_iter().flat_map(|s| [(s, 0), (s, 1)]) {
+        for nan in [f32::NAN, -f32::NAN] {
+            let mut parameter = floats(&mut r, (outputs * (inputs + 1)) as usize, 0.2);
+            // A weight of output 5, the bias of output 69, and an input of row 30.
+            parameter[(5 * inputs + 7) as usize] = nan.to_bits();
+            parameter[(outputs * inputs + 69) as usize] = nan.to_bits();
+            let mut input = floats(&mut r, (rows * inputs) as usize, 1.0);
+            input[(30 * inputs) as usize] = nan.to_bits();
+            let push = ForwardPush { rows, outputs, inputs_0: inputs, inputs_1: 0, input_1_at: 0 };
+            let case = KernelCase {
+                kernel: &LINEAR_FORWARD,
+                spec: vec![stage as u32, relu],
+                push: bytemuck::bytes_of(&push).to_vec(),
+                buffers: vec![input, parameter, vec![0; (rows * outputs) as usize]],
+                groups: linear::product_groups(stage, gpu.subgroup_size(), rows, outputs, 1) as u32,
+            };
+            let result = case.run(&gpu);
+            for (side, words) in [("device", &result.gpu[2]), ("twin", &result.twin[2])] {
+                for (at, word) in words.iter().enumerate() {
+                    let (row, o) = (at as u32 / outputs, at as u32 % outputs);
+                    let expected = row == 30 || o == 5 || o == 69;
+                    let found = f32::from_bits(*word).is_nan();
+                    assert_eq!(found, expected, "{side}, {stage:?}, ReLU {relu}, {nan}, row {row}, output {o}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn forward_and_backward_input_match_their_twins() {
     let gpu = tests_harness::gpu();
     let mut r = Random(1);

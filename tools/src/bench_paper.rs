@@ -18,7 +18,7 @@ use crate::args::{BenchArgs, Global};
 use crate::bench::{load_scene, size_of, write_text};
 use crate::measure::{self, Plan};
 use crate::paper::Benchmark;
-use crate::{gpu_session, model, output, view};
+use crate::{gpu_session, model, output, process, view};
 
 /// Seconds for the whole measurement where the arguments do not say.
 const BUDGET_S: f64 = 180.0;
@@ -106,13 +106,9 @@ fn benchmark(camera: &Camera) -> Benchmark {
 
 /// The processor, which is the device where the device is a CPU, and its clock now, MHz.
 fn processor() -> Value {
-    let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let of = |key: &str| {
-        let line = text.lines().find(|l| l.starts_with(key))?;
-        line.split_once(':').map(|(_, value)| value.trim().to_owned())
-    };
+    let (name, mhz_now) = process::processor();
     let cores = std::thread::available_parallelism().map_or(0, std::num::NonZero::get);
-    json!({ "name": of("model name"), "mhz_now": of("cpu MHz"), "threads": cores })
+    json!({ "name": name, "mhz_now": mhz_now, "threads": cores })
 }
 
 fn record(

@@ -29,6 +29,7 @@ pub mod output;
 pub mod page;
 pub mod paper;
 pub mod plan_task;
+mod process;
 pub mod progress;
 pub mod render;
 pub mod report;

@@ -333,18 +333,6 @@ pub(crate) fn with_keys(workload: &Workload, label: &str) -> Workload {
     workload
 }
 
-/// Processor time of all threads of this process so far, seconds; `None` where the kernel does not tell. The steadier measure
-/// of a device that is a CPU when others use it too.
-pub(crate) fn processor_seconds() -> Option<f64> {
-    let mut nanoseconds = 0.0;
-    for thread in std::fs::read_dir("/proc/self/task").ok()? {
-        // A thread may end while the list is read.
-        let Ok(text) = std::fs::read_to_string(thread.ok()?.path().join("schedstat")) else { continue };
-        nanoseconds += text.split_whitespace().next()?.parse::<f64>().ok()?;
-    }
-    Some(nanoseconds * 1e-9)
-}
-
 /// Best rate of a device-to-device copy, bytes read plus bytes written, GB/s.
 pub fn copy_bandwidth(gpu: &Gpu) -> Result<f64> {
     let limit = gpu.info().capabilities.max_allocation_bytes;
@@ -395,18 +383,6 @@ mod tests {
         assert_eq!(q, Quantiles { median: 50.0, p5: 5.0, p95: 95.0 });
         assert_eq!(Quantiles::of(vec![7.0]), Quantiles { median: 7.0, p5: 7.0, p95: 7.0 });
         assert_eq!(Quantiles::of(Vec::new()), Quantiles::default());
-    }
-
-    #[test]
-    fn processor_time_passes_while_work_is_done() {
-        if let Some(before) = processor_seconds() {
-            // The clock ticks every 10 ms of work; a busy machine may take a while to give them.
-            let start = Instant::now();
-            while start.elapsed().as_secs() < 10 && processor_seconds().is_some_and(|now| now <= before) {
-                std::hint::black_box(start);
-            }
-            assert!(processor_seconds().is_some_and(|now| now > before && now < before + 60.0));
-        }
     }
 
     #[test]

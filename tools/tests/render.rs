@@ -1,6 +1,7 @@
 //! `spgs render --path` and `--video` from outside: which frames there are, what an encoder gets, and that a video is
 //! there whole or not at all.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+#![cfg(unix)] // The encoder is a shell script.
 
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};

@@ -107,7 +107,7 @@ typedef struct spgs_gpu_options {
     const char *const *device_extensions;
 } spgs_gpu_options;
 
-/* options may be null. */
+/* options may be null. The queue of the device draws too, where the device has such a queue. */
 SPGS_API spgs_status spgs_gpu_create(const spgs_gpu_options *options, spgs_gpu **gpu);
 
 typedef struct spgs_handles {

@@ -136,7 +136,8 @@ pub unsafe extern "C" fn spgs_gpu_create(given: *const spgs_gpu_options, gpu: *m
         if gpu.is_null() {
             return Err(null("gpu"));
         }
-        let mut wanted = GpuOptions::default();
+        // Who uses the handles often draws.
+        let mut wanted = GpuOptions { draws: true, ..GpuOptions::default() };
         // SAFETY: promised by the caller.
         unsafe {
             let given = options(given, "spgs_gpu_options")?;

@@ -1,7 +1,7 @@
 //! Durable writes: a reader sees the old file or the new one, whole, whatever happens in between.
 //!
-//! Temporary file in the same directory → write → fsync(file) → rename → fsync(directory). Every return code is
-//! checked. A failure before the rename leaves the old file untouched and no temporary behind; a failure of the last
+//! Temporary file in the same directory → write → fsync(file) → rename → fsync(directory), or, on systems without the
+//! last, fsync of the renamed file. Every return code is checked. A failure before the rename leaves the old file untouched and no temporary behind; a failure of the last
 //! step (the directory's fsync) leaves the complete new file.
 
 use std::fs::{self, File};
@@ -72,8 +72,8 @@ pub fn write_atomic_with(
     }
     before(Step::SyncFile).and_then(|()| temporary.as_file().sync_all()).map_err(failed(Step::SyncFile))?;
     before(Step::Rename).map_err(failed(Step::Rename))?;
-    temporary.persist(&target).map_err(|e| failed(Step::Rename)(e.error))?;
-    before(Step::SyncDirectory).and_then(|()| sync_directory(directory)).map_err(failed(Step::SyncDirectory))
+    let renamed = temporary.persist(&target).map_err(|e| failed(Step::Rename)(e.error))?;
+    before(Step::SyncDirectory).and_then(|()| sync_entry(directory, &renamed)).map_err(failed(Step::SyncDirectory))
 }
 
 /// Whether [`write_atomic`] may replace or make `path`, by what is there: nothing or a regular file.
@@ -138,7 +138,7 @@ fn create_beside(target: &Path, directory: &Path) -> io::Result<tempfile::NamedT
 }
 
 #[cfg(unix)]
-fn sync_directory(directory: &Path) -> io::Result<()> {
+fn sync_entry(directory: &Path, _renamed: &File) -> io::Result<()> {
     match File::open(directory)?.sync_all() {
         // Some file systems (network, FUSE) have no such operation and say so; there is nothing else to be done there.
         Err(e) if matches!(e.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported) => Ok(()),
@@ -147,8 +147,10 @@ fn sync_directory(directory: &Path) -> io::Result<()> {
 }
 
 #[cfg(not(unix))]
-fn sync_directory(_directory: &Path) -> io::Result<()> {
-    Ok(())
+fn sync_entry(_directory: &Path, renamed: &File) -> io::Result<()> {
+    // Directories cannot be flushed (Windows); flushing a file there takes the journal of the file system along, and so its
+    // new name. Its handle is the one that wrote it: flushing needs the right to write.
+    renamed.sync_all()
 }
 
 /// The file behind the fault seam.

@@ -5,14 +5,19 @@ use std::ffi::CStr;
 use ash::vk;
 use serde::Serialize;
 
+use super::budget::Heap;
+use super::queue_family::{self, QueueFamily};
+
 /// Features and limits that the engine looks at.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Capabilities {
     /// Packed `VkPhysicalDeviceProperties::apiVersion`.
     #[serde(skip)]
     pub api_version: u32,
-    /// Queue family with compute support.
+    /// Queue family that the engine works on, as [`queue_family::choose`] has it.
     pub compute_family: Option<u32>,
+    /// All queue families.
+    pub queue_families: Vec<QueueFamily>,
     /// The driver's usual subgroup size; kernels may be given another one ([`super::subgroup_size`]).
     pub subgroup_size: u32,
     /// Smallest subgroup size the driver may choose.
@@ -47,10 +52,14 @@ pub struct Capabilities {
     pub max_groups_x: u32,
     /// Workgroups in y.
     pub max_groups_y: u32,
-    /// Bytes of the largest device-local heap.
-    pub device_heap_bytes: u64,
+    /// The largest device-local heap, when the device was looked at.
+    pub device_heap: Heap,
+    /// The host can write memory that lies on the device; else what it writes for each frame is copied there.
+    pub device_upload: bool,
     /// Nanoseconds per timestamp tick; 0 when the queue has no timestamps.
     pub timestamp_ns: f64,
+    /// Lowest bits of a timestamp that count.
+    pub timestamp_bits: u32,
     /// Device extensions.
     #[serde(skip)]
     pub extensions: Vec<String>,
@@ -63,7 +72,23 @@ impl Capabilities {
     pub fn has_extension(&self, name: &CStr) -> bool {
         self.extensions.iter().any(|e| e.as_bytes() == name.to_bytes())
     }
+
+    /// Takes this queue family, with its timestamps.
+    pub(super) fn work_on(&mut self, family: Option<u32>) {
+        self.compute_family = family;
+        self.timestamp_bits = family.and_then(|f| self.queue_families.get(f as usize)).map_or(0, |f| f.timestamp_bits);
+        if self.timestamp_bits == 0 {
+            self.timestamp_ns = 0.0;
+        }
+    }
 }
+
+/// What memory must be that lies on the device and that the host writes.
+const DEVICE_UPLOAD: vk::MemoryPropertyFlags = vk::MemoryPropertyFlags::from_raw(
+    vk::MemoryPropertyFlags::DEVICE_LOCAL.as_raw()
+        | vk::MemoryPropertyFlags::HOST_VISIBLE.as_raw()
+        | vk::MemoryPropertyFlags::HOST_COHERENT.as_raw(),
+);
 
 /// Storage buffers that the training kernel with the most bindings has.
 pub const TRAINING_STORAGE_BUFFERS: u32 = 26;
@@ -195,6 +220,13 @@ impl DeviceInfo {
         self.kind == "cpu"
     }
 
+    /// Takes a queue family that draws, where there is one.
+    pub(super) fn draw(&mut self) {
+        let families = &self.capabilities.queue_families;
+        let family = queue_family::choose(families, true).or(queue_family::choose(families, false));
+        self.capabilities.work_on(family);
+    }
+
     pub(super) fn kind_rank(&self) -> u32 {
         ["discrete", "integrated", "virtual", "other", "cpu"].iter().position(|k| *k == self.kind).unwrap_or(9) as u32
     }
@@ -311,14 +343,12 @@ impl DeviceInfo {
         c.max_shared_bytes = limits.max_compute_shared_memory_size;
         c.max_workgroup_size = limits.max_compute_work_group_invocations.min(limits.max_compute_work_group_size[0]);
         [c.max_groups_x, c.max_groups_y, _] = limits.max_compute_work_group_count;
-        let heaps = &memory.memory_heaps[..memory.memory_heap_count as usize];
-        let local = heaps.iter().filter(|h| h.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
-        c.device_heap_bytes = local.map(|h| h.size).max().unwrap_or(0);
-        // A family with graphics too is fine; a compute-only one often runs beside the desktop, so prefer it last.
-        let family = families.iter().position(|f| f.queue_flags.contains(vk::QueueFlags::COMPUTE));
-        c.compute_family = family.map(|i| i as u32);
-        let valid_bits = family.map_or(0, |i| families[i].timestamp_valid_bits);
-        c.timestamp_ns = if valid_bits > 0 { f64::from(limits.timestamp_period) } else { 0.0 };
+        c.device_heap = Heap::query(instance, physical, c.has_extension(ash::ext::memory_budget::NAME));
+        let types = &memory.memory_types[..memory.memory_type_count as usize];
+        c.device_upload = types.iter().any(|t| t.property_flags.contains(DEVICE_UPLOAD));
+        c.timestamp_ns = f64::from(limits.timestamp_period);
+        c.queue_families = families.iter().map(QueueFamily::of).collect();
+        c.work_on(queue_family::choose(&c.queue_families, false));
         c.cache_uuid = uuid.iter().map(|b| format!("{b:02x}")).collect();
         self.driver = format!("{} {}", text(&driver.driver_name), text(&driver.driver_info));
     }

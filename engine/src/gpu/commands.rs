@@ -31,6 +31,8 @@ pub struct Commands {
     pool: vk::CommandPool,
     raw: vk::CommandBuffer,
     breadcrumbs: Option<Buffer>,
+    /// What the host writes or reads of what they use.
+    mapped: Vec<Buffer>,
     last: Submission,
 }
 
@@ -51,7 +53,8 @@ impl Commands {
             None
         };
         let (pool, raw) = encode_alone(&sequence, 0, breadcrumbs.as_ref(), &[])?;
-        Ok(Self { sequence, pool, raw, breadcrumbs, last: Submission(0) })
+        let mapped = sequence.mapped();
+        Ok(Self { sequence, pool, raw, breadcrumbs, mapped, last: Submission(0) })
     }
 
     /// The barrier plan.
@@ -205,6 +208,7 @@ impl Gpu {
             Err(Error::DeviceLost { .. }) => return Err(commands.device_lost()),
             Err(error) => return Err(error),
         }
+        commands.mapped.iter().for_each(|buffer| buffer.used_by(commands.last));
         if injected {
             // The work runs first, so that the report is made from breadcrumbs that the device left.
             self.wait(commands.last)?;
@@ -245,9 +249,7 @@ impl Gpu {
 
     /// Number of the last submission that has finished.
     fn finished(&self) -> Result<u64> {
-        // SAFETY: the semaphore is live.
-        let value = unsafe { self.0.device.get_semaphore_counter_value(self.0.timeline) };
-        value.map_err(|code| self.vulkan_error("vkGetSemaphoreCounterValue", code))
+        self.0.finished().map_err(|code| self.vulkan_error("vkGetSemaphoreCounterValue", code))
     }
 
     /// Whether a submission has finished.

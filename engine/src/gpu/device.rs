@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use ash::vk;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 
+use super::cache_folder::cache_folder;
 use super::capability::{Capabilities, DeviceInfo, REQUIREMENTS};
 use super::host::QueueLock;
 use super::instance::{Messages, Messenger, create_instance};
@@ -27,8 +28,12 @@ pub struct GpuOptions {
     pub gpu_assisted: bool,
     /// Note each operation in host-visible memory, so that a lost device names its last kernel.
     pub breadcrumbs: bool,
-    /// Bytes of device memory the engine may allocate; `None`: 80 % of the largest device-local heap.
+    /// Bytes of device memory the engine may allocate; `None`: 80 % of the largest device-local heap, or what is free of it
+    /// where the device tells, asked again when that runs out ([`super::budget`]).
     pub byte_budget: Option<u64>,
+    /// Take a queue that draws too, where there is one: for a window, or for a host that draws on the engine's device
+    /// ([`super::queue_family`]).
+    pub draws: bool,
     /// Keep compiled pipelines in the user's cache folder.
     pub pipeline_cache: bool,
     /// Seconds before a wait for the device gives up.
@@ -57,6 +62,7 @@ impl Default for GpuOptions {
             gpu_assisted: flag("SPGS_GPU_ASSISTED", false),
             breadcrumbs: flag("SPGS_BREADCRUMBS", true),
             byte_budget: None,
+            draws: false,
             pipeline_cache: true,
             timeout_s: timeout.unwrap_or(60.0),
             subgroup_size,
@@ -127,10 +133,29 @@ pub(super) struct Opened {
 #[derive(Debug, Default)]
 pub(super) struct MemoryBudget {
     pub(super) budget: AtomicU64,
+    /// The budget follows what the device says is free; else somebody has set it.
+    pub(super) follows: AtomicBool,
     pub(super) used: AtomicU64,
     pub(super) objects: AtomicU64,
     /// Test seam: the n-th allocation from now fails (0 = never).
     pub(super) fail_at: AtomicU64,
+    /// Test seam: the host writes no memory of the device.
+    pub(super) apart: AtomicBool,
+}
+
+impl MemoryBudget {
+    /// Counts these bytes as used, when they fit.
+    pub(super) fn take(&self, bytes: u64) -> bool {
+        let budget = self.budget.load(Ordering::SeqCst);
+        let fits = |used: u64| used.checked_add(bytes).filter(|total| *total <= budget);
+        self.used.fetch_update(Ordering::SeqCst, Ordering::SeqCst, fits).is_ok()
+    }
+
+    pub(super) fn out_of_memory(&self, name: &str, need: u64) -> Error {
+        let budget = self.budget.load(Ordering::SeqCst);
+        let free = budget.saturating_sub(self.used.load(Ordering::SeqCst));
+        Error::OutOfMemory { name: name.into(), need, free, budget }
+    }
 }
 
 /// `vkCmdPipelineBarrier2`, from Vulkan 1.3 or from the extension.
@@ -174,7 +199,10 @@ impl Gpu {
     ) -> Result<Self> {
         let candidates = enumerate(instance)?;
         let index = choose(&candidates, options)?;
-        let (physical, info) = candidates[index].clone();
+        let (physical, mut info) = candidates[index].clone();
+        if options.draws {
+            info.draw();
+        }
         let statistics =
             options.statistics && info.capabilities.has_extension(ash::khr::pipeline_executable_properties::NAME);
         let (device, family) = create_device(instance, physical, &info, &options.device_extensions, statistics)?;
@@ -226,8 +254,9 @@ impl Gpu {
             Sync2::Extension(ash::khr::synchronization2::Device::new(&instance, &device))
         };
         let (timeline, allocator, cache) = Self::device_objects(&instance, &device, physical, &info, options)?;
-        let budget = options.byte_budget.unwrap_or(info.capabilities.device_heap_bytes / 5 * 4);
-        let memory = MemoryBudget { budget: AtomicU64::new(budget), ..MemoryBudget::default() };
+        let budget = options.byte_budget.unwrap_or(info.capabilities.device_heap.budget(0));
+        let follows = AtomicBool::new(options.byte_budget.is_none());
+        let memory = MemoryBudget { budget: AtomicU64::new(budget), follows, ..MemoryBudget::default() };
         Ok(Self(Arc::new(Shared {
             info,
             options: options.clone(),
@@ -341,6 +370,12 @@ impl Shared {
             host_lock.lock();
         }
         QueueGuard { queue, host_lock }
+    }
+
+    /// Number of the last submission that has finished.
+    pub(super) fn finished(&self) -> ash::prelude::VkResult<u64> {
+        // SAFETY: the semaphore is live.
+        unsafe { self.device.get_semaphore_counter_value(self.timeline) }
     }
 
     /// Waits for everything that the engine submitted; of its own device, for everything.
@@ -494,8 +529,5 @@ fn create_device(
 }
 
 fn cache_path(info: &DeviceInfo) -> Option<PathBuf> {
-    let base = std::env::var_os("XDG_CACHE_HOME")
-        .map(PathBuf::from)
-        .or_else(|| std::env::var_os("HOME").map(|h| PathBuf::from(h).join(".cache")))?;
-    Some(base.join("spgs").join(format!("pipelines-{}.bin", info.capabilities.cache_uuid)))
+    Some(cache_folder()?.join(format!("pipelines-{}.bin", info.capabilities.cache_uuid)))
 }

@@ -156,7 +156,7 @@ impl Gpu {
         }
         // Whether a host enabled what is optional cannot be asked.
         info.capabilities.float_atomics = false;
-        info.capabilities.compute_family = Some(host.queue_family);
+        info.capabilities.work_on(Some(host.queue_family));
         // SAFETY: the caller promises that the device is valid and of this instance.
         let device = unsafe { ash::Device::load(instance.fp_v1_0(), vk::Device::from_raw(host.device)) };
         let opened = Opened {

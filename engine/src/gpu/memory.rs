@@ -1,12 +1,14 @@
 //! Named buffers over `gpu-allocator`, with a byte budget; blocking uploads and downloads through staging.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use ash::vk;
 use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 
+use super::budget::Heap;
+use super::commands::Submission;
 use super::device::{Gpu, Shared, lock, vk_error};
 use crate::error::{Error, Result};
 
@@ -18,8 +20,11 @@ const STAGING_BYTES: u64 = 32 << 20;
 pub enum Memory {
     /// Device memory; filled by [`Gpu::upload`].
     Device,
-    /// Mapped; the host writes, the device reads.
+    /// Mapped; the host writes, the device reads it once or twice (copies, vertices).
     Upload,
+    /// What the host writes before each submission and many workgroups read: memory of the device that the host can write.
+    /// Where there is none, it lies on the device, and each recording that reads it begins by copying what was written.
+    Constants,
     /// Mapped; the device writes, the host reads.
     Readback,
 }
@@ -36,6 +41,10 @@ struct BufferInner {
     charged: u64,
     id: u64,
     memory: Memory,
+    /// The last submission that uses mapped memory; 0 when that is known to have finished.
+    used_until: AtomicU64,
+    /// Of constants, where the host's memory is not the device's: what the host writes.
+    written: Option<Buffer>,
     gpu: Arc<Shared>,
 }
 
@@ -119,18 +128,52 @@ impl Buffer {
         self.0.id
     }
 
-    /// Writes mapped memory. The device must not be reading it (the caller waits for the submission that does).
+    /// What the host writes of it, where that is another buffer.
+    pub(super) fn written(&self) -> Option<&Self> {
+        self.0.written.as_ref()
+    }
+
+    /// Whether the host reads or writes it.
+    pub(super) fn is_mapped(&self) -> bool {
+        self.0.memory != Memory::Device && self.0.written.is_none()
+    }
+
+    /// Whether the memory is the device's own.
+    pub fn is_on_device(&self) -> bool {
+        self.0
+            .allocation
+            .as_ref()
+            .is_some_and(|a| a.memory_properties().contains(vk::MemoryPropertyFlags::DEVICE_LOCAL))
+    }
+
+    /// The host leaves mapped memory alone until this submission has finished. Submissions of the engine's own commands are
+    /// told of; a host's command buffers are not.
+    pub(super) fn used_by(&self, submission: Submission) {
+        self.0.used_until.fetch_max(submission.0, Ordering::SeqCst);
+    }
+
+    /// Writes mapped memory.
+    ///
+    /// # Errors
+    /// `Usage` while a submission that uses it has not finished, and for memory that is not for writing; `Limit` past its
+    /// end.
     pub fn write(&self, offset: u64, data: &[u8]) -> Result<()> {
-        let (pointer, _) = self.mapped(offset, data.len() as u64, Memory::Upload)?;
+        if let Some(written) = &self.0.written {
+            return written.write(offset, data);
+        }
+        let (pointer, _) = self.mapped(offset, data.len() as u64, &[Memory::Upload, Memory::Constants])?;
         // SAFETY: `mapped` checked the range; the memory is mapped for the allocation's life, and no Rust reference
         // to it exists.
         unsafe { std::ptr::copy_nonoverlapping(data.as_ptr(), pointer, data.len()) };
         Ok(())
     }
 
-    /// Reads mapped memory. The device must have finished writing it and the recording must end with `host_read`.
+    /// Reads mapped memory. The recording that wrote it must end with `host_read`.
+    ///
+    /// # Errors
+    /// As [`Buffer::write`].
     pub fn read(&self, offset: u64, data: &mut [u8]) -> Result<()> {
-        let (pointer, _) = self.mapped(offset, data.len() as u64, Memory::Readback)?;
+        let (pointer, _) = self.mapped(offset, data.len() as u64, &[Memory::Readback])?;
         // SAFETY: as in `write`.
         unsafe { std::ptr::copy_nonoverlapping(pointer, data.as_mut_ptr(), data.len()) };
         Ok(())
@@ -138,7 +181,7 @@ impl Buffer {
 
     /// Fills mapped read-back memory from the host, so that tests and breadcrumbs start from a known state.
     pub fn write_readback(&self, offset: u64, data: &[u8]) -> Result<()> {
-        let (pointer, _) = self.mapped(offset, data.len() as u64, Memory::Readback)?;
+        let (pointer, _) = self.mapped(offset, data.len() as u64, &[Memory::Readback])?;
         // SAFETY: as in `write`.
         unsafe { std::ptr::copy_nonoverlapping(data.as_ptr(), pointer, data.len()) };
         Ok(())
@@ -146,20 +189,37 @@ impl Buffer {
 
     /// Fills mapped read-back memory with zeros.
     pub(super) fn clear_readback(&self) -> Result<()> {
-        let (pointer, bytes) = self.mapped(0, self.0.bytes, Memory::Readback)?;
+        let (pointer, bytes) = self.mapped(0, self.0.bytes, &[Memory::Readback])?;
         // SAFETY: as in `write`.
         unsafe { std::ptr::write_bytes(pointer, 0, bytes as usize) };
         Ok(())
     }
 
-    fn mapped(&self, offset: u64, bytes: u64, expected: Memory) -> Result<(*mut u8, u64)> {
-        if self.0.memory != expected {
+    /// Refuses what a submission still uses.
+    fn check_idle(&self) -> Result<()> {
+        let until = self.0.used_until.load(Ordering::SeqCst);
+        if until == 0 {
+            return Ok(());
+        }
+        // A lost device uses nothing any more; what is submitted next says that it is lost.
+        if self.0.gpu.finished().is_ok_and(|finished| finished < until) {
+            let (what, found) = (format!("buffer `{}`", self.0.name), format!("submission {until} still uses it"));
+            return Err(Error::usage(what, found, "a submission that was waited for"));
+        }
+        // Unless it was used again meanwhile.
+        let _ = self.0.used_until.compare_exchange(until, 0, Ordering::SeqCst, Ordering::SeqCst);
+        Ok(())
+    }
+
+    fn mapped(&self, offset: u64, bytes: u64, expected: &[Memory]) -> Result<(*mut u8, u64)> {
+        if !expected.contains(&self.0.memory) {
             return Err(Error::usage(
                 format!("buffer `{}`", self.0.name),
                 format!("{:?}", self.0.memory),
                 format!("{expected:?}"),
             ));
         }
+        self.check_idle()?;
         if offset.checked_add(bytes).is_none_or(|end| end > self.0.bytes) {
             let need = u128::from(offset) + u128::from(bytes);
             return Err(Error::Limit { what: format!("buffer `{}`", self.0.name), need, have: self.0.bytes.into() });
@@ -195,6 +255,19 @@ impl Gpu {
             let what = format!("bytes of buffer `{name}` (maxMemoryAllocationSize)");
             return Err(Error::Limit { what, need: bytes.into(), have: limit.into() });
         }
+        let buffer = self.allocate(name, bytes, memory)?;
+        if memory != Memory::Constants || buffer.is_on_device() && !self.0.memory.apart.load(Ordering::SeqCst) {
+            return Ok(buffer);
+        }
+        log::debug!("`{name}`: the host's memory, copied to the device in each recording");
+        let mut on_device = self.allocate(name, bytes, Memory::Device)?;
+        if let Some(inner) = Arc::get_mut(&mut on_device.0) {
+            (inner.memory, inner.written) = (Memory::Constants, Some(buffer));
+        }
+        Ok(on_device)
+    }
+
+    fn allocate(&self, name: &str, bytes: u64, memory: Memory) -> Result<Buffer> {
         self.charge(name, bytes)?;
         let made = self.make_buffer(name, bytes, memory);
         if made.is_err() {
@@ -205,19 +278,23 @@ impl Gpu {
 
     fn charge(&self, name: &str, bytes: u64) -> Result<()> {
         let account = &self.0.memory;
-        let budget = account.budget.load(Ordering::SeqCst);
-        let used = account.used.fetch_add(bytes, Ordering::SeqCst);
         let injected = account.fail_at.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |n| n.checked_sub(1)) == Ok(1);
-        if injected || used.checked_add(bytes).is_none_or(|total| total > budget) {
-            account.used.fetch_sub(bytes, Ordering::SeqCst);
-            return Err(Error::OutOfMemory {
-                name: name.into(),
-                need: bytes,
-                free: budget.saturating_sub(used),
-                budget,
-            });
+        // Others may have let go of memory since the device was asked last.
+        if injected || !account.take(bytes) && !(self.ask_budget() && account.take(bytes)) {
+            return Err(self.0.memory.out_of_memory(name, bytes));
         }
         Ok(())
+    }
+
+    /// Sets the budget to what the device says now; whether it tells.
+    fn ask_budget(&self) -> bool {
+        let (shared, account) = (&self.0, &self.0.memory);
+        let tells = shared.info.capabilities.device_heap.free.is_some() && account.follows.load(Ordering::SeqCst);
+        if tells {
+            let heap = Heap::query(&shared.instance, shared.physical, true);
+            account.budget.store(heap.budget(account.used.load(Ordering::SeqCst)), Ordering::SeqCst);
+        }
+        tells
     }
 
     fn make_buffer(&self, name: &str, bytes: u64, memory: Memory) -> Result<Buffer> {
@@ -231,9 +308,12 @@ impl Gpu {
                 | vk::BufferUsageFlags::INDEX_BUFFER,
         );
         let out_of_memory = || {
-            let budget = shared.memory.budget.load(Ordering::SeqCst);
-            let free = budget.saturating_sub(shared.memory.used.load(Ordering::SeqCst));
-            Error::OutOfMemory { name: name.into(), need: bytes, free, budget }
+            self.ask_budget();
+            // What is asked for was charged already.
+            shared.memory.used.fetch_sub(bytes, Ordering::SeqCst);
+            let error = shared.memory.out_of_memory(name, bytes);
+            shared.memory.used.fetch_add(bytes, Ordering::SeqCst);
+            error
         };
         // SAFETY: plain creation.
         let raw = match unsafe { shared.device.create_buffer(&create, None) } {
@@ -247,7 +327,7 @@ impl Gpu {
         let requirements = unsafe { shared.device.get_buffer_memory_requirements(raw) };
         let location = match memory {
             Memory::Device => MemoryLocation::GpuOnly,
-            Memory::Upload => MemoryLocation::CpuToGpu,
+            Memory::Upload | Memory::Constants => MemoryLocation::CpuToGpu,
             Memory::Readback => MemoryLocation::GpuToCpu,
         };
         let describe = AllocationCreateDesc {
@@ -273,7 +353,7 @@ impl Gpu {
             }
             return Err(vk_error("vkBindBufferMemory")(code));
         }
-        static NEXT_ID: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(1);
+        static NEXT_ID: AtomicU64 = AtomicU64::new(1);
         shared.memory.objects.fetch_add(1, Ordering::SeqCst);
         Ok(Buffer(Arc::new(BufferInner {
             raw,
@@ -283,6 +363,8 @@ impl Gpu {
             charged: bytes,
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             memory,
+            used_until: AtomicU64::new(0),
+            written: None,
             gpu: Arc::clone(shared),
         })))
     }
@@ -343,7 +425,13 @@ impl Gpu {
 
     /// Changes the byte budget; what is allocated already stays.
     pub fn set_byte_budget(&self, bytes: u64) {
+        self.0.memory.follows.store(false, Ordering::SeqCst);
         self.0.memory.budget.store(bytes, Ordering::SeqCst);
+    }
+
+    /// Test seam: from now on constants are made as on a device whose memory the host cannot write.
+    pub fn inject_memory_apart(&self, apart: bool) {
+        self.0.memory.apart.store(apart, Ordering::SeqCst);
     }
 
     /// Test seam: the n-th allocation from now fails with [`Error::OutOfMemory`] (0 = never).

@@ -7,6 +7,8 @@
 //! command buffers of another program ([`host`]).
 
 pub mod access;
+pub mod budget;
+mod cache_folder;
 pub mod capability;
 mod commands;
 mod device;
@@ -21,6 +23,7 @@ mod pipeline;
 #[cfg(feature = "window")]
 pub mod presenter;
 pub mod product;
+pub mod queue_family;
 mod recorder;
 mod sequence;
 pub mod spirv;
@@ -32,7 +35,9 @@ mod surface;
 mod swapchain;
 #[cfg(feature = "window")]
 mod texture;
+mod timestamps;
 
+pub use cache_folder::cache_folder;
 pub use capability::{Capabilities, DeviceInfo};
 pub use commands::{Commands, Submission, Timing};
 pub use device::{Gpu, GpuOptions, devices};

@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use ash::vk;
 
+use super::commands::Submission;
 use super::device::{Gpu, vk_error};
 use super::memory::{Buffer, Memory};
 use super::texture::Texture;
@@ -65,6 +66,14 @@ pub(super) struct Kept {
     indices: Option<Buffer>,
     staging: Vec<Option<Buffer>>,
     retired: Vec<Texture>,
+}
+
+impl Kept {
+    /// The host leaves its buffers alone until this submission has finished.
+    pub(super) fn used_by(&self, submission: Submission) {
+        let buffers = [&self.vertices, &self.indices].into_iter().chain(&self.staging);
+        buffers.flatten().for_each(|buffer| buffer.used_by(submission));
+    }
 }
 
 /// The pipeline and its textures.

@@ -259,6 +259,7 @@ impl Presenter {
         let finished = self.swapchain.images[image].finished;
         let wait = (slot.acquired, vk::PipelineStageFlags::TRANSFER);
         slot.last = self.gpu.submit_between("present", slot.commands, wait, finished)?;
+        slot.kept.used_by(slot.last);
         Ok(slot.last)
     }
 }

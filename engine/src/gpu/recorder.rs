@@ -57,6 +57,20 @@ pub(super) enum Work {
     HostRead,
 }
 
+impl Work {
+    /// What it reads and writes.
+    pub(super) fn buffers(&self) -> Vec<&Buffer> {
+        match self {
+            Self::Fill { slice, .. } | Self::Update { slice, .. } | Self::CopyToImage { slice, .. } => {
+                vec![&slice.buffer]
+            }
+            Self::Copy { source, destination, .. } => vec![&source.buffer, &destination.buffer],
+            Self::Dispatch { slices, .. } => slices.iter().map(|s| &s.buffer).collect(),
+            Self::HostRead => Vec::new(),
+        }
+    }
+}
+
 pub(super) enum Grid {
     Direct([u32; 3]),
     Indirect(Buffer, u64),
@@ -77,6 +91,8 @@ pub struct Recorder {
     tracker: HazardTracker,
     operations: Vec<Operation>,
     begin_barrier: bool,
+    /// Constants that were copied to the device.
+    fetched: Vec<u64>,
 }
 
 impl std::fmt::Debug for Recorder {
@@ -95,6 +111,7 @@ impl Gpu {
             tracker: HazardTracker::default(),
             operations: Vec::new(),
             begin_barrier: true,
+            fetched: Vec::new(),
         }
     }
 
@@ -235,9 +252,23 @@ impl Recorder {
             }
         };
         let pipeline = self.gpu.pipeline(kernel, spec)?;
+        self.fetch_constants(buffers)?;
         let (push, slices) = (push.to_vec(), buffers.to_vec());
         let work = Work::Dispatch { kernel, pipeline, push, slices, grid, to_image };
         self.push(label.to_owned(), work, uses);
+        Ok(())
+    }
+
+    /// Copies to the device what the host has written elsewhere of these buffers, once in a recording.
+    fn fetch_constants(&mut self, buffers: &[Slice]) -> Result<()> {
+        for slice in buffers {
+            if let Some(written) = slice.buffer.written()
+                && !self.fetched.contains(&written.id())
+            {
+                self.fetched.push(written.id());
+                self.copy(written, &slice.buffer)?;
+            }
+        }
         Ok(())
     }
 

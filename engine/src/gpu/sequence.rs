@@ -12,6 +12,7 @@ use super::host::{HostCommandBuffer, HostImage};
 use super::memory::{Buffer, Slice};
 use super::pipeline::Pipeline;
 use super::recorder::{Grid, Operation, Work};
+use super::timestamps::ticks_between;
 use crate::error::{Error, Result};
 
 /// Images that one sequence can write.
@@ -249,6 +250,18 @@ impl Sequence {
         Ok(())
     }
 
+    /// Mapped buffers that it uses, each once.
+    pub(super) fn mapped(&self) -> Vec<Buffer> {
+        let mut found: Vec<Buffer> = Vec::new();
+        let buffers = self.operations.iter().flat_map(|o| o.work.buffers());
+        for buffer in buffers.filter(|b| b.is_mapped()) {
+            if !found.iter().any(|f| f.id() == buffer.id()) {
+                found.push(buffer.clone());
+            }
+        }
+        found
+    }
+
     /// How many images it writes.
     pub(super) fn images(&self) -> usize {
         let writes = |work: &Work| matches!(work, Work::CopyToImage { .. } | Work::Dispatch { to_image: true, .. });
@@ -370,7 +383,7 @@ impl Sequence {
             return Ok(());
         }
         let count = self.queries_per_slot();
-        let ns = self.gpu.info.capabilities.timestamp_ns;
+        let (ns, bits) = (self.gpu.info.capabilities.timestamp_ns, self.gpu.info.capabilities.timestamp_bits);
         let mut ticks = [0_u64; 64];
         // Parts of the list, each from where the last one ended.
         let mut first = 0;
@@ -386,7 +399,7 @@ impl Sequence {
                 Err(code) => return Err(vk_error("vkGetQueryPoolResults")(code)),
             }
             let named = self.operations.iter().skip(first as usize).zip(part.windows(2));
-            named.for_each(|(o, t)| each(&o.label, t[1].wrapping_sub(t[0]) as f64 * ns / 1e3));
+            named.for_each(|(o, t)| each(&o.label, ticks_between(t[0], t[1], bits) as f64 * ns / 1e3));
             first += part.len() as u32 - 1;
         }
         Ok(())

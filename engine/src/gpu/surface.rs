@@ -43,6 +43,7 @@ impl Gpu {
         // SAFETY: the crate returns pointers to NUL-terminated strings that live forever.
         options.instance_extensions.extend(names.iter().map(|n| unsafe { CStr::from_ptr(*n) }.to_owned()));
         options.device_extensions.push(ash::khr::swapchain::NAME.to_owned());
+        options.draws = true;
         let first = Self::new(&options).and_then(|gpu| Surface::new(&gpu, window));
         if first.is_ok() || options.device.is_some() {
             return first.map(|surface| (surface.gpu.clone(), surface));

@@ -4,7 +4,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::motion::{Offset, Pose};
-use crate::scene::network::{NONRIGID_FREQUENCIES, POSITION_FREQUENCIES, TIME_FREQUENCIES};
+use crate::scene::network::{NONRIGID_FREQUENCIES, POSITION_FREQUENCIES, TIME_FREQUENCIES, relu};
 use crate::scene::{DeformNetwork, Linear, NonrigidNetwork};
 
 /// Poses of all superpoints at `time`; `position` are the canonical centres `[M,3]`.
@@ -122,7 +122,7 @@ impl Perceptron {
             trace.inputs.push(values);
             values = outputs;
             if i + 1 < self.layers.len() {
-                values.iter_mut().for_each(|h| *h = h.max(0.0));
+                values.iter_mut().for_each(|h| *h = relu(*h));
             }
         }
         trace.output = values;

@@ -10,7 +10,7 @@ use super::half;
 use super::twin::{f32_at, group_count, set_vec4, spec, struct_at};
 use crate::error::{Error, Result};
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
-use crate::scene::network::{DeformSize, ENCODING_WIDTH, POSITION_FREQUENCIES};
+use crate::scene::network::{DeformSize, ENCODING_WIDTH, POSITION_FREQUENCIES, relu};
 use crate::scene::{DeformNetwork, Linear};
 
 /// Superpoints per workgroup.
@@ -180,7 +180,7 @@ fn evaluate(weights: &[u32], size: DeformSize, fp16: bool, position: [f32; 3], t
             }
         }
         base += words + width;
-        (0..width).for_each(|o| activations[ENCODING + o] = sums[o].max(0.0));
+        (0..width).for_each(|o| activations[ENCODING + o] = relu(sums[o].into()) as f32);
     }
     std::array::from_fn(|o| {
         let column = |i: usize| f32_at(weights, base + 8 * i + o / 3 * 4 + o % 3);
@@ -258,7 +258,7 @@ mod tests {
             if network.size().skip_layer() == Some(i) {
                 h = [encoding.clone(), h].concat();
             }
-            h = apply(layer, &h).into_iter().map(|v| v.max(0.0)).collect();
+            h = apply(layer, &h).into_iter().map(relu).collect();
         }
         [apply(&network.rotation, &h), apply(&network.translation, &h)].concat().try_into().unwrap()
     }

@@ -155,7 +155,7 @@ impl Screen {
         self.gpu.run(clear)?;
         let mut slots = Vec::new();
         for outputs in renderer.outputs() {
-            let display = self.gpu.buffer("display", size_of::<Display>() as u64, Memory::Upload)?;
+            let display = self.gpu.buffer("display", size_of::<Display>() as u64, Memory::Constants)?;
             let [color, depth, ranges, counters] = outputs;
             let palette = Slice::from(&self.palette);
             let buffers = [Slice::from(&display), color, depth, ranges, counters, palette, Slice::from(&screen)];

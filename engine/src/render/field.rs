@@ -339,7 +339,7 @@ impl FieldEvaluator {
         field.check(scene.gaussians.len())?;
         let field = FieldBuffers::new(gpu, field, scene.gaussians.len())?;
         let readback = gpu.buffer("offset readback", field.offset.bytes(), Memory::Readback)?;
-        let frame = gpu.buffer("frame", size_of::<Frame>() as u64, Memory::Upload)?;
+        let frame = gpu.buffer("frame", size_of::<Frame>() as u64, Memory::Constants)?;
         Ok(Self { gpu: gpu.clone(), scene: buffers, field, frame, readback })
     }
 

@@ -6,6 +6,7 @@ use crate::error::Result;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
 use crate::gpu::product::{PRODUCT_THREADS, Stage, product_groups};
 use crate::gpu::{Groups, Recorder, Slice};
+use crate::scene::network::relu;
 
 crate::gpu_struct! {
     /// Push constants of [`LINEAR_FORWARD`].
@@ -71,7 +72,7 @@ pub(crate) fn concatenated(words: &[u32], inputs: [u32; 2], input_1_at: u32, row
 
 fn forward_twin(call: &mut TwinCall<'_>) {
     let p: ForwardPush = push(call);
-    let relu = spec(call, 2) == 1;
+    let with_relu = spec(call, 2) == 1;
     let inputs = p.inputs_0 + p.inputs_1;
     let [input, parameter, output] = call.buffers else { return };
     for row in 0..p.rows {
@@ -82,7 +83,7 @@ fn forward_twin(call: &mut TwinCall<'_>) {
             };
             let bias = f64::from(f32_at(parameter, (p.outputs * inputs + o) as usize));
             let y = (0..inputs).map(product).sum::<f64>() + bias;
-            set_f32(output, (row * p.outputs + o) as usize, if relu { y.max(0.0) } else { y } as f32);
+            set_f32(output, (row * p.outputs + o) as usize, if with_relu { relu(y) } else { y } as f32);
         }
     }
 }

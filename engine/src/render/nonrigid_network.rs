@@ -13,7 +13,7 @@ use crate::error::Result;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
 use crate::gpu::{Gpu, Groups, Recorder, Slice};
 use crate::scene::NonrigidNetwork;
-use crate::scene::network::{NONRIGID_ENCODING, NONRIGID_LAYERS, NONRIGID_ROWS, NONRIGID_WIDTH};
+use crate::scene::network::{NONRIGID_ENCODING, NONRIGID_LAYERS, NONRIGID_ROWS, NONRIGID_WIDTH, relu};
 
 crate::gpu_struct! {
     /// Push constants of [`NONRIGID_NETWORK`]: what was subtracted from every centre, world units.
@@ -165,8 +165,8 @@ fn nonrigid_network_twin(call: &mut TwinCall<'_>) {
             let at = |i: usize| f64::from(f32_at(&call.buffers[4], base + i));
             let output = |o: usize| {
                 let sum: f64 = values.iter().enumerate().map(|(k, v)| at(o * inputs + k) * f64::from(*v)).sum();
-                let y = (sum + at(outputs * inputs + o)) as f32;
-                if layer < NONRIGID_LAYERS { y.max(0.0) } else { y }
+                let y = sum + at(outputs * inputs + o);
+                if layer < NONRIGID_LAYERS { relu(y) as f32 } else { y as f32 }
             };
             values = (0..outputs).map(output).collect();
             base += (outputs * (inputs + 1)).next_multiple_of(ALIGNMENT);

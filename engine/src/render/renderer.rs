@@ -131,6 +131,8 @@ pub struct Renderer {
     generation: u64,
     /// Poses of the latest frame, when the host makes them.
     host_pose: Vec<[f32; 4]>,
+    /// Somebody was told of Gaussians that a frame refused.
+    warned: bool,
 }
 
 impl Renderer {
@@ -143,7 +145,8 @@ impl Renderer {
         let scene = SceneBuffers::new(gpu, scene, options.motion, &options.quality)?;
         let capacity = capacity::first(scene.gaussians).min(capacity::limit(gpu, options.max_instances));
         let gpu = gpu.clone();
-        Ok(Self { gpu, options, scene, targets: None, capacity, frames: 0, host_pose: Vec::new(), generation: 0 })
+        let host_pose = Vec::new();
+        Ok(Self { gpu, options, scene, targets: None, capacity, frames: 0, host_pose, generation: 0, warned: false })
     }
 
     /// The knobs in use: those asked for, as the scene bears them ([`Quality::for_scene`]).
@@ -214,6 +217,10 @@ impl Renderer {
             let needed = counted.statistics.instances;
             self.capacity = capacity::grown(self.capacity, needed, limit, self.scene.gaussians)?;
             return Ok(None);
+        }
+        let refused = u64::from(counted.statistics.rejected).saturating_sub(self.scene.rejected.total() as u64);
+        if refused > 0 && !std::mem::replace(&mut self.warned, true) {
+            log::warn!("{refused} Gaussians are left out of a picture: their place or shape is not finite there");
         }
         Ok(Some(counted.statistics))
     }
@@ -380,8 +387,8 @@ impl Renderer {
         let pose_bytes = u64::from(self.scene.superpoints) * 32;
         let host_pose = matches!(self.scene.poses, Poses::Host(..));
         Ok(FrameBuffers {
-            frame: self.gpu.buffer("frame", size_of::<Frame>() as u64, Memory::Upload)?,
-            host_pose: host_pose.then(|| self.gpu.buffer("pose", pose_bytes, Memory::Upload)).transpose()?,
+            frame: self.gpu.buffer("frame", size_of::<Frame>() as u64, Memory::Constants)?,
+            host_pose: host_pose.then(|| self.gpu.buffer("pose", pose_bytes, Memory::Constants)).transpose()?,
             color: self.gpu.buffer("color", pixels * 16, Memory::Device)?,
             depth: self.gpu.buffer("depth", depth_bytes, Memory::Device)?,
             counters: self.gpu.buffer("counters readback", COUNTER_WORDS * 4, Memory::Readback)?,

@@ -24,6 +24,17 @@ pub const TIME_FREQUENCIES: usize = 6;
 /// 63 + 13 inputs.
 pub const ENCODING_WIDTH: usize = 3 + 6 * POSITION_FREQUENCIES + 1 + 2 * TIME_FREQUENCIES;
 
+/// max(y, 0) that keeps NaN, as the kernels have it (`glsl/lib/relu.glsl`): a broken weight must not look like a neuron that
+/// is off.
+pub fn relu(y: f64) -> f64 {
+    if y <= 0.0 { 0.0 } else { y }
+}
+
+/// The larger of two, or NaN when one is.
+pub fn larger(a: f64, b: f64) -> f64 {
+    if a.is_nan() || a > b { a } else { b }
+}
+
 /// How large network F is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct DeformSize {

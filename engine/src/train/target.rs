@@ -67,7 +67,7 @@ impl Target {
             capacity: size.capacity,
             work: WorkBuffers::new(gpu, size.gaussians, tiles, size.capacity)?,
             frame: FrameBuffers {
-                frame: gpu.buffer("frame", size_of::<crate::render::frame::Frame>() as u64, Memory::Upload)?,
+                frame: gpu.buffer("frame", size_of::<crate::render::frame::Frame>() as u64, Memory::Constants)?,
                 host_pose: None,
                 color: device("color", pixels * 16)?,
                 depth: device("depth", 4)?,

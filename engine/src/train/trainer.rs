@@ -179,7 +179,7 @@ impl Trainer {
             density_change: None,
             targets: Vec::new(),
             capacity: (n * FIRST_INSTANCES_PER_GAUSSIAN).max(4096),
-            step: gpu.buffer("step", size_of::<Step>() as u64, Memory::Upload)?,
+            step: gpu.buffer("step", size_of::<Step>() as u64, Memory::Constants)?,
             status,
             readback: gpu.buffer("step readback", READBACK_BYTES, Memory::Readback)?,
             splat_gradient: gpu.buffer("splat_gradient", n * u64::from(ROW_WORDS) * 4, Memory::Device)?,

@@ -36,8 +36,11 @@ static ALLOCATOR: Counting = Counting;
 
 /// Resident memory of this process, bytes.
 fn resident() -> u64 {
-    let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
-    text.split_whitespace().nth(1).and_then(|n| n.parse::<u64>().ok()).unwrap_or(0) * 4096
+    let own = sysinfo::get_current_pid().unwrap();
+    let mut system = sysinfo::System::new();
+    let what = sysinfo::ProcessRefreshKind::nothing().with_memory();
+    system.refresh_processes_specifics(sysinfo::ProcessesToUpdate::Some(&[own]), false, what);
+    system.process(own).unwrap().memory()
 }
 
 /// Draws `count` frames after some of warming up, with the colour image copied or stored to. The engine allocates nothing in them; resident memory grows by at most

@@ -6,6 +6,7 @@ mod determinism;
 mod edges;
 mod export;
 mod files;
+#[cfg(unix)] // It sends signals.
 mod interrupted;
 mod limits;
 mod nonrigid;

@@ -1,6 +1,7 @@
 //! Numbers that went bad end the run, by name.
 
 use engine::error::Error;
+use engine::scene::{DeformNetwork, Linear, NonrigidNetwork};
 use engine::train::checkpoint::Checkpoint;
 use engine::train::trainer::Trainer;
 
@@ -66,6 +67,46 @@ fn a_bad_number_anywhere_is_named() {
             Err(Error::NonFinite { what, .. }) => {
                 assert!(what.contains(&format!("at iteration {}", good.iteration + 1)), "{name}: {what}");
             }
+            other => panic!("{name}: {other:?}"),
+        }
+    }
+}
+
+/// Every weight stays finite, but neuron 0 of the second layer overflows, and the third layer multiplies it by 0.
+fn overflow(layers: &mut [Linear]) {
+    layers[0].bias[0] = 3e38;
+    let inputs = layers[1].inputs;
+    layers[1].weight.iter_mut().step_by(inputs).for_each(|w| *w = 0.0);
+    layers[1].weight[0] = 10.0;
+    let inputs = layers[2].inputs;
+    layers[2].weight.iter_mut().step_by(inputs).for_each(|w| *w = 0.0);
+}
+
+#[test]
+fn a_network_that_overflows_ends_the_run() {
+    let posed = posed(&PosedOptions::default());
+    let (_, data) = load(&posed);
+    let gpu = gpu();
+    let config = config("[schedule]\nwarm_up = 2\n[density]\nenabled = false\n[log]\nfinite_interval = 0");
+    let mut rigid = trainer(&gpu, &config, &data).unwrap();
+    advance(&mut rigid, 3).unwrap();
+    let mut rigid = rigid.checkpoint().unwrap();
+    let mut nonrigid = Trainer::nonrigid(&gpu, &config, &data, &rigid).unwrap();
+    advance(&mut nonrigid, 1).unwrap();
+    let mut nonrigid = nonrigid.checkpoint().unwrap();
+
+    let state = &mut rigid.motion.as_mut().unwrap().network.weights;
+    let mut network = DeformNetwork::from_flat(state, config.motion.network_size()).unwrap();
+    overflow(&mut network.linear);
+    *state = network.flatten();
+    let state = &mut nonrigid.nonrigid.as_mut().unwrap().weights;
+    let mut network = NonrigidNetwork::from_flat(state).unwrap();
+    overflow(&mut network.linear);
+    *state = network.flatten();
+
+    for (name, checkpoint) in [("pose", &rigid), ("network G", &nonrigid)] {
+        match Trainer::resume(&gpu, &data, checkpoint).unwrap().step() {
+            Err(Error::NonFinite { what, .. }) => assert!(what.starts_with(name), "{name}: {what}"),
             other => panic!("{name}: {other:?}"),
         }
     }

@@ -13,9 +13,7 @@ use engine::train::usage::TrainingMemory;
 use serde::Serialize;
 
 use crate::measure::{OperationRow, Quantiles, operation_rows, with_push};
-
-/// Ticks per second in `/proc`: `USER_HZ`, the same for every Linux.
-const TICKS_PER_SECOND: f64 = 100.0;
+use crate::process::processor_seconds;
 
 /// How much to measure.
 #[derive(Debug, Clone, Copy)]
@@ -33,7 +31,7 @@ pub(crate) struct TrainMeasurement {
     pub(super) steps: u32,
     /// Host time of a step, milliseconds.
     pub(super) step_ms: Quantiles,
-    /// Processor time (user and system, all threads) of a step, milliseconds, mean; absent where `/proc` is.
+    /// Processor time (user and system, all threads) of a step, milliseconds, mean; absent where the system does not tell.
     pub(super) cpu_ms: Option<f64>,
     /// Device time of a step (sum over its operations), milliseconds; absent without timestamps.
     pub(super) device_ms: Option<Quantiles>,
@@ -75,14 +73,14 @@ pub(super) fn measure(
     let mut trainer = trainer()?;
     let first_step = warm_up(&mut trainer, plan, tick)?;
     let (mut step_ms, mut last_step) = (Vec::with_capacity(plan.steps as usize), first_step);
-    let busy = cpu_seconds();
+    let busy = processor_seconds();
     for _ in 0..plan.steps {
         let start = Instant::now();
         last_step = trainer.step()?;
         step_ms.push(start.elapsed().as_secs_f64() * 1e3);
         tick();
     }
-    let per_step = |since: f64| cpu_seconds().map(|now| 1e3 * (now - since) / f64::from(plan.steps));
+    let per_step = |since: f64| processor_seconds().map(|now| 1e3 * (now - since) / f64::from(plan.steps));
     let cpu_ms = busy.and_then(per_step);
     let step_ms = Quantiles::of(step_ms);
     let memory = trainer.memory();
@@ -157,15 +155,6 @@ fn of_dispatch(step: &Workload, label: &str, kernel: &Kernel, push: &[u8]) -> Wo
     work
 }
 
-/// Processor time of this process so far, seconds.
-fn cpu_seconds() -> Option<f64> {
-    let text = std::fs::read_to_string("/proc/self/stat").ok()?;
-    // The name, in brackets, may hold anything; user and system time are the 12th and 13th field after it.
-    let mut fields = text.rsplit_once(')')?.1.split_whitespace().skip(11);
-    let mut ticks = || fields.next()?.parse::<f64>().ok();
-    Some((ticks()? + ticks()?) / TICKS_PER_SECOND)
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
@@ -185,12 +174,12 @@ mod tests {
 
     #[test]
     fn processor_time_passes() {
-        if let Some(before) = cpu_seconds() {
+        if let Some(before) = processor_seconds() {
             let start = Instant::now();
             while start.elapsed().as_millis() < 60 {
                 std::hint::black_box(start);
             }
-            assert!(cpu_seconds().is_some_and(|now| now >= before && now < before + 60.0));
+            assert!(processor_seconds().is_some_and(|now| now >= before && now < before + 60.0));
         }
     }
 }

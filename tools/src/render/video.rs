@@ -135,7 +135,8 @@ impl Encoder {
         if !status.success() || bytes == 0 {
             return Err(self.failure());
         }
-        let synced = std::fs::File::open(&unfinished).and_then(|f| f.sync_all());
+        // Flushing needs the right to write on Windows.
+        let synced = std::fs::File::options().write(true).open(&unfinished).and_then(|f| f.sync_all());
         synced.map_err(|e| Error::io(&self.path, "fsync", e))?;
         #[cfg(unix)]
         {

@@ -16,7 +16,8 @@ use super::settings::Setting;
 use super::views::Views;
 use super::{VISIBLE, VISIBLE_SHARE};
 use crate::args::BenchArgs;
-use crate::measure::{Quantiles, processor_seconds, with_keys, with_push};
+use crate::measure::{Quantiles, with_keys, with_push};
+use crate::process::processor_seconds;
 
 /// Timed frames of a setting where the arguments do not say, on a GPU and on a CPU.
 const FRAMES: [u32; 2] = [60, 9];

@@ -6,6 +6,7 @@ use super::network::{Conv, POOL_STRIDE, pooled_side};
 use super::{EPSILON, Range, Weights, check_size, input};
 use crate::error::Result;
 use crate::metrics::planes::{Planes, same_size};
+use crate::scene::network::{larger, relu};
 
 /// A feature map, `[channels, height, width]`.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,7 +60,7 @@ fn convolve(input: &Map, conv: &Conv, parameter: &[f32]) -> Map {
                 }
             }
         }
-        plane.iter_mut().for_each(|v| *v = v.max(0.0));
+        plane.iter_mut().for_each(|v| *v = relu(*v));
     });
     Map { channels: conv.outputs, width, height, values }
 }
@@ -72,7 +73,7 @@ fn pool(input: &Map, kernel: usize) -> Map {
             let (sy, sx) = (y * POOL_STRIDE + j / kernel, x * POOL_STRIDE + j % kernel);
             input.values[(c * input.height + sy) * input.width + sx]
         };
-        (0..kernel * kernel).map(at).fold(f64::NEG_INFINITY, f64::max)
+        (0..kernel * kernel).map(at).fold(f64::NEG_INFINITY, larger)
     };
     let values = (0..input.channels * width * height).map(value).collect();
     Map { channels: input.channels, width, height, values }

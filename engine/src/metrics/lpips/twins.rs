@@ -3,6 +3,7 @@
 use super::EPSILON;
 use super::kernels::{ConvPush, DifferencePush, PoolPush};
 use crate::gpu::kernel::TwinCall;
+use crate::scene::network::{larger, relu};
 
 fn push<T: bytemuck::AnyBitPattern>(call: &TwinCall<'_>) -> T {
     bytemuck::pod_read_unaligned(&call.push[..size_of::<T>()])
@@ -29,7 +30,7 @@ pub(super) fn conv(call: &mut TwinCall<'_>) {
                     sum += value(parameter, o * depth + k) * value(input, at);
                 }
             }
-            output[(o * p.out_rows * p.out_width + pixel) as usize] = (sum.max(0.0) as f32).to_bits();
+            output[(o * p.out_rows * p.out_width + pixel) as usize] = (relu(sum) as f32).to_bits();
         }
     }
 }
@@ -45,7 +46,7 @@ pub(super) fn pool(call: &mut TwinCall<'_>) {
                     let y = channel * p.in_rows + 2 * row + j / side;
                     value(input, y * p.in_width + 2 * column + j % side)
                 };
-                let largest = (0..side * side).map(at).fold(0.0, f64::max);
+                let largest = (0..side * side).map(at).fold(0.0, larger);
                 let to = (channel * p.out_height + p.out_first_row + row) * p.out_width + column;
                 output[to as usize] = (largest as f32).to_bits();
             }

@@ -7,7 +7,7 @@ use crate::render::frame::Frame;
 use crate::render::nonrigid_network::encoded;
 use crate::render::twin::{f32_at, push, set_f32, spec, struct_at};
 use crate::scene::field::{FIELD_TIME_NETWORK, FIELD_TIME_OCTAVES};
-use crate::scene::network::POSITION_FREQUENCIES;
+use crate::scene::network::{POSITION_FREQUENCIES, relu};
 
 crate::gpu_struct! {
     /// Push constants of [`FIELD_WAVES`].
@@ -91,6 +91,6 @@ fn time_network(words: &[u32], code: &[f32]) -> Vec<f32> {
         };
         (0..outputs).map(|o| (sum(o) + f64::from(f32_at(words, base + outputs * x.len() + o))) as f32).collect()
     };
-    let first: Vec<f32> = dense(0, code, hidden).into_iter().map(|v| v.max(0.0)).collect();
+    let first: Vec<f32> = dense(0, code, hidden).into_iter().map(|v| relu(v.into()) as f32).collect();
     dense(hidden * (code.len() + 1), &first, outputs)
 }
