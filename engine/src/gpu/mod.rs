@@ -21,6 +21,7 @@ mod pipeline;
 #[cfg(feature = "window")]
 pub mod presenter;
 pub mod product;
+pub mod reconvergence;
 mod recorder;
 mod sequence;
 pub mod spirv;
