@@ -76,6 +76,8 @@
 //! - `a_from_b` is an array indexed by b; plurals are arrays; counts are `n` of something or the plural's length.
 //! - Subgroup size is specialisation constant 0 of every kernel: 4 to 128, never assumed 32, and chosen per kernel where the
 //!   driver can pin it ([`gpu::subgroup_size`]). Float atomics are not used.
+//! - Barriers and subgroup operations sit in flow that is uniform for the workgroup and the subgroup, functions before them have
+//!   one way out, and a kernel that thinks in subgroups numbers its threads by them: `spgs-dev spirv --check` proves it.
 
 #![deny(unsafe_code)]
 

@@ -6,7 +6,10 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use engine::gpu::kernel::{Access, Kernel};
+use engine::gpu::reconvergence::Reconvergence;
 use engine::gpu::spirv;
+use rspirv::dr::Operand;
+use rspirv::spirv::{Capability, ExecutionMode};
 use tools::spirv_task;
 
 fn root() -> PathBuf {
@@ -99,6 +102,55 @@ fn wrong_declarations_are_refused() {
         let flipped: &'static [_] = Vec::leak(flipped);
         refused(kernel, |k| k.bindings = flipped);
     }
+}
+
+/// What a device gets that offers reconvergence: the module with the request, in the right sections, and nothing else changed.
+/// Debian's spirv-val knows the older of the two extensions.
+#[test]
+fn reconvergence_is_asked_for_where_there_are_subgroup_operations() {
+    let requests = [
+        (
+            Reconvergence::SubgroupUniform,
+            "SPV_KHR_subgroup_uniform_control_flow",
+            ExecutionMode::SubgroupUniformControlFlowKHR,
+        ),
+        (Reconvergence::Maximal, "SPV_KHR_maximal_reconvergence", ExecutionMode::MaximallyReconvergesKHR),
+    ];
+    let mut asking = 0;
+    for kernel in engine::kernels() {
+        let words = spirv::words(kernel).unwrap();
+        assert_eq!(Reconvergence::None.ask(words.clone()), words, "{}: a device that offers nothing", kernel.name);
+        let plain = rspirv::dr::load_words(&words).unwrap();
+        let subgroups = Operand::Capability(Capability::GroupNonUniform);
+        let has_subgroup_operations = plain.capabilities.iter().any(|c| c.operands[0] == subgroups);
+        for (offer, extension, mode) in requests {
+            let asked = offer.ask(words.clone());
+            assert_eq!(asked != words, has_subgroup_operations, "{}", kernel.name);
+            if !has_subgroup_operations {
+                continue;
+            }
+            let mut module = rspirv::dr::load_words(&asked).unwrap();
+            let added = module.extensions.remove(0);
+            assert_eq!(added.operands, [Operand::LiteralString(extension.to_owned())], "{}", kernel.name);
+            let added = module.execution_modes.remove(0);
+            assert_eq!(added.operands[0], plain.entry_points[0].operands[1], "{}", kernel.name);
+            assert_eq!(added.operands[1], Operand::ExecutionMode(mode), "{}", kernel.name);
+            assert_eq!(format!("{module:?}"), format!("{plain:?}"), "{}: the rest", kernel.name);
+            if offer == Reconvergence::SubgroupUniform {
+                assert_valid(kernel.name, &asked);
+            }
+            asking += 1;
+        }
+    }
+    assert!(asking > 20, "{asking} requests");
+}
+
+fn assert_valid(name: &str, words: &[u32]) {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), bytemuck::cast_slice(words)).unwrap();
+    let ran = std::process::Command::new("spirv-val").args(["--target-env", "vulkan1.2"]).arg(file.path()).output();
+    let ran = ran.expect("spirv-val, which ci/setup --tests installs");
+    assert!(ran.status.success(), "{name}: {}", String::from_utf8_lossy(&ran.stderr));
 }
 
 #[test]

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::budget::Heap;
 use super::queue_family::{self, QueueFamily};
+use super::reconvergence::Reconvergence;
 
 /// Features and limits that the engine looks at.
 #[derive(Debug, Clone, Default, Serialize)]
@@ -36,6 +37,8 @@ pub struct Capabilities {
     pub timeline_semaphore: bool,
     /// `shaderBufferFloat32AtomicAdd`.
     pub float_atomics: bool,
+    /// What the device promises about lanes that parted; asked for, not relied on.
+    pub reconvergence: Reconvergence,
     /// Bytes a storage buffer binding may cover.
     pub max_storage_buffer_range: u64,
     /// Bytes of one allocation.
@@ -187,6 +190,12 @@ pub const REQUIREMENTS: &[Requirement] = &[
         why: "gradients added without compare-and-swap",
         met: |c| c.float_atomics,
     },
+    Requirement {
+        name: "shaderMaximalReconvergence or shaderSubgroupUniformControlFlow",
+        required: false,
+        why: "lanes meet again where the source says; nothing relies on it",
+        met: |c| c.reconvergence != Reconvergence::None,
+    },
     Requirement { name: "timestamps", required: false, why: "per-kernel times", met: |c| c.timestamp_ns > 0.0 },
 ];
 
@@ -306,6 +315,14 @@ impl DeviceInfo {
         if c.has_extension(ash::ext::shader_atomic_float::NAME) {
             features = features.push_next(&mut atomic_float);
         }
+        let mut maximal = vk::PhysicalDeviceShaderMaximalReconvergenceFeaturesKHR::default();
+        if c.has_extension(ash::khr::shader_maximal_reconvergence::NAME) {
+            features = features.push_next(&mut maximal);
+        }
+        let mut uniform = vk::PhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR::default();
+        if c.has_extension(ash::khr::shader_subgroup_uniform_control_flow::NAME) {
+            features = features.push_next(&mut uniform);
+        }
         // SAFETY: as above.
         unsafe { instance.get_physical_device_features2(physical, &mut features) };
         // SAFETY: as above.
@@ -336,6 +353,11 @@ impl DeviceInfo {
         c.synchronization2 = sync2.synchronization2 != 0;
         c.timeline_semaphore = timeline.timeline_semaphore != 0;
         c.float_atomics = atomic_float.shader_buffer_float32_atomic_add != 0;
+        c.reconvergence = match (maximal.shader_maximal_reconvergence, uniform.shader_subgroup_uniform_control_flow) {
+            (0, 0) => Reconvergence::None,
+            (0, _) => Reconvergence::SubgroupUniform,
+            _ => Reconvergence::Maximal,
+        };
         c.max_storage_buffer_range = u64::from(limits.max_storage_buffer_range);
         c.max_allocation_bytes = maintenance.max_memory_allocation_size;
         c.max_storage_buffers = limits.max_per_stage_descriptor_storage_buffers;

@@ -13,6 +13,7 @@ use super::capability::{Capabilities, DeviceInfo, REQUIREMENTS};
 use super::host::QueueLock;
 use super::instance::{Messages, Messenger, create_instance};
 use super::pipeline::{PipelineCacheFile, Pipelines};
+use super::reconvergence::Reconvergence;
 use crate::error::{Error, Result};
 
 /// How to make a [`Gpu`]. The defaults come from the environment: `SPGS_DEVICE`, `SPGS_VALIDATION=1`,
@@ -501,6 +502,11 @@ fn create_device(
     if capabilities.float_atomics {
         enable(ash::ext::shader_atomic_float::NAME);
     }
+    match capabilities.reconvergence {
+        Reconvergence::None => {}
+        Reconvergence::SubgroupUniform => enable(ash::khr::shader_subgroup_uniform_control_flow::NAME),
+        Reconvergence::Maximal => enable(ash::khr::shader_maximal_reconvergence::NAME),
+    }
     let names: Vec<_> = extensions.iter().map(|e| e.as_ptr()).collect();
     let mut sync2 = vk::PhysicalDeviceSynchronization2Features::default().synchronization2(true);
     let mut subgroup = vk::PhysicalDeviceSubgroupSizeControlFeatures::default()
@@ -523,6 +529,15 @@ fn create_device(
     if capabilities.float_atomics {
         create = create.push_next(&mut atomic_float);
     }
+    let mut uniform = vk::PhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR::default()
+        .shader_subgroup_uniform_control_flow(true);
+    let mut maximal =
+        vk::PhysicalDeviceShaderMaximalReconvergenceFeaturesKHR::default().shader_maximal_reconvergence(true);
+    create = match capabilities.reconvergence {
+        Reconvergence::None => create,
+        Reconvergence::SubgroupUniform => create.push_next(&mut uniform),
+        Reconvergence::Maximal => create.push_next(&mut maximal),
+    };
     // SAFETY: every feature and extension named was reported by the device.
     let device = unsafe { instance.create_device(physical, &create, None) }.map_err(vk_error("vkCreateDevice"))?;
     Ok((device, family))

@@ -15,6 +15,7 @@ use ash::vk::{self, Handle as _};
 use super::capability::DeviceInfo;
 use super::device::{Gpu, GpuOptions, Opened};
 use super::instance::Messages;
+use super::reconvergence::Reconvergence;
 use crate::error::{Error, Result};
 
 /// `PFN_vkVoidFunction`.
@@ -157,6 +158,7 @@ impl Gpu {
         // Whether a host enabled what is optional cannot be asked.
         info.capabilities.float_atomics = false;
         info.capabilities.work_on(Some(host.queue_family));
+        info.capabilities.reconvergence = Reconvergence::None;
         // SAFETY: the caller promises that the device is valid and of this instance.
         let device = unsafe { ash::Device::load(instance.fp_v1_0(), vk::Device::from_raw(host.device)) };
         let opened = Opened {

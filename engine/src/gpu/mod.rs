@@ -24,6 +24,7 @@ mod pipeline;
 pub mod presenter;
 pub mod product;
 pub mod queue_family;
+pub mod reconvergence;
 mod recorder;
 mod sequence;
 pub mod spirv;

@@ -94,7 +94,7 @@ impl Gpu {
     fn interface(&self, kernel: &'static Kernel) -> Result<Interface> {
         spirv::check(kernel, &spirv::reflect(kernel)?)?;
         let device = &self.0.device;
-        let words = spirv::words(kernel)?;
+        let words = self.0.info.capabilities.reconvergence.ask(spirv::words(kernel)?);
         let bindings: Vec<_> = (0..)
             .zip(kernel.bindings)
             .map(|(binding, declared)| {
@@ -124,7 +124,7 @@ impl Gpu {
         // SAFETY: plain creation.
         let layout = unsafe { device.create_pipeline_layout(&layout_create, None) };
         let module_create = vk::ShaderModuleCreateInfo::default().code(&words);
-        // SAFETY: the words passed naga's parser and, in the tests, spirv-val.
+        // SAFETY: the words passed naga's parser and, in the tests, spirv-val, also with what was asked for.
         let module = unsafe { device.create_shader_module(&module_create, None) };
         match (layout, module) {
             (Ok(layout), Ok(module)) => Ok(Interface { module, layout, set_layout }),

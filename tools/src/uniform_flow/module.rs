@@ -5,6 +5,8 @@ use std::collections::{HashMap, HashSet};
 use rspirv::dr::{self, Instruction, Operand};
 use rspirv::spirv::{BuiltIn, Decoration, ExecutionModel, Op, StorageClass, Word};
 
+const HEADER_WORDS: usize = 5;
+
 /// What a variable outside of functions is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Global {
@@ -32,6 +34,9 @@ pub(super) struct Module {
 
 impl Module {
     pub(super) fn parse(spirv: &[u8]) -> Result<Self, String> {
+        if !is_whole(spirv) {
+            return Err(format!("{} bytes that are no SPIR-V or end within an instruction", spirv.len()));
+        }
         let raw = dr::load_bytes(spirv).map_err(|e| e.to_string())?;
         let entry_point = raw
             .entry_points
@@ -126,6 +131,17 @@ impl Module {
     pub(super) fn bound(&self) -> Word {
         self.raw.header.as_ref().map_or(0, |h| h.bound)
     }
+}
+
+/// Whether all instructions are there: the parser expects it.
+fn is_whole(spirv: &[u8]) -> bool {
+    let mut words = spirv.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).skip(HEADER_WORDS);
+    let mut whole = spirv.len().is_multiple_of(4) && spirv.len() >= 4 * HEADER_WORDS;
+    while let Some(first) = words.next().filter(|_| whole) {
+        let operands = (first >> 16) as usize;
+        whole = operands > 0 && words.by_ref().take(operands.saturating_sub(1)).count() + 1 == operands;
+    }
+    whole
 }
 
 fn name(instruction: &Instruction) -> Option<(Word, String)> {
