@@ -7,6 +7,7 @@
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_shuffle : require
 #extension GL_EXT_control_flow_attributes : require
+#extension GL_KHR_memory_scope_semantics : require
 
 #include "lib/blend_backward.glsl"
 
@@ -19,7 +20,8 @@ void add_to_row(uint at, float value) {
     if (accumulate == 0u) {
         gradient_rows[at] = floatBitsToUint(value);
     } else {
-        uint expected = gradient_rows[at];
+        // Others update the word: a plain load would race with them.
+        uint expected = atomicLoad(gradient_rows[at], gl_ScopeDevice, gl_StorageSemanticsBuffer, gl_SemanticsRelaxed);
         for (uint tries = 0u; tries < MAX_TRIES; tries++) {
             uint found = atomicCompSwap(gradient_rows[at], expected, floatBitsToUint(uintBitsToFloat(expected) + value));
             if (found == expected) {

@@ -4,7 +4,7 @@
 use engine::gpu::kernel::{Access, Element, Kernel, TwinCall};
 use engine::gpu::{Gpu, Groups, Memory};
 
-use crate::model;
+use crate::model::{self, Options};
 
 /// Bytes of sentinel before and after each bound range.
 pub const SENTINEL_BYTES: usize = 4096;
@@ -30,7 +30,7 @@ pub struct KernelCase {
 /// What both sides left in the buffers.
 #[derive(Debug)]
 pub struct KernelResult {
-    /// From the device.
+    /// From the device, or the model in its place.
     pub gpu: Vec<Vec<u32>>,
     /// From the twin.
     pub twin: Vec<Vec<u32>>,
@@ -42,6 +42,26 @@ impl KernelCase {
     /// # Panics
     /// When the device fails, a sentinel was overwritten, or the model finds an error.
     pub fn run(mut self, gpu: &Gpu) -> KernelResult {
+        if let Some(options) = model::options() {
+            return self.run_model(&options);
+        }
+        self.poison();
+        let result = self.run_gpu(gpu);
+        let subgroup_size = gpu.subgroup_size_of(self.kernel);
+        self.with_twin(subgroup_size, result)
+    }
+
+    /// Runs the executable model and the twin.
+    ///
+    /// # Panics
+    /// When the model finds an error.
+    pub fn run_model(mut self, options: &Options) -> KernelResult {
+        self.poison();
+        let result = model::run(&self, options);
+        self.with_twin(options.lanes, result)
+    }
+
+    fn poison(&mut self) {
         for (words, binding) in self.buffers.iter_mut().zip(self.kernel.bindings) {
             if words.is_empty() {
                 words.resize(4, 0);
@@ -50,12 +70,10 @@ impl KernelCase {
                 words.fill(POISON);
             }
         }
-        let model = model::options();
-        let result = match &model {
-            Some(options) => model::run(&self, options),
-            None => self.run_gpu(gpu),
-        };
-        let mut spec = vec![model.map_or_else(|| gpu.subgroup_size_of(self.kernel), |options| options.lanes)];
+    }
+
+    fn with_twin(mut self, subgroup_size: u32, result: Vec<Vec<u32>>) -> KernelResult {
+        let mut spec = vec![subgroup_size];
         spec.extend(&self.spec);
         let mut call =
             TwinCall { groups: [self.groups, 1, 1], spec: &spec, push: &self.push, buffers: &mut self.buffers };

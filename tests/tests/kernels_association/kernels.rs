@@ -5,6 +5,7 @@ use engine::gpu::Slice;
 use engine::train::adam;
 use engine::train::farthest_point::*;
 use engine::train::property_loss::PropertyLoss;
+use engine::train::property_loss::residual::PROPERTY_TOTAL;
 use engine::train::step::bias_corrections;
 use tests_harness::{KernelCase, gpu};
 
@@ -98,6 +99,19 @@ fn one_round_agrees_with_its_twin_even_on_poison() {
             groups: groups as u32,
         };
         case.run(&gpu).assert_equal(&FARTHEST_POINT, &format!("{n} points"));
+    }
+}
+
+#[test]
+fn totals_of_the_losses_agree_with_their_twin() {
+    let gpu = gpu();
+    for n in [1_usize, 256, 257, 70_000] {
+        let mut rng = Rng(n as u64);
+        let case = Case::new(n, 3, 3, 4, 1);
+        let partial = bits((0..4 * n.div_ceil(256)).map(|_| rng.signed().abs()));
+        let buffers = vec![case.step_words(), partial, vec![0; 4]];
+        let case = KernelCase { kernel: &PROPERTY_TOTAL, spec: vec![], push: vec![], buffers, groups: 1 };
+        case.run(&gpu).assert_equal(&PROPERTY_TOTAL, &format!("{n} Gaussians"));
     }
 }
 

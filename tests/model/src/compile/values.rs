@@ -281,11 +281,13 @@ impl Compiler<'_> {
                 }
             }
             GlOp::FMix => {
+                let (rest, one) = (self.scratch(), self.constant(1.0_f32.to_bits())?);
                 for (k, d) in d.iter().enumerate() {
-                    // a + (b - a) t
-                    self.emit(Op::Binary { op: B::Subtract, d: *d, a: x[1][k], b: x[0][k] });
-                    self.emit(Op::Binary { op: B::Multiply, d: *d, a: *d, b: x[2][k] });
-                    self.emit(Op::Binary { op: B::Add, d: *d, a: *d, b: x[0][k] });
+                    // a (1 - t) + b t
+                    self.emit(Op::Binary { op: B::Subtract, d: rest, a: one, b: x[2][k] });
+                    self.emit(Op::Binary { op: B::Multiply, d: rest, a: x[0][k], b: rest });
+                    self.emit(Op::Binary { op: B::Multiply, d: *d, a: x[1][k], b: x[2][k] });
+                    self.emit(Op::Binary { op: B::Add, d: *d, a: rest, b: *d });
                 }
             }
             GlOp::Length => {

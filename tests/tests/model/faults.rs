@@ -1,0 +1,132 @@
+//! Faults planted in the SPIR-V of real kernels are found: a barrier removed, a bound off by one.
+
+use engine::gpu::kernel::Kernel;
+use engine::render::radix_sort::{SORT_HISTOGRAM, SORT_SCATTER, SortPlan};
+use engine::train::density::{DENSITY_SCAN, ScanPush};
+use tests_harness::KernelCase;
+use tests_harness::model::{self, ModelError, Options, Program, instructions};
+
+const NOP: u32 = 0x0001_0000;
+const CONTROL_BARRIER: u32 = 224;
+const LESS_UINT: u32 = 176;
+const LESS_EQUAL_UINT: u32 = 178;
+
+/// Where instructions with this opcode begin.
+fn places(words: &[u32], opcode: u32) -> Vec<usize> {
+    instructions(words).filter(|(_, i)| i[0] & 0xffff == opcode).map(|(at, _)| at).collect()
+}
+
+/// The first error of a kernel with other words, over several orders; and whether a result without one was wrong.
+fn found(case: &KernelCase, words: &[u32], lanes: u32, right: &[Vec<u32>]) -> Result<(), String> {
+    let program = Program::new(words, &[&[lanes], &case.spec[..]].concat()).unwrap();
+    for seed in 0..6 {
+        match model::run_program(&program, case, &Options::new(lanes, seed)) {
+            Err(error) => return Err(error.to_string()),
+            Ok(buffers) if buffers != right => return Err("another result".to_owned()),
+            Ok(_) => {}
+        }
+    }
+    Ok(())
+}
+
+/// What is found when each barrier of the kernel is removed in turn.
+fn without_each_barrier(case: &KernelCase, lanes: u32) -> Vec<Option<String>> {
+    let words = engine::gpu::spirv::words(case.kernel).unwrap();
+    let right = model::run(case, &Options::new(lanes, 0));
+    assert_eq!(found(case, &words, lanes, &right), Ok(()), "{} as it is", case.kernel.name);
+    let removed = |at: usize| {
+        let mut words = words.clone();
+        words[at..at + 4].fill(NOP);
+        found(case, &words, lanes, &right).err()
+    };
+    places(&words, CONTROL_BARRIER).into_iter().map(removed).collect()
+}
+
+fn sort_case() -> KernelCase {
+    let n = 5000_u32;
+    let keys: Vec<u32> = (0..n).map(|i| i.wrapping_mul(2_654_435_761) >> 3).collect();
+    let plan = SortPlan::new(n, 32).unwrap();
+    let counters = vec![0, 0, n, 0, 0, 0, 0, 0];
+    let rows = plan.histogram_rows() as usize * 256;
+    let histogram = KernelCase {
+        kernel: &SORT_HISTOGRAM,
+        spec: vec![],
+        push: bytemuck::bytes_of(&plan.histogram_push(2)).to_vec(),
+        buffers: vec![counters.clone(), keys.clone(), vec![0; rows]],
+        groups: plan.partitions,
+    };
+    let histogram = model::run(&histogram, &Options::new(32, 0)).swap_remove(2);
+    let out = vec![0; n as usize];
+    KernelCase {
+        kernel: &SORT_SCATTER,
+        spec: plan.scatter_spec(0, true, true).to_vec(),
+        push: bytemuck::bytes_of(&plan.scatter_push(0, 2)).to_vec(),
+        buffers: vec![counters, histogram, keys.clone(), keys, out.clone(), out, vec![0; rows]],
+        groups: plan.partitions,
+    }
+}
+
+/// Two rounds of 256 blocks: `workgroup_exclusive_add` is called again while its totals may still be read.
+fn scan_case() -> KernelCase {
+    let push = ScanPush { blocks: 600 };
+    KernelCase {
+        kernel: &DENSITY_SCAN,
+        spec: vec![],
+        push: bytemuck::bytes_of(&push).to_vec(),
+        buffers: vec![(0..600).map(|i| i % 7).collect()],
+        groups: 1,
+    }
+}
+
+#[test]
+fn a_barrier_that_the_sort_lacks_is_found() {
+    for lanes in [32, 64, 128] {
+        let found = without_each_barrier(&sort_case(), lanes);
+        println!("{lanes} lanes: {found:#?}");
+        // The first of workgroup_exclusive_add only matters for a second call, of which there is none.
+        let missed: Vec<usize> = (0..found.len()).filter(|&i| found[i].is_none()).collect();
+        assert!(found.len() >= 5 && missed.len() <= 1, "{lanes} lanes: barriers {missed:?} are not missed");
+        assert!(found.iter().flatten().any(|e| e.contains("race on `rank_rows`")));
+        assert!(found.iter().flatten().any(|e| e.contains("`scan_totals`")));
+    }
+}
+
+#[test]
+fn a_barrier_that_a_scan_lacks_is_found() {
+    for lanes in [32, 64, 128] {
+        let found = without_each_barrier(&scan_case(), lanes);
+        println!("{lanes} lanes: {found:#?}");
+        assert!(found.len() >= 3 && found.iter().all(Option::is_some), "{lanes} lanes: {found:?}");
+        let named = |e: &String| e.contains("`scan_totals`") && e.contains("workgroup_exclusive_add");
+        assert!(found.iter().flatten().all(named), "{found:?}");
+    }
+}
+
+#[test]
+fn a_bound_that_is_off_by_one_is_found() {
+    let kernel: &'static Kernel = &SORT_HISTOGRAM;
+    let n = 5000_u32;
+    let plan = SortPlan::new(n, 32).unwrap();
+    let case = KernelCase {
+        kernel,
+        spec: vec![],
+        push: bytemuck::bytes_of(&plan.histogram_push(2)).to_vec(),
+        buffers: vec![vec![0, 0, n, 0], vec![7; n as usize], vec![0; plan.histogram_rows() as usize * 256]],
+        groups: plan.partitions,
+    };
+    let words = engine::gpu::spirv::words(kernel).unwrap();
+    let options = Options::new(64, 0);
+    model::run(&case, &options);
+    let errors: Vec<ModelError> = places(&words, LESS_UINT)
+        .into_iter()
+        .filter_map(|at| {
+            let mut words = words.clone();
+            words[at] = (words[at] & 0xffff_0000) | LESS_EQUAL_UINT;
+            let program = Program::new(&words, &[64]).unwrap();
+            model::run_program(&program, &case, &options).err()
+        })
+        .collect();
+    println!("{errors:#?}");
+    let past = |e: &ModelError| matches!(e, ModelError::OutOfBounds { memory, index: 5000, length: 5000, .. } if memory == "keys");
+    assert!(errors.iter().any(past), "{errors:?}");
+}
