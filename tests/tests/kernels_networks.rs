@@ -57,7 +57,7 @@ fn a_layer_does_not_hide_what_is_no_number() {
                 spec: vec![stage as u32, relu],
                 push: bytemuck::bytes_of(&push).to_vec(),
                 buffers: vec![input, parameter, vec![0; (rows * outputs) as usize]],
-                groups: linear::product_groups(stage, gpu.subgroup_size(), rows, outputs, 1) as u32,
+                groups: linear::product_groups(stage, gpu.subgroup_size_of(&LINEAR_FORWARD), rows, outputs, 1) as u32,
             };
             let result = case.run(&gpu);
             for (side, words) in [("device", &result.gpu[2]), ("twin", &result.twin[2])] {
