@@ -45,7 +45,7 @@ pub const RADV: [Target; 5] = [
     Target { name: "radv_navi31_64", driver: "shim", gpu: "navi31", subgroup_size: 64, floor: 8.0 },
     Target { name: "radv_navi21_32", driver: "shim", gpu: "navi21", subgroup_size: 32, floor: 8.0 },
     Target { name: "radv_navi21_64", driver: "shim", gpu: "navi21", subgroup_size: 64, floor: 8.0 },
-    Target { name: "radv_vega10_64", driver: "shim", gpu: "vega10", subgroup_size: 64, floor: 4.0 },
+    Target { name: "radv_vega10_64", driver: "shim", gpu: "vega10", subgroup_size: 64, floor: 3.0 },
 ];
 
 /// Turing by Mesa's NAK compiler, and Adreno 7xx by its ir3, where the packages of a newer Mesa are there.

@@ -59,7 +59,7 @@ impl Statistics {
         let mut statistics = Self::default();
         for column in &COLUMNS {
             let found = reported.iter().filter(|s| column.reported.contains(&s.name.as_str()));
-            (column.set)(&mut statistics, found.map(|s| s.value).sum());
+            (column.set)(&mut statistics, found.fold(0.0, |sum, s| sum + s.value));
         }
         statistics
     }
