@@ -138,7 +138,9 @@ fn the_budget_is_what_the_device_has_free() {
     assert!(budget > 0 && budget <= heap.bytes / 5 * 4);
     let Err(Error::OutOfMemory { name, need, free, budget }) = fill_up(&gpu) else { panic!("it never ends") };
     println!("`{name}`: {need} bytes wanted, {free} free, budget {budget}");
-    assert!(need > free && budget <= heap.bytes / 5 * 4, "{need} {free} {budget}");
+    // A driver may refuse before.
+    assert!(need > free || name.ends_with("refused by the driver"), "`{name}`: {need} {free}");
+    assert!(budget <= heap.bytes / 5 * 4, "{budget}");
     // A budget that somebody sets stays.
     gpu.set_byte_budget(1000);
     assert!(gpu.buffer("more", 4096, Memory::Device).is_err());

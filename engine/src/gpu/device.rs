@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use ash::vk;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 
+use super::account::MemoryBudget;
 use super::cache_folder::cache_folder;
 use super::capability::{Capabilities, DeviceInfo, REQUIREMENTS};
 use super::host::QueueLock;
@@ -128,35 +129,6 @@ pub(super) struct Opened {
     pub(super) host_lock: Option<Arc<dyn QueueLock>>,
     pub(super) debug: Option<Messenger>,
     pub(super) messages: Messages,
-}
-
-/// Byte accounting of all allocations of a device.
-#[derive(Debug, Default)]
-pub(super) struct MemoryBudget {
-    pub(super) budget: AtomicU64,
-    /// The budget follows what the device says is free; else somebody has set it.
-    pub(super) follows: AtomicBool,
-    pub(super) used: AtomicU64,
-    pub(super) objects: AtomicU64,
-    /// Test seam: the n-th allocation from now fails (0 = never).
-    pub(super) fail_at: AtomicU64,
-    /// Test seam: the host writes no memory of the device.
-    pub(super) apart: AtomicBool,
-}
-
-impl MemoryBudget {
-    /// Counts these bytes as used, when they fit.
-    pub(super) fn take(&self, bytes: u64) -> bool {
-        let budget = self.budget.load(Ordering::SeqCst);
-        let fits = |used: u64| used.checked_add(bytes).filter(|total| *total <= budget);
-        self.used.fetch_update(Ordering::SeqCst, Ordering::SeqCst, fits).is_ok()
-    }
-
-    pub(super) fn out_of_memory(&self, name: &str, need: u64) -> Error {
-        let budget = self.budget.load(Ordering::SeqCst);
-        let free = budget.saturating_sub(self.used.load(Ordering::SeqCst));
-        Error::OutOfMemory { name: name.into(), need, free, budget }
-    }
 }
 
 /// `vkCmdPipelineBarrier2`, from Vulkan 1.3 or from the extension.

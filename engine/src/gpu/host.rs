@@ -184,7 +184,8 @@ impl Gpu {
         Arc::ptr_eq(&self.0, &other.0)
     }
 
-    /// Raw handles, for a caller that draws on the same device (a window, a debugger).
+    /// Raw handles, for a caller that works on the same device (a window, a debugger); one that draws asks for a queue that
+    /// does ([`GpuOptions::draws`]).
     pub fn handles(&self) -> Handles {
         Handles {
             instance: self.0.instance.handle().as_raw(),

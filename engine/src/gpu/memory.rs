@@ -7,7 +7,6 @@ use ash::vk;
 use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 
-use super::budget::Heap;
 use super::commands::Submission;
 use super::device::{Gpu, Shared, lock, vk_error};
 use crate::error::{Error, Result};
@@ -276,27 +275,6 @@ impl Gpu {
         made
     }
 
-    fn charge(&self, name: &str, bytes: u64) -> Result<()> {
-        let account = &self.0.memory;
-        let injected = account.fail_at.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |n| n.checked_sub(1)) == Ok(1);
-        // Others may have let go of memory since the device was asked last.
-        if injected || !account.take(bytes) && !(self.ask_budget() && account.take(bytes)) {
-            return Err(self.0.memory.out_of_memory(name, bytes));
-        }
-        Ok(())
-    }
-
-    /// Sets the budget to what the device says now; whether it tells.
-    fn ask_budget(&self) -> bool {
-        let (shared, account) = (&self.0, &self.0.memory);
-        let tells = shared.info.capabilities.device_heap.free.is_some() && account.follows.load(Ordering::SeqCst);
-        if tells {
-            let heap = Heap::query(&shared.instance, shared.physical, true);
-            account.budget.store(heap.budget(account.used.load(Ordering::SeqCst)), Ordering::SeqCst);
-        }
-        tells
-    }
-
     fn make_buffer(&self, name: &str, bytes: u64, memory: Memory) -> Result<Buffer> {
         let shared = &self.0;
         let create = vk::BufferCreateInfo::default().size(bytes).sharing_mode(vk::SharingMode::EXCLUSIVE).usage(
@@ -311,7 +289,7 @@ impl Gpu {
             self.ask_budget();
             // What is asked for was charged already.
             shared.memory.used.fetch_sub(bytes, Ordering::SeqCst);
-            let error = shared.memory.out_of_memory(name, bytes);
+            let error = shared.memory.out_of_memory(&format!("{name}, refused by the driver"), bytes);
             shared.memory.used.fetch_add(bytes, Ordering::SeqCst);
             error
         };
@@ -411,31 +389,5 @@ impl Gpu {
             staging.read(0, part)?;
         }
         Ok(data)
-    }
-
-    /// Bytes allocated now, and the budget.
-    pub fn memory_used(&self) -> (u64, u64) {
-        (self.0.memory.used.load(Ordering::SeqCst), self.0.memory.budget.load(Ordering::SeqCst))
-    }
-
-    /// Number of live buffers.
-    pub fn buffer_count(&self) -> u64 {
-        self.0.memory.objects.load(Ordering::SeqCst)
-    }
-
-    /// Changes the byte budget; what is allocated already stays.
-    pub fn set_byte_budget(&self, bytes: u64) {
-        self.0.memory.follows.store(false, Ordering::SeqCst);
-        self.0.memory.budget.store(bytes, Ordering::SeqCst);
-    }
-
-    /// Test seam: from now on constants are made as on a device whose memory the host cannot write.
-    pub fn inject_memory_apart(&self, apart: bool) {
-        self.0.memory.apart.store(apart, Ordering::SeqCst);
-    }
-
-    /// Test seam: the n-th allocation from now fails with [`Error::OutOfMemory`] (0 = never).
-    pub fn inject_allocation_failure(&self, allocation: u64) {
-        self.0.memory.fail_at.store(allocation, Ordering::SeqCst);
     }
 }

@@ -7,6 +7,7 @@
 //! command buffers of another program ([`host`]).
 
 pub mod access;
+mod account;
 pub mod budget;
 mod cache_folder;
 pub mod capability;

@@ -4,7 +4,7 @@ use engine::error::Error;
 use engine::gpu::Memory;
 use engine::train::trainer::TrainingData;
 
-use crate::common::{PosedOptions, advance, config, load, posed, trainer};
+use crate::common::{PosedOptions, advance, bytes, config, load, posed, trainer};
 
 #[test]
 fn growth_stops_at_the_most_gaussians() {
@@ -19,6 +19,21 @@ fn growth_stops_at_the_most_gaussians() {
         refused += trainer.take_density_change().map_or(0, |c| c.refused);
     }
     assert!(most == 150 && refused > 0, "at most {most}, {refused} refused");
+}
+
+#[test]
+fn constants_apart_from_the_host_train_the_same() {
+    let posed = posed(&PosedOptions::default());
+    let (_, data) = load(&posed);
+    let trained = [false, true].map(|apart| {
+        let gpu = tests_harness::gpu();
+        gpu.inject_memory_apart(apart);
+        let mut trainer = trainer(&gpu, &config(""), &data).unwrap();
+        advance(&mut trainer, 24).unwrap();
+        let times: Vec<f32> = trainer.motion_at(&[0.0, 0.3]).unwrap().unwrap().translation.concat();
+        (bytes(&trainer.checkpoint().unwrap()), times.into_iter().map(f32::to_bits).collect::<Vec<_>>())
+    });
+    assert!(trained[0] == trained[1]);
 }
 
 #[test]
