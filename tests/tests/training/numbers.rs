@@ -104,7 +104,7 @@ fn a_network_that_overflows_ends_the_run() {
     overflow(&mut network.linear);
     *state = network.flatten();
 
-    for (name, checkpoint) in [("pose", &rigid), ("network G", &nonrigid)] {
+    for (name, checkpoint) in [("network F", &rigid), ("network G", &nonrigid)] {
         match Trainer::resume(&gpu, &data, checkpoint).unwrap().step() {
             Err(Error::NonFinite { what, .. }) => assert!(what.starts_with(name), "{name}: {what}"),
             other => panic!("{name}: {other:?}"),
