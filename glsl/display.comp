@@ -40,6 +40,11 @@ vec3 from_palette(float x) {
     return palette[min(uint(clamp(x, 0.0, 1.0) * 255.0 + 0.5), 255u)].xyz;
 }
 
+// Written out: a driver may form mix() as a + (b - a) w, which makes NaN of an infinite a.
+vec4 between(vec4 a, vec4 b, float w) {
+    return a * (1.0 - w) + b * w;
+}
+
 // Bilinear, with the pixel centres of a smaller source at +0.5.
 vec4 enlarged(uvec2 at) {
     vec2 scale = vec2(display.source.xy) / vec2(display.target.xy);
@@ -50,9 +55,9 @@ vec4 enlarged(uvec2 at) {
     uvec2 b = uvec2(min(low + 1.0, most));
     vec2 w = clamp(p - low, 0.0, 1.0);
     uint width = display.source.x;
-    vec4 top = mix(color[a.y * width + a.x], color[a.y * width + b.x], w.x);
-    vec4 bottom = mix(color[b.y * width + a.x], color[b.y * width + b.x], w.x);
-    return mix(top, bottom, w.y);
+    vec4 top = between(color[a.y * width + a.x], color[a.y * width + b.x], w.x);
+    vec4 bottom = between(color[b.y * width + a.x], color[b.y * width + b.x], w.x);
+    return between(top, bottom, w.y);
 }
 
 void main() {

@@ -163,6 +163,10 @@ impl Rendered {
                 (Accumulation::NativeAtomics, all),
                 (Accumulation::NativeAtomics, 1),
             ] {
+                // The engine refuses this kernel on such a device.
+                if accumulation == Accumulation::NativeAtomics && !gpu.info().capabilities.float_atomics {
+                    continue;
+                }
                 let context = format!("{context}, {accumulation:?}, {stage:?}, {subtiles} subtiles");
                 let result = self.case(gpu, accumulation, stage, subtiles).run(gpu);
                 let (device, twin) = (floats(&result.gpu[7]), floats(&result.twin[7]));
@@ -240,7 +244,8 @@ fn poison_gives_finite_gradients() {
     let gpu = tests_harness::gpu();
     let input = RenderInput::random(300, 1, 7);
     let clean = Rendered::of_input(&input, [33, 17]);
-    for poison in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e38, -1e38, 1e-42] {
+    let poisons = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e38, -1e38, 1e-42];
+    for poison in poisons.into_iter().take(if tests_harness::small() { 2 } else { 6 }) {
         let mut r = Random(11);
         let mut scene = Rendered { splats: clean.splats.clone(), ..Rendered::of_input(&input, [33, 17]) };
         for _ in 0..100 {
