@@ -1,7 +1,7 @@
 //! `deform_project`, `blend` and `deform_network` on the device against their twins.
 
-use engine::gpu::kernel::TwinCall;
 use engine::gpu::Kernel;
+use engine::gpu::kernel::TwinCall;
 use engine::image::difference;
 use engine::reference::{self, ReferenceOptions};
 use engine::render::blend::{self, BLEND, BLEND_PACKED, PixelFormat, Stage};

@@ -20,8 +20,8 @@ use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::{demo_camera, demo_scene, hard_cases, moving_scene, random_scene};
 use engine::scene::{Camera, Scene};
 use glam::DVec3;
-use tests_harness::{KernelCase, TestGpu};
 use tests_harness::render_case::{RenderInput, test_camera};
+use tests_harness::{KernelCase, TestGpu};
 use tools::args::{Cli, Command as Subcommand};
 
 const COUNT: usize = 700;

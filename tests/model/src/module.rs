@@ -148,16 +148,17 @@ impl Module {
                 }
                 _ => {}
             },
-            [Operand::IdRef(id), Operand::LiteralBit32(member), Operand::Decoration(decoration), ..] => match decoration
-            {
-                Decoration::Offset => {
-                    self.member_offset.insert((*id, *member), number);
+            [Operand::IdRef(id), Operand::LiteralBit32(member), Operand::Decoration(decoration), ..] => {
+                match decoration {
+                    Decoration::Offset => {
+                        self.member_offset.insert((*id, *member), number);
+                    }
+                    Decoration::NonWritable => {
+                        self.read_only.insert(*id, ());
+                    }
+                    _ => {}
                 }
-                Decoration::NonWritable => {
-                    self.read_only.insert(*id, ());
-                }
-                _ => {}
-            },
+            }
             _ => {}
         }
     }

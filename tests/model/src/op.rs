@@ -146,49 +146,173 @@ pub(crate) struct Orders {
 /// One operation. `d`: destination, `a`, `b`, `c`: sources, `f`: frame of the flow, `to`: where to go on with no lane active.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Op {
-    Unary { op: Unary, d: Row, a: Row },
-    Binary { op: Binary, d: Row, a: Row, b: Row },
-    Select { d: Row, c: Row, a: Row, b: Row },
+    Unary {
+        op: Unary,
+        d: Row,
+        a: Row,
+    },
+    Binary {
+        op: Binary,
+        d: Row,
+        a: Row,
+        b: Row,
+    },
+    Select {
+        d: Row,
+        c: Row,
+        a: Row,
+        b: Row,
+    },
     /// Under the mask.
-    Move { d: Row, a: Row },
-    Copy { d: Row, a: Row },
-    Poison { first: Row, count: u32 },
+    Move {
+        d: Row,
+        a: Row,
+    },
+    Copy {
+        d: Row,
+        a: Row,
+    },
+    Poison {
+        first: Row,
+        count: u32,
+    },
     /// d = add + a * stride, saturating; `add` may be none.
-    Index { d: Row, a: Row, stride: u32, add: Row },
+    Index {
+        d: Row,
+        a: Row,
+        stride: u32,
+        add: Row,
+    },
     /// The index in `a` must be below the limit; `name` is of what.
-    Limit { a: Row, limit: u32, name: u32 },
+    Limit {
+        a: Row,
+        limit: u32,
+        name: u32,
+    },
     /// Row `base` + `at` of the lane.
-    PrivateLoad { d: Row, base: Row, at: Row },
-    PrivateStore { a: Row, base: Row, at: Row },
-    Load { d: Row, place: Place },
-    Store { a: Row, place: Place },
-    Atomic { op: Atomic, d: Row, a: Row, b: Row, place: Place },
-    Image { binding: u8, at: [Row; 2], texel: Row },
-    Ballot { d: Row, a: Row },
-    Elect { d: Row },
-    Any { d: Row, a: Row },
-    All { d: Row, a: Row },
-    Shuffle { d: Row, a: Row, lane: Row },
-    ShuffleXor { d: Row, a: Row, mask: Row },
-    First { d: Row, a: Row },
-    Group { op: Reduction, extent: Extent, d: Row, a: Row },
-    Barrier { workgroup: bool, orders: Orders, number: u32 },
+    PrivateLoad {
+        d: Row,
+        base: Row,
+        at: Row,
+    },
+    PrivateStore {
+        a: Row,
+        base: Row,
+        at: Row,
+    },
+    Load {
+        d: Row,
+        place: Place,
+    },
+    Store {
+        a: Row,
+        place: Place,
+    },
+    Atomic {
+        op: Atomic,
+        d: Row,
+        a: Row,
+        b: Row,
+        place: Place,
+    },
+    Image {
+        binding: u8,
+        at: [Row; 2],
+        texel: Row,
+    },
+    Ballot {
+        d: Row,
+        a: Row,
+    },
+    Elect {
+        d: Row,
+    },
+    Any {
+        d: Row,
+        a: Row,
+    },
+    All {
+        d: Row,
+        a: Row,
+    },
+    Shuffle {
+        d: Row,
+        a: Row,
+        lane: Row,
+    },
+    ShuffleXor {
+        d: Row,
+        a: Row,
+        mask: Row,
+    },
+    First {
+        d: Row,
+        a: Row,
+    },
+    Group {
+        op: Reduction,
+        extent: Extent,
+        d: Row,
+        a: Row,
+    },
+    Barrier {
+        workgroup: bool,
+        orders: Orders,
+        number: u32,
+    },
     /// Of the workgroup or wider: what the next barrier orders too.
-    MemoryBarrier { orders: Orders },
-    If { f: u16, c: Row, to: u32 },
-    Else { f: u16, to: u32 },
-    EndIf { f: u16 },
-    SkipIfEmpty { to: u32 },
-    Loop { f: u16 },
-    Break { f: u16 },
+    MemoryBarrier {
+        orders: Orders,
+    },
+    If {
+        f: u16,
+        c: Row,
+        to: u32,
+    },
+    Else {
+        f: u16,
+        to: u32,
+    },
+    EndIf {
+        f: u16,
+    },
+    SkipIfEmpty {
+        to: u32,
+    },
+    Loop {
+        f: u16,
+    },
+    Break {
+        f: u16,
+    },
     /// Lanes leave where `c` is `when`.
-    BreakIf { f: u16, c: Row, when: bool, to: u32 },
-    Continue { f: u16 },
-    LoopContinue { f: u16, to: u32 },
-    LoopBack { to: u32 },
-    LoopEnd { f: u16 },
-    Call { f: u16 },
-    Return { f: u16 },
-    CallEnd { f: u16 },
+    BreakIf {
+        f: u16,
+        c: Row,
+        when: bool,
+        to: u32,
+    },
+    Continue {
+        f: u16,
+    },
+    LoopContinue {
+        f: u16,
+        to: u32,
+    },
+    LoopBack {
+        to: u32,
+    },
+    LoopEnd {
+        f: u16,
+    },
+    Call {
+        f: u16,
+    },
+    Return {
+        f: u16,
+    },
+    CallEnd {
+        f: u16,
+    },
     End,
 }

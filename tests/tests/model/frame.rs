@@ -126,7 +126,13 @@ fn lists(options: &Options, input: &RenderInput, frame: &Frame, capacity: u32) -
     [frame_words, run(options, ranges).swap_remove(3), values, splats]
 }
 
-fn blend_case(kernel: &'static Kernel, options: &Options, stage: Stage, lists: &[Vec<u32>; 4], frame: &Frame) -> KernelCase {
+fn blend_case(
+    kernel: &'static Kernel,
+    options: &Options,
+    stage: Stage,
+    lists: &[Vec<u32>; 4],
+    frame: &Frame,
+) -> KernelCase {
     let per_lane = blend::pixels_per_lane(options.lanes);
     let mut buffers = lists.to_vec();
     let pixels = frame.pixels();

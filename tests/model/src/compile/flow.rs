@@ -86,11 +86,8 @@ impl Compiler<'_> {
                 return unsupported(format!("no block %{label}"));
             };
             let merge = block.instructions.iter().find(|i| i.class.opcode == SpirvOp::LoopMerge);
-            let open = self
-                .scope
-                .constructs
-                .iter()
-                .any(|c| matches!(c, Construct::Loop { header, .. } if *header == label));
+            let open =
+                self.scope.constructs.iter().any(|c| matches!(c, Construct::Loop { header, .. } if *header == label));
             next = match merge {
                 Some(merge) if !open => Some(self.whole_loop(function, label, &ids(merge))?),
                 _ => self.block(function, block)?,
@@ -146,7 +143,7 @@ impl Compiler<'_> {
                 SpirvOp::Return | SpirvOp::ReturnValue => return self.leave_function(i),
                 SpirvOp::Unreachable => return Ok(None),
                 SpirvOp::Switch | SpirvOp::Kill => return unsupported(format!("Op{op:?}")),
-                SpirvOp::SelectionMerge | SpirvOp::LoopMerge | SpirvOp::Variable => {}
+                SpirvOp::SelectionMerge | SpirvOp::LoopMerge | SpirvOp::Variable | SpirvOp::Nop | SpirvOp::Line => {}
                 SpirvOp::Phi => self.phi(i),
                 SpirvOp::FunctionCall => {
                     self.function_call(i)?;
@@ -277,7 +274,7 @@ impl Compiler<'_> {
         }
     }
 
-    fn phis<'f>(function: &'f Function, target: Id) -> impl Iterator<Item = &'f Instruction> {
+    fn phis(function: &Function, target: Id) -> impl Iterator<Item = &Instruction> {
         let block = function.block_of_label.get(&target).map(|b| &function.blocks[*b]);
         block.into_iter().flat_map(|b| b.instructions.iter().take_while(|i| i.class.opcode == SpirvOp::Phi))
     }

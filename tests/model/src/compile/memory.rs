@@ -225,7 +225,8 @@ impl Compiler<'_> {
             return unsupported("an atomic on private memory");
         }
         // pointer, scope, semantics (two for compare-exchange), value, comparator
-        let (value, comparator) = if op == Atomic::CompareExchange { (named.get(4), named.get(5)) } else { (named.get(3), None) };
+        let (value, comparator) =
+            if op == Atomic::CompareExchange { (named.get(4), named.get(5)) } else { (named.get(3), None) };
         let a = value.map_or(Ok(NO_ROW), |v| self.operand(*v).map(|r| r[0]))?;
         let b = comparator.map_or(Ok(NO_ROW), |v| self.operand(*v).map(|r| r[0]))?;
         let d = if i.result_id.is_some() { self.result(i)[0] } else { NO_ROW };

@@ -3,6 +3,7 @@
 
 mod flow;
 mod memory;
+mod subgroup;
 mod values;
 
 use std::collections::HashMap;
@@ -179,7 +180,9 @@ impl<'m> Compiler<'m> {
 
     /// Rows one after another.
     fn rows(&mut self, count: u32) -> Row {
-        if count == 1 && let Some(row) = self.scope.free.pop() {
+        if count == 1
+            && let Some(row) = self.scope.free.pop()
+        {
             return row;
         }
         let first = self.top;
@@ -223,50 +226,50 @@ impl<'m> Compiler<'m> {
     }
 
     fn global(&mut self, variable: &Variable) -> Result<()> {
-            let size = self.module.size(variable.ty);
-            let name = self.name(self.module.name(variable));
-            let pointer = |target, base| Pointer { target, base, at: NO_ROW, ty: variable.ty, name };
-            let made = match variable.class {
-                StorageClass::Input => {
-                    let first = self.rows(size);
-                    let Some(built_in) = self.module.built_in.get(&variable.id) else {
-                        return unsupported("an input that is not built in");
-                    };
-                    self.code.presets.inputs.push((first, *built_in));
-                    pointer(Target::Private, first)
-                }
-                StorageClass::PushConstant => {
-                    let offsets = self.module.scalar_offsets(variable.ty, true);
-                    let first = self.rows(offsets.len() as u32);
-                    self.code.presets.push.extend((first..).zip(offsets));
-                    pointer(Target::Private, first)
-                }
-                StorageClass::Private => {
-                    let first = self.rows(size);
-                    self.code.presets.private.push((first, size));
-                    pointer(Target::Private, first)
-                }
-                StorageClass::Workgroup => {
-                    let first = self.code.shared_words;
-                    self.code.shared_words += size;
-                    self.code.shared.push(SharedInfo { name: self.module.name(variable), first });
-                    pointer(Target::Shared, first)
-                }
-                StorageClass::StorageBuffer | StorageClass::UniformConstant => {
-                    let binding = self.module.binding.get(&variable.id).copied().unwrap_or(0);
-                    let image = if let Type::Image(format) = self.module.ty(variable.ty) { Some(*format) } else { None };
-                    let read_only = self.module.is_read_only(variable);
-                    let info = BufferInfo { name: self.module.name(variable), read_only, image };
-                    self.code.buffers.insert(binding, info);
-                    let binding = binding as u8;
-                    pointer(if image.is_some() { Target::Image(binding) } else { Target::Buffer(binding) }, 0)
-                }
-                class => return unsupported(format!("a variable of class {class:?}")),
-            };
-            self.values[variable.id as usize] = Some(Value::Pointer(made));
-            if let Some(initial) = variable.initial {
-                return unsupported(format!("an initial value %{initial} of a global variable"));
+        let size = self.module.size(variable.ty);
+        let name = self.name(self.module.name(variable));
+        let pointer = |target, base| Pointer { target, base, at: NO_ROW, ty: variable.ty, name };
+        let made = match variable.class {
+            StorageClass::Input => {
+                let first = self.rows(size);
+                let Some(built_in) = self.module.built_in.get(&variable.id) else {
+                    return unsupported("an input that is not built in");
+                };
+                self.code.presets.inputs.push((first, *built_in));
+                pointer(Target::Private, first)
             }
+            StorageClass::PushConstant => {
+                let offsets = self.module.scalar_offsets(variable.ty, true);
+                let first = self.rows(offsets.len() as u32);
+                self.code.presets.push.extend((first..).zip(offsets));
+                pointer(Target::Private, first)
+            }
+            StorageClass::Private => {
+                let first = self.rows(size);
+                self.code.presets.private.push((first, size));
+                pointer(Target::Private, first)
+            }
+            StorageClass::Workgroup => {
+                let first = self.code.shared_words;
+                self.code.shared_words += size;
+                self.code.shared.push(SharedInfo { name: self.module.name(variable), first });
+                pointer(Target::Shared, first)
+            }
+            StorageClass::StorageBuffer | StorageClass::UniformConstant => {
+                let binding = self.module.binding.get(&variable.id).copied().unwrap_or(0);
+                let image = if let Type::Image(format) = self.module.ty(variable.ty) { Some(*format) } else { None };
+                let read_only = self.module.is_read_only(variable);
+                let info = BufferInfo { name: self.module.name(variable), read_only, image };
+                self.code.buffers.insert(binding, info);
+                let binding = binding as u8;
+                pointer(if image.is_some() { Target::Image(binding) } else { Target::Buffer(binding) }, 0)
+            }
+            class => return unsupported(format!("a variable of class {class:?}")),
+        };
+        self.values[variable.id as usize] = Some(Value::Pointer(made));
+        if let Some(initial) = variable.initial {
+            return unsupported(format!("an initial value %{initial} of a global variable"));
+        }
         Ok(())
     }
 

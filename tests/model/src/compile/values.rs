@@ -1,12 +1,12 @@
-//! Arithmetic, comparisons, conversions, vectors, GLSL.std.450, subgroup operations: scalar by scalar.
+//! Arithmetic, comparisons, conversions, vectors, GLSL.std.450: scalar by scalar.
 
-use rspirv::dr::{Instruction, Operand};
-use rspirv::spirv::{GlslStd450Op as GlOp, GroupOperation, Op as SpirvOp};
+use rspirv::dr::Instruction;
+use rspirv::spirv::{GlslStd450Op as GlOp, Op as SpirvOp};
 
 use super::{Compiler, Value};
 use crate::error::{Result, unsupported};
 use crate::module::{ids, literals};
-use crate::op::{Binary as B, Extent, Op, Reduction, Row, Unary as U};
+use crate::op::{Binary as B, Op, Row, Unary as U};
 
 fn unary(op: SpirvOp) -> Option<U> {
     Some(match op {
@@ -67,20 +67,6 @@ fn binary(op: SpirvOp) -> Option<(B, bool)> {
         SpirvOp::FOrdGreaterThanEqual => swapped(B::LessEqual),
         _ => None,
     }
-}
-
-fn reduction(op: SpirvOp) -> Option<Reduction> {
-    Some(match op {
-        SpirvOp::GroupNonUniformIAdd => Reduction::AddInt,
-        SpirvOp::GroupNonUniformFAdd => Reduction::Add,
-        SpirvOp::GroupNonUniformUMin => Reduction::MinUint,
-        SpirvOp::GroupNonUniformUMax => Reduction::MaxUint,
-        SpirvOp::GroupNonUniformFMin => Reduction::Min,
-        SpirvOp::GroupNonUniformFMax => Reduction::Max,
-        SpirvOp::GroupNonUniformBitwiseAnd | SpirvOp::GroupNonUniformLogicalAnd => Reduction::And,
-        SpirvOp::GroupNonUniformBitwiseOr | SpirvOp::GroupNonUniformLogicalOr => Reduction::Or,
-        _ => return None,
-    })
 }
 
 impl Compiler<'_> {
@@ -329,7 +315,8 @@ impl Compiler<'_> {
 
     /// round(clamp(x, 0, 1) * 255), one byte each.
     fn pack_unorm(&mut self, x: &[Row], d: Row) -> Result<()> {
-        let [zero, one, largest] = [self.constant(0)?, self.constant(1.0_f32.to_bits())?, self.constant(255.0_f32.to_bits())?];
+        let [zero, one, largest] =
+            [self.constant(0)?, self.constant(1.0_f32.to_bits())?, self.constant(255.0_f32.to_bits())?];
         let byte = self.scratch();
         self.emit(Op::Copy { d, a: zero });
         for (k, a) in x.iter().enumerate() {
@@ -355,55 +342,5 @@ impl Compiler<'_> {
             self.emit(Op::Binary { op: B::Divide, d: *d, a: *d, b: largest });
         }
         Ok(())
-    }
-
-    fn subgroup(&mut self, i: &Instruction) -> Result<bool> {
-        let named = ids(i);
-        let source = named.get(1).and_then(|n| self.operand(*n).ok()).unwrap_or_default();
-        if let Some(op) = reduction(i.class.opcode) {
-            let extent = i.operands.iter().find_map(|o| match o {
-                Operand::GroupOperation(GroupOperation::Reduce) => Some(Extent::Reduce),
-                Operand::GroupOperation(GroupOperation::InclusiveScan) => Some(Extent::Inclusive),
-                Operand::GroupOperation(GroupOperation::ExclusiveScan) => Some(Extent::Exclusive),
-                _ => None,
-            });
-            let Some(extent) = extent else { return unsupported("a clustered operation") };
-            for (d, a) in self.result(i).into_iter().zip(source) {
-                self.emit(Op::Group { op, extent, d, a });
-            }
-            return Ok(true);
-        }
-        let second = named.get(2).and_then(|n| self.operand(*n).ok()).unwrap_or_default();
-        if !format!("{:?}", i.class.opcode).starts_with("GroupNonUniform") {
-            return Ok(false);
-        }
-        let d = self.result(i);
-        match i.class.opcode {
-            SpirvOp::GroupNonUniformBallot => {
-                self.emit(Op::Ballot { d: d[0], a: source[0] });
-            }
-            SpirvOp::GroupNonUniformElect => {
-                self.emit(Op::Elect { d: d[0] });
-            }
-            SpirvOp::GroupNonUniformAny => {
-                self.emit(Op::Any { d: d[0], a: source[0] });
-            }
-            SpirvOp::GroupNonUniformAll => {
-                self.emit(Op::All { d: d[0], a: source[0] });
-            }
-            op => {
-                for (d, a) in d.into_iter().zip(source) {
-                    self.emit(match op {
-                        SpirvOp::GroupNonUniformShuffle | SpirvOp::GroupNonUniformBroadcast => {
-                            Op::Shuffle { d, a, lane: second[0] }
-                        }
-                        SpirvOp::GroupNonUniformShuffleXor => Op::ShuffleXor { d, a, mask: second[0] },
-                        SpirvOp::GroupNonUniformBroadcastFirst => Op::First { d, a },
-                        _ => return unsupported(format!("Op{op:?}")),
-                    });
-                }
-            }
-        }
-        Ok(true)
     }
 }

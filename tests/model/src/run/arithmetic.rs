@@ -108,7 +108,7 @@ pub(super) fn binary<const L: usize>(lanes: &mut Lanes<L>, op: B, d: Row, a: Row
         B::Pow => zip_float(lanes, d, a, b, f32::powf),
         B::Atan2 => zip_float(lanes, d, a, b, f32::atan2),
         B::Equal => compare(lanes, d, a, b, |x, y| x == y),
-        B::NotEqual => compare(lanes, d, a, b, |x, y| x < y || x > y),
+        B::NotEqual => compare(lanes, d, a, b, |x, y| x != y && !x.is_nan() && !y.is_nan()),
         B::UnorderedNotEqual => compare(lanes, d, a, b, |x, y| x != y),
         B::Less => compare(lanes, d, a, b, |x, y| x < y),
         B::LessEqual => compare(lanes, d, a, b, |x, y| x <= y),

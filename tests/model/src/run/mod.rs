@@ -187,14 +187,12 @@ impl<const L: usize> Group<L> {
 
     /// All subgroups wait or have ended: they must wait at the same barrier.
     fn pass_barrier(&mut self, code: &Code) -> Result<()> {
-        let Some((subgroup, (pc, number, orders))) =
-            self.waits.iter().enumerate().find_map(|(s, w)| w.map(|w| (s, w)))
+        let Some((subgroup, (pc, number, orders))) = self.waits.iter().enumerate().find_map(|(s, w)| w.map(|w| (s, w)))
         else {
             return unsupported("a workgroup that neither runs nor waits");
         };
-        let name = |pc: usize, number: u32| {
-            format!("barrier {number} in {}", code.places[usize::from(code.place_of_op[pc])])
-        };
+        let name =
+            |pc: usize, number: u32| format!("barrier {number} in {}", code.places[usize::from(code.place_of_op[pc])]);
         for (other, wait) in self.waits.iter().enumerate() {
             let where_other = match wait {
                 Some((at, ..)) if *at == pc => continue,

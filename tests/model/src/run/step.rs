@@ -18,7 +18,10 @@ pub(crate) enum Stop {
     /// Another may go on.
     Interrupted,
     /// At a workgroup barrier: number, what it orders, whether it is really one of a subgroup.
-    Barrier { number: u32, orders: Orders },
+    Barrier {
+        number: u32,
+        orders: Orders,
+    },
     Done,
 }
 
