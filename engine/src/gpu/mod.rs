@@ -15,12 +15,14 @@ mod instance;
 pub mod kernel;
 mod memory;
 pub mod mmap;
+mod options;
 #[cfg(feature = "window")]
 pub mod painter;
 mod pipeline;
 #[cfg(feature = "window")]
 pub mod presenter;
 pub mod product;
+pub mod proof;
 mod recorder;
 mod sequence;
 pub mod spirv;
@@ -33,10 +35,12 @@ mod texture;
 
 pub use capability::{Capabilities, DeviceInfo};
 pub use commands::{Commands, Submission, Timing};
-pub use device::{Gpu, GpuOptions, devices};
+pub(crate) use device::cache_path;
+pub use device::{Gpu, devices};
 pub use host::{HostCommandBuffer, HostDevice, HostImage, ImageUse, QueueLock};
 pub use kernel::Kernel;
 pub use memory::{Buffer, Memory, Slice};
+pub use options::{GpuOptions, SelfTest};
 pub use recorder::{Groups, Recorder, SLICE_ALIGNMENT};
 pub use sequence::Sequence;
 #[cfg(feature = "window")]
