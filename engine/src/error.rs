@@ -101,7 +101,20 @@ pub enum Error {
         /// The kernel after it.
         next_kernel: String,
     },
-    /// A kernel's SPIR-V does not match its declaration.
+    /// A device does not compute what it must (see [`crate::self_test`]).
+    #[error(
+        "device {device} ({driver}) fails the self-test: {why}; update its driver, choose another device (--device, SPGS_DEVICE; \
+         `spgs devices` lists them), or go on at your own risk with SPGS_SELF_TEST=0"
+    )]
+    SelfTest {
+        /// Its name.
+        device: String,
+        /// Name and version of its driver.
+        driver: String,
+        /// The kernel or check that failed, and the difference.
+        why: String,
+    },
+    /// A kernel's SPIR-V does not match its declaration, or what it computes not its twin.
     #[error("kernel `{kernel}`: {why}")]
     Kernel {
         /// Kernel name.
@@ -113,7 +126,7 @@ pub enum Error {
 
 impl Error {
     /// Exit code of the command line: 2 usage, 3 bad data, 4 limit or out of memory, 5 device lost, 6 not finite;
-    /// 1 for anything else (no device, a failing Vulkan call).
+    /// 1 for anything else (no device, one that fails its self-test, a failing Vulkan call).
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Usage { .. } => 2,
@@ -121,7 +134,7 @@ impl Error {
             Self::Limit { .. } | Self::OutOfMemory { .. } => 4,
             Self::DeviceLost { .. } => 5,
             Self::NonFinite { .. } => 6,
-            Self::NoDevice { .. } | Self::Vulkan { .. } | Self::Kernel { .. } => 1,
+            Self::NoDevice { .. } | Self::Vulkan { .. } | Self::SelfTest { .. } | Self::Kernel { .. } => 1,
         }
     }
 

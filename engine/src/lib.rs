@@ -28,6 +28,7 @@
 //! | [`metrics`] | how far a picture is from its ground truth: PSNR, SSIM, MS-SSIM, FLIP, LPIPS, flicker |
 //! | [`render`] | scene(t) + camera → image on the GPU: kernels, their twins, the frame; [`render::embed`]: frames in other programs |
 //! | [`train`] | posed images → scene on the GPU: loss, backward kernels, Adam, density, checkpoints |
+//! | [`self_test`] | whether a device computes what it must: every kernel of a frame or a step on a small scene; [`gpu::Gpu::new`] |
 //!
 //! ## A frame
 //!
@@ -91,11 +92,13 @@ pub mod metrics;
 pub mod reference;
 pub mod render;
 pub mod scene;
+pub mod self_test;
 pub mod train;
 
 pub use error::{Error, Result};
 
-/// Every kernel of the engine: of metrics, of the renderer, then of training.
+/// Every kernel of the engine: of metrics, of the renderer, of the self-test, then of training.
 pub fn kernels() -> impl Iterator<Item = &'static gpu::kernel::Kernel> {
-    metrics::lpips::KERNELS.iter().chain(render::KERNELS).copied().chain(train::kernels())
+    let rest = metrics::lpips::KERNELS.iter().chain(render::KERNELS).chain(self_test::KERNELS);
+    rest.copied().chain(train::kernels())
 }

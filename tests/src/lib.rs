@@ -13,12 +13,12 @@ use engine::gpu::kernel::Kernel;
 use engine::gpu::{Gpu, GpuOptions};
 pub use kernel_case::{KernelCase, KernelResult};
 
-/// A device for tests. A missing device is a failure, never a skip.
+/// A device for tests, without a self-test. A missing device is a failure, never a skip.
 ///
 /// # Panics
 /// When no usable Vulkan device is found.
 pub fn gpu() -> TestGpu {
-    match Gpu::new(&GpuOptions { pipeline_cache: false, ..GpuOptions::default() }) {
+    match Gpu::open(&GpuOptions { pipeline_cache: false, ..GpuOptions::default() }) {
         Ok(gpu) => {
             assert_driver(&gpu);
             TestGpu(gpu)

@@ -133,7 +133,7 @@ fn twin_splats(input: &RenderInput, frame: &Frame) -> (Vec<u32>, Vec<u32>) {
     (case.buffers.swap_remove(11), case.buffers.swap_remove(12))
 }
 
-fn assert_blend(result: &KernelResult, kernel: &Kernel, context: &str) {
+fn assert_blend(result: &KernelResult, kernel: &'static Kernel, context: &str) {
     result.assert_equal(kernel, context);
     assert!(result.gpu[4].iter().all(|w| f32::from_bits(*w).is_finite()), "{context}: a pixel was not written");
 }

@@ -17,6 +17,7 @@ const LAYERS: &[&[&str]] = &[
     &["metrics"],
     &["render"],
     &["train"],
+    &["self_test"],
 ];
 /// Names that the crate root re-exports, and where they live.
 const ROOT_NAMES: &[(&str, &str)] = &[("Error", "error"), ("Result", "error"), ("gpu_struct", "gpu")];

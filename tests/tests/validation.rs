@@ -24,7 +24,7 @@ impl Probe {
     }
 
     fn with(options: GpuOptions) -> Self {
-        let gpu = Gpu::new(&options).unwrap();
+        let gpu = Gpu::open(&options).unwrap();
         let buffer = |name| gpu.buffer(name, BYTES, Memory::Device).unwrap();
         let (a, b) = (buffer("a"), buffer("b"));
         // 4096 keys: one partition, one histogram row.

@@ -33,6 +33,9 @@ pub struct Global {
     /// Vulkan device: its index in `spgs devices` or part of its name [default: the fastest kind; also SPGS_DEVICE]
     #[arg(long, global = true, value_name = "N|NAME")]
     pub device: Option<String>,
+    /// Test the device again before it is used, whatever is known of it (SPGS_SELF_TEST=0: never test it)
+    #[arg(long, global = true)]
+    pub self_test: bool,
     /// No progress and no report on the terminal; warnings and errors only
     #[arg(long, short, global = true)]
     pub quiet: bool,

@@ -68,7 +68,7 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
         return Err(Error::usage("--ablation", "nothing", "a data set"));
     };
     let chosen = chosen(&args.only)?;
-    let gpu = gpu_session::open_to_measure(global)?;
+    let gpu = gpu_session::open_to_measure_training(global)?;
     let session = Session::new(&gpu, path, args.downscale)?;
     let base = session.config(args.iterations.unwrap_or(ITERATIONS));
     let total: usize = chosen.iter().map(|p| p.variants.len()).sum();

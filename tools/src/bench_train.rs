@@ -52,7 +52,7 @@ pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
             "none: the scenes are synthetic",
         ));
     }
-    let gpu = gpu_session::open_to_measure(global)?;
+    let gpu = gpu_session::open_to_measure_training(global)?;
     let [steps, warmup] = STEPS[usize::from(args.sweep)];
     let plan = Plan { steps: args.frames.unwrap_or(steps), warmup: args.warmup.unwrap_or(warmup) };
     let copy = crate::measure::copy_bandwidth(&gpu)?;

@@ -2,15 +2,19 @@
 
 use engine::error::Result;
 use engine::gpu::capability::REQUIREMENTS;
-use engine::gpu::{Capabilities, DeviceInfo, devices};
+use engine::gpu::{Capabilities, DeviceInfo, Gpu, GpuOptions, SelfTest, devices};
+use engine::self_test::{self, Suite, Verdict};
 use serde_json::{Value, json};
 
-use crate::args::DevicesArgs;
+use crate::args::{DevicesArgs, Global};
 use crate::{gpu_session, output};
 
-/// Lists the devices.
-pub fn run(args: &DevicesArgs) -> Result<()> {
+/// Lists the devices and what is known of them; with `--self-test` after testing each one that is usable.
+pub fn run(args: &DevicesArgs, global: &Global) -> Result<()> {
     let list = devices()?;
+    if global.self_test {
+        list.iter().filter(|info| info.missing().is_empty()).for_each(test);
+    }
     if args.json {
         return output::json(&Value::Array(list.iter().map(describe_json).collect()));
     }
@@ -23,12 +27,65 @@ pub fn run(args: &DevicesArgs) -> Result<()> {
     Ok(())
 }
 
+/// Runs what a device can be tested for; the verdicts are kept and read again below.
+fn test(info: &DeviceInfo) {
+    let options =
+        GpuOptions { device: Some(info.index.to_string()), self_test: SelfTest::Skip, ..GpuOptions::default() };
+    let tested = Gpu::open(&options).map(|gpu| {
+        for suite in Suite::ALL.into_iter().filter(|suite| suite.fits(info)) {
+            if let Err(error) = gpu.self_test(suite) {
+                log::warn!("{error}");
+            }
+        }
+    });
+    if let Err(error) = tested {
+        log::warn!("[{}] {}: {error}", info.index, info.name);
+    }
+}
+
+fn known(info: &DeviceInfo, suite: Suite) -> Option<Verdict> {
+    self_test::known(info, &GpuOptions::default(), suite)
+}
+
+/// What is known of a device, as a part of a line.
+fn describe_verdict(info: &DeviceInfo, suite: Suite) -> String {
+    let name = suite.name();
+    match known(info, suite) {
+        _ if !suite.fits(info) => format!("{name}: not possible"),
+        None => format!("{name}: never run"),
+        Some(verdict) => {
+            let outcome = verdict.failure.as_ref().map_or("passed".to_owned(), |why| format!("FAILED, {why}"));
+            format!("{name}: {outcome} ({} ago, took {:.2} s)", age(verdict.age_s()), verdict.seconds)
+        }
+    }
+}
+
+/// Seconds in the largest unit that they fill.
+fn age(seconds: u64) -> String {
+    let units = [("day", 86_400), ("hour", 3600), ("minute", 60), ("second", 1)];
+    let (name, length) = units.into_iter().find(|(_, length)| seconds >= *length).unwrap_or(("second", 1));
+    let count = seconds / length;
+    format!("{count} {name}{}", if count == 1 { "" } else { "s" })
+}
+
 fn describe_json(info: &DeviceInfo) -> Value {
     let requirements: Vec<Value> = REQUIREMENTS
         .iter()
         .map(|r| json!({ "name": r.name, "required": r.required, "met": (r.met)(&info.capabilities), "why": r.why }))
         .collect();
-    json!({ "device": info, "usable": info.missing().is_empty(), "missing": info.missing(), "requirements": requirements })
+    let verdicts = Suite::ALL.map(|suite| (suite.name().to_owned(), json!(known(info, suite))));
+    json!({
+        "device": info,
+        "usable": info.missing().is_empty() && !fails(info),
+        "missing": info.missing(),
+        "self_test": Value::Object(verdicts.into_iter().collect()),
+        "requirements": requirements,
+    })
+}
+
+/// Whether the device is known to draw wrong pictures.
+fn fails(info: &DeviceInfo) -> bool {
+    known(info, Suite::Frame).is_some_and(|verdict| !verdict.passed())
 }
 
 /// The family that kernels run on, and what else it can do.
@@ -75,7 +132,11 @@ fn describe(info: &DeviceInfo) {
         let kind = if r.required { "required" } else { "optional" };
         output::line(&format!("    {state} {kind}  {} ({})", r.name, r.why));
     }
+    for suite in Suite::ALL.into_iter().filter(|_| info.missing().is_empty()) {
+        output::line(&format!("    self-test {}", describe_verdict(info, suite)));
+    }
     let verdict = match info.missing() {
+        missing if missing.is_empty() && fails(info) => "not used: fails its self-test".to_owned(),
         missing if missing.is_empty() => "usable".to_owned(),
         missing => format!("not usable: lacks {}", missing.join(", ")),
     };

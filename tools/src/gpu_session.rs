@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use engine::error::Result;
-use engine::gpu::{Gpu, GpuOptions, Kernel};
+use engine::gpu::{Gpu, GpuOptions, Kernel, SelfTest};
 
 use crate::args::Global;
 
@@ -15,9 +15,23 @@ pub fn open(global: &Global) -> Result<Gpu> {
 /// The same for measuring: breadcrumbs, a small write before every operation, are left out unless `SPGS_BREADCRUMBS` asks
 /// for them.
 pub fn open_to_measure(global: &Global) -> Result<Gpu> {
+    open_with(global, measuring())
+}
+
+fn measuring() -> GpuOptions {
     let mut options = GpuOptions::default();
     options.breadcrumbs &= std::env::var_os("SPGS_BREADCRUMBS").is_some();
-    open_with(global, options)
+    options
+}
+
+/// [`open`] for training: the training kernels have proven themselves too.
+pub fn open_to_train(global: &Global) -> Result<Gpu> {
+    open_with(global, GpuOptions { training: true, ..GpuOptions::default() })
+}
+
+/// [`open_to_measure`] for training.
+pub fn open_to_measure_training(global: &Global) -> Result<Gpu> {
+    open_with(global, GpuOptions { training: true, ..measuring() })
 }
 
 /// Options with the device of the command line.
@@ -32,6 +46,9 @@ fn open_with(global: &Global, options: GpuOptions) -> Result<Gpu> {
 fn with_device(global: &Global, mut options: GpuOptions) -> GpuOptions {
     if global.device.is_some() {
         options.device.clone_from(&global.device);
+    }
+    if global.self_test {
+        options.self_test = SelfTest::Again;
     }
     options
 }

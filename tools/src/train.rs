@@ -79,7 +79,7 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     if say {
         data.decisions.iter().for_each(|d| output::line(&format!("data    {d}")));
     }
-    let gpu = gpu_session::open(global)?;
+    let gpu = gpu_session::open_to_train(global)?;
     let training = TrainingData { views: data.train.clone().into(), extent: data.extent, is_static: data.is_static };
     let stage = saved.as_ref().map(|c| c.stage);
     let trainer = match saved {

@@ -5,7 +5,8 @@ use std::ffi::{CStr, CString, c_char, c_void};
 use std::sync::{Arc, OnceLock};
 
 use engine::gpu::host::{GetInstanceProcAddr, host_requirements};
-use engine::gpu::{Gpu, GpuOptions, HostDevice, QueueLock};
+use engine::gpu::{Gpu, GpuOptions, HostDevice, QueueLock, SelfTest};
+use engine::self_test::Suite;
 use engine::{Error, Result};
 
 use crate::status::{guard, null, object, options, quietly, store, text};
@@ -145,6 +146,9 @@ pub unsafe extern "C" fn spgs_gpu_create(given: *const spgs_gpu_options, gpu: *m
                 wanted.device = Some(text(given.device_name, "device_name")?.to_owned());
             }
             wanted.validation |= given.validation != 0;
+            if given.skip_self_test != 0 {
+                wanted.self_test = SelfTest::Skip;
+            }
             wanted.instance_extensions =
                 list(given.instance_extensions, given.instance_extension_count, "instance_extensions")?;
             wanted.device_extensions =
@@ -153,6 +157,13 @@ pub unsafe extern "C" fn spgs_gpu_create(given: *const spgs_gpu_options, gpu: *m
         }
         Ok(())
     })
+}
+
+/// See `spgs.h`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn spgs_gpu_self_test(gpu: *const spgs_gpu) -> i32 {
+    // SAFETY: promised by the caller.
+    guard(|| unsafe { object(gpu, "gpu")? }.0.self_test(Suite::Frame).map(|_| ()))
 }
 
 /// See `spgs.h`.

@@ -62,6 +62,8 @@ c_struct! {
         pub device_name: *const c_char,
         pub instance_extensions: *const *const c_char,
         pub device_extensions: *const *const c_char,
+        pub skip_self_test: u32,
+        pub reserved: u32,
     }
     pub struct spgs_handles {
         pub instance: *mut c_void,

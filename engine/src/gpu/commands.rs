@@ -48,7 +48,7 @@ impl Commands {
         let shared = &sequence.gpu;
         let breadcrumbs = if shared.options.breadcrumbs {
             let bytes = 4 * sequence.operations.len() as u64;
-            Some(Gpu(Arc::clone(shared)).buffer("breadcrumbs", bytes, Memory::Readback)?)
+            Some(Gpu(Arc::clone(shared), None).buffer("breadcrumbs", bytes, Memory::Readback)?)
         } else {
             None
         };
@@ -276,7 +276,7 @@ impl Gpu {
 
 impl Drop for Commands {
     fn drop(&mut self) {
-        let gpu = Gpu(Arc::clone(&self.sequence.gpu));
+        let gpu = Gpu(Arc::clone(&self.sequence.gpu), None);
         if let Err(error) = gpu.wait(self.last) {
             log::error!("dropping `{}`: {error}", self.sequence.name);
             // Too slow is not finished: what it uses may only be freed once the device is idle or lost.

@@ -13,71 +13,15 @@ use super::cache_folder::cache_folder;
 use super::capability::{Capabilities, DeviceInfo, REQUIREMENTS};
 use super::host::QueueLock;
 use super::instance::{Messages, Messenger, create_instance};
+use super::options::GpuOptions;
 use super::pipeline::{PipelineCacheFile, Pipelines};
+use super::proof::Watch;
 use super::reconvergence::Reconvergence;
 use crate::error::{Error, Result};
 
-/// How to make a [`Gpu`]. The defaults come from the environment: `SPGS_DEVICE`, `SPGS_VALIDATION=1`,
-/// `SPGS_BREADCRUMBS=0|1`, `SPGS_TIMEOUT_S`, `SPGS_SUBGROUP_SIZE`.
-#[derive(Debug, Clone)]
-pub struct GpuOptions {
-    /// Index in `spgs devices`, or part of the device's name. `None`: discrete before integrated before virtual before CPU.
-    pub device: Option<String>,
-    /// Enable the Khronos validation layer with synchronisation validation; its messages are collected.
-    pub validation: bool,
-    /// With `validation`: GPU-assisted checks (reads and writes past the end of a buffer) instead of synchronisation
-    /// validation. `SPGS_GPU_ASSISTED=1`.
-    pub gpu_assisted: bool,
-    /// Note each operation in host-visible memory, so that a lost device names its last kernel.
-    pub breadcrumbs: bool,
-    /// Bytes of device memory the engine may allocate; `None`: 80 % of the largest device-local heap, or what is free of it
-    /// where the device tells, asked again when that runs out ([`super::budget`]).
-    pub byte_budget: Option<u64>,
-    /// Take a queue that draws too, where there is one: for a window, or for a host that draws on the engine's device
-    /// ([`super::queue_family`]).
-    pub draws: bool,
-    /// Keep compiled pipelines in the user's cache folder.
-    pub pipeline_cache: bool,
-    /// Seconds before a wait for the device gives up.
-    pub timeout_s: f64,
-    /// The subgroup size of every kernel, where the device can pin it; `None`: that of
-    /// [`CHOICES`](super::subgroup_size::CHOICES). `SPGS_SUBGROUP_SIZE`.
-    pub subgroup_size: Option<u32>,
-    /// Pipelines keep what the driver's compiler says of them ([`Gpu::compiled_kernels`]).
-    pub statistics: bool,
-    /// Instance extensions that the caller needs beside the engine's, for a window's surface; a loader without one of
-    /// them is refused.
-    pub instance_extensions: Vec<CString>,
-    /// Device extensions that the caller needs beside the engine's, such as `VK_KHR_swapchain`; devices without one of
-    /// them are not chosen.
-    pub device_extensions: Vec<CString>,
-}
-
-impl Default for GpuOptions {
-    fn default() -> Self {
-        let flag = |name: &str, default: bool| std::env::var(name).map_or(default, |v| v != "0" && !v.is_empty());
-        let timeout = std::env::var("SPGS_TIMEOUT_S").ok().and_then(|v| v.parse().ok());
-        let subgroup_size = std::env::var("SPGS_SUBGROUP_SIZE").ok().and_then(|v| v.parse().ok());
-        Self {
-            device: std::env::var("SPGS_DEVICE").ok().filter(|v| !v.is_empty()),
-            validation: flag("SPGS_VALIDATION", false),
-            gpu_assisted: flag("SPGS_GPU_ASSISTED", false),
-            breadcrumbs: flag("SPGS_BREADCRUMBS", true),
-            byte_budget: None,
-            draws: false,
-            pipeline_cache: true,
-            timeout_s: timeout.unwrap_or(60.0),
-            subgroup_size,
-            statistics: false,
-            instance_extensions: Vec::new(),
-            device_extensions: Vec::new(),
-        }
-    }
-}
-
 /// A Vulkan device with one compute queue. Cheap to clone; everything made from it keeps it alive.
 #[derive(Clone)]
-pub struct Gpu(pub(super) Arc<Shared>);
+pub struct Gpu(pub(super) Arc<Shared>, pub(super) Option<Arc<Watch>>);
 
 impl std::fmt::Debug for Gpu {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -148,29 +92,36 @@ pub(super) fn vk_error(call: &'static str) -> impl Fn(vk::Result) -> Error {
 }
 
 impl Gpu {
-    /// Opens a device.
-    pub fn new(options: &GpuOptions) -> Result<Self> {
+    /// Opens a device as it is, without a self-test ([`Gpu::new`] has one).
+    pub fn open(options: &GpuOptions) -> Result<Self> {
+        Self::open_except(options, &[])
+    }
+
+    /// [`Gpu::open`], but none of the devices with an index in `refused`.
+    pub(crate) fn open_except(options: &GpuOptions, refused: &[usize]) -> Result<Self> {
         let (entry, instance, debug, messages) = create_instance(options)?;
-        let result = Self::open(entry.clone(), &instance, debug.clone(), messages, options);
+        let result = Self::open_on(entry.clone(), &instance, debug.clone(), messages, options, refused);
         if result.is_err() {
             if let Some((loader, messenger)) = debug {
                 // SAFETY: made from this instance, not used afterwards.
                 unsafe { loader.destroy_debug_utils_messenger(messenger, None) };
             }
-            // SAFETY: `open` destroys what it made from the instance before it fails.
+            // SAFETY: `open_on` destroys what it made from the instance before it fails.
             unsafe { instance.destroy_instance(None) };
         }
         result
     }
 
-    fn open(
+    fn open_on(
         entry: ash::Entry,
         instance: &ash::Instance,
         debug: Option<Messenger>,
         messages: Messages,
         options: &GpuOptions,
+        refused: &[usize],
     ) -> Result<Self> {
-        let candidates = enumerate(instance)?;
+        let mut candidates = enumerate(instance)?;
+        candidates.retain(|(_, info)| !refused.contains(&info.index));
         let index = choose(&candidates, options)?;
         let (physical, mut info) = candidates[index].clone();
         if options.draws {
@@ -230,7 +181,7 @@ impl Gpu {
         let budget = options.byte_budget.unwrap_or(info.capabilities.device_heap.budget(0));
         let follows = AtomicBool::new(options.byte_budget.is_none());
         let memory = MemoryBudget { budget: AtomicU64::new(budget), follows, ..MemoryBudget::default() };
-        Ok(Self(Arc::new(Shared {
+        let shared = Shared {
             info,
             options: options.clone(),
             messages,
@@ -253,7 +204,8 @@ impl Gpu {
             debug,
             instance,
             entry,
-        })))
+        };
+        Ok(Self(Arc::new(shared), None))
     }
 
     fn device_objects(
@@ -290,6 +242,11 @@ impl Gpu {
     /// What the device is and can do.
     pub fn info(&self) -> &DeviceInfo {
         &self.0.info
+    }
+
+    /// How it was made.
+    pub fn options(&self) -> &GpuOptions {
+        &self.0.options
     }
 
     /// The driver's usual subgroup size; that of a kernel is [`Gpu::subgroup_size_of`].
@@ -426,7 +383,7 @@ fn choose(candidates: &[(vk::PhysicalDevice, DeviceInfo)], options: &GpuOptions)
     };
     if let Some(text) = options.device.as_deref() {
         let found = match text.parse::<usize>() {
-            Ok(index) => (index < candidates.len()).then_some(index),
+            Ok(index) => candidates.iter().position(|(_, d)| d.index == index),
             Err(_) => candidates.iter().position(|(_, d)| d.name.to_lowercase().contains(&text.to_lowercase())),
         };
         let index = found.ok_or_else(|| {
@@ -515,6 +472,7 @@ fn create_device(
     Ok((device, family))
 }
 
-fn cache_path(info: &DeviceInfo) -> Option<PathBuf> {
+/// The file of compiled pipelines in the user's cache folder.
+pub(crate) fn cache_path(info: &DeviceInfo) -> Option<PathBuf> {
     Some(cache_folder()?.join(format!("pipelines-{}.bin", info.capabilities.cache_uuid)))
 }

@@ -13,8 +13,9 @@ use std::sync::Arc;
 use ash::vk::{self, Handle as _};
 
 use super::capability::DeviceInfo;
-use super::device::{Gpu, GpuOptions, Opened};
+use super::device::{Gpu, Opened};
 use super::instance::Messages;
+use super::options::GpuOptions;
 use super::reconvergence::Reconvergence;
 use crate::error::{Error, Result};
 

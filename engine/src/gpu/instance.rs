@@ -6,7 +6,8 @@ use std::sync::{Arc, Mutex};
 use ash::vk;
 
 use super::capability::show_version;
-use super::device::{GpuOptions, lock, vk_error};
+use super::device::{lock, vk_error};
+use super::options::GpuOptions;
 use crate::error::{Error, Result};
 
 pub(super) type Messenger = (ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT);

@@ -18,12 +18,14 @@ mod instance;
 pub mod kernel;
 mod memory;
 pub mod mmap;
+mod options;
 #[cfg(feature = "window")]
 pub mod painter;
 mod pipeline;
 #[cfg(feature = "window")]
 pub mod presenter;
 pub mod product;
+pub mod proof;
 pub mod queue_family;
 pub mod reconvergence;
 mod recorder;
@@ -42,10 +44,12 @@ mod timestamps;
 pub use cache_folder::cache_folder;
 pub use capability::{Capabilities, DeviceInfo};
 pub use commands::{Commands, Submission, Timing};
-pub use device::{Gpu, GpuOptions, devices};
+pub(crate) use device::cache_path;
+pub use device::{Gpu, devices};
 pub use host::{HostCommandBuffer, HostDevice, HostImage, ImageUse, QueueLock};
 pub use kernel::Kernel;
 pub use memory::{Buffer, Memory, Slice};
+pub use options::{GpuOptions, SelfTest};
 pub use recorder::{Groups, Recorder, SLICE_ALIGNMENT};
 pub use sequence::Sequence;
 pub use statistics::{CompiledKernel, Statistic};

@@ -94,7 +94,9 @@ impl Gpu {
     fn interface(&self, kernel: &'static Kernel) -> Result<Interface> {
         spirv::check(kernel, &spirv::reflect(kernel)?)?;
         let device = &self.0.device;
-        let words = self.0.info.capabilities.reconvergence.ask(spirv::words(kernel)?);
+        let replaced = self.0.options.replace_spirv.iter().find(|(name, _)| *name == kernel.name);
+        let words = replaced.map_or_else(|| spirv::words(kernel), |(_, words)| Ok(words.clone()))?;
+        let words = self.0.info.capabilities.reconvergence.ask(words);
         let bindings: Vec<_> = (0..)
             .zip(kernel.bindings)
             .map(|(binding, declared)| {

@@ -253,10 +253,16 @@ impl Recorder {
         };
         let pipeline = self.gpu.pipeline(kernel, spec)?;
         self.fetch_constants(buffers)?;
-        let (push, slices) = (push.to_vec(), buffers.to_vec());
-        let work = Work::Dispatch { kernel, pipeline, push, slices, grid, to_image };
+        // A host's image cannot be looked into.
+        let watch = self.gpu.1.clone().filter(|_| !to_image);
+        let gpu = self.gpu.clone();
+        let before = watch.as_ref().map(|w| w.before(&gpu, self, kernel, buffers, &grid)).transpose()?;
+        let work = Work::Dispatch { kernel, pipeline, push: push.to_vec(), slices: buffers.to_vec(), grid, to_image };
         self.push(label.to_owned(), work, uses);
-        Ok(())
+        match (watch, before) {
+            (Some(watch), Some(before)) => watch.after(&gpu, self, (label, kernel), (spec, push), buffers, before),
+            _ => Ok(()),
+        }
     }
 
     /// Copies to the device what the host has written elsewhere of these buffers, once in a recording.
@@ -299,6 +305,11 @@ impl Recorder {
     }
 
     fn push(&mut self, label: String, work: Work, uses: Vec<Use>) {
+        if let (Some(watch), false) = (&self.gpu.1, matches!(work, Work::Dispatch { .. })) {
+            uses.iter().filter(|u| u.write).for_each(|u| {
+                watch.filled(u.buffer);
+            });
+        }
         let tagged = format!("#{} {label}", self.operations.len());
         let barrier = self.tracker.step(&tagged, &uses);
         self.operations.push(Operation { label, work, uses, barrier });
@@ -337,7 +348,10 @@ impl Recorder {
     }
 
     /// The list with its barriers and descriptor sets, to be written into other command buffers, `slots` of them in flight.
-    pub fn finish_sequence(self, slots: u32) -> Result<Sequence> {
+    pub fn finish_sequence(mut self, slots: u32) -> Result<Sequence> {
+        for kept in self.gpu.1.as_ref().map(|watch| watch.buffers()).unwrap_or_default() {
+            self.host_read(&kept);
+        }
         let plan = plan(&self.operations, self.begin_barrier);
         Sequence::new(&self.gpu, self.name, self.operations, plan, (self.profile, self.begin_barrier, slots))
     }

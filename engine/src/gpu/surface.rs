@@ -6,7 +6,8 @@ use std::sync::Arc;
 use ash::vk;
 use raw_window_handle::{HandleError, HasDisplayHandle, HasWindowHandle};
 
-use super::device::{Gpu, GpuOptions, devices};
+use super::device::{Gpu, devices};
+use super::options::GpuOptions;
 use crate::error::{Error, Result};
 
 /// A window and its display connection. Implemented for every window type with raw handles.

@@ -67,6 +67,8 @@
 //! - **Growth**: a frame that needs more tile instances than the buffers hold shows the background only. The call that
 //!   finds this out, `in_flight` calls later, makes larger buffers and records with them; the old ones go when they are
 //!   not in use any more. [`View::warm_up`] finds the size beforehand, so that no frame is lost.
+//! - **Trust**: a host's device is taken as it is. [`Gpu::self_test`](crate::gpu::Gpu::self_test) says whether its driver computes what it
+//!   must ([`crate::self_test`]); it takes a fraction of a second, and nothing else may work on the engine's queue meanwhile.
 //! - **Threads**: [`Gpu`](crate::gpu::Gpu) and [`SceneHandle`] are `Send` and `Sync`; [`View`] and [`Loading`] are `Send`. Different views
 //!   may be recorded on different threads at the same time, also of one scene, into command buffers of different pools.
 //!   Views of one scene that has network F or G or a deformation field share its output and its intermediate buffers, so their

@@ -229,14 +229,20 @@ impl Trainer {
     /// photo; `Limit` or `OutOfMemory` when the view does not fit; `DeviceLost`.
     pub fn step(&mut self) -> Result<StepReport> {
         let iteration = self.iteration + 1;
-        if self.schedule.superpoints_begin(iteration) {
-            self.begin_motion()?;
-        }
         let view = self.sampler.view(iteration);
         let ahead: Vec<usize> = (0..PREFETCH).map(|k| self.sampler.view(iteration + k)).collect();
         self.loader.prefetch(&ahead);
         let photo = self.loader.get(view)?;
-        let report = self.run(iteration, view, &photo)?;
+        self.step_on(view, &photo)
+    }
+
+    /// [`Trainer::step`] on this view and photo.
+    pub(crate) fn step_on(&mut self, view: usize, photo: &Pixels) -> Result<StepReport> {
+        let iteration = self.iteration + 1;
+        if self.schedule.superpoints_begin(iteration) {
+            self.begin_motion()?;
+        }
+        let report = self.run(iteration, view, photo)?;
         self.iteration = iteration;
         self.adapt_density(iteration)?;
         if self.config.log.finite_interval > 0 && iteration.is_multiple_of(self.config.log.finite_interval) {

@@ -140,7 +140,7 @@ fn the_host_goes_on_when_the_engine_is_gone() {
 #[test]
 fn a_device_that_the_engine_made_serves_a_host_too() {
     let options = GpuOptions { pipeline_cache: false, ..GpuOptions::default() };
-    let gpu = Gpu::new(&options).unwrap();
+    let gpu = Gpu::open(&options).unwrap();
     let handles = gpu.handles();
     assert!(handles.instance != 0 && handles.physical_device != 0 && handles.device != 0);
     assert_ne!(gpu.with_queue(|queue| queue), 0);
@@ -151,7 +151,7 @@ fn a_device_that_the_engine_made_serves_a_host_too() {
         } else {
             GpuOptions { device_extensions: name, ..options.clone() }
         };
-        assert!(Gpu::new(&options).unwrap_err().to_string().contains(text));
+        assert!(Gpu::open(&options).unwrap_err().to_string().contains(text));
     }
     let messages = gpu.take_validation_messages();
     assert!(messages.is_empty(), "{messages:?}");

@@ -112,7 +112,7 @@ fn ten_thousand_frames_keep_memory_flat() {
 /// renderer that never drew another size, and nothing is allocated once the largest was drawn.
 #[test]
 fn another_resolution_allocates_nothing_and_changes_no_pixel() {
-    let gpu = Gpu::new(&GpuOptions { pipeline_cache: false, ..GpuOptions::default() }).unwrap();
+    let gpu = Gpu::open(&GpuOptions { pipeline_cache: false, ..GpuOptions::default() }).unwrap();
     let (scene, camera) = (moving_scene(500, 8, 5, 3, false), demo_camera(0.0, 100, 75));
     let options = RenderOptions { depth: true, ..RenderOptions::default() };
     let mut renderer = Renderer::new(&gpu, &scene, &options).unwrap();
@@ -179,7 +179,7 @@ fn an_embedded_frame_costs_what_the_engines_own_does() {
 
 fn compare_costs(host: &Host, name: &str, scene: &Scene, camera: &Camera, frames: u32) {
     let options = GpuOptions { pipeline_cache: false, breadcrumbs: false, ..GpuOptions::default() };
-    let own = Gpu::new(&options).unwrap();
+    let own = Gpu::open(&options).unwrap();
     let mut renderer = Renderer::new(&own, scene, &RenderOptions::default()).unwrap();
     let handle = SceneHandle::upload(host.gpu(), scene, &SceneOptions::default()).unwrap();
     let frame = host.vulkan.frame().unwrap();

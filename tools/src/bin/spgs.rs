@@ -25,7 +25,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Eval(args) => eval::run(args, &cli.global),
         Command::Convert(args) => convert::run(args, &cli.global),
         Command::Inspect(args) => inspect::run(args),
-        Command::Devices(args) => devices::run(args),
+        Command::Devices(args) => devices::run(args, &cli.global),
     };
     done.map(|()| ExitCode::SUCCESS)
 }

@@ -112,7 +112,7 @@ fn spirv(cli: &Cli, check: bool) -> Result<ExitCode> {
 
 fn plan(cli: &Cli, check: bool, write: bool) -> Result<ExitCode> {
     let mut same = true;
-    for plan in plan_task::plans(&Gpu::new(&GpuOptions::default())?)? {
+    for plan in plan_task::plans(&Gpu::open(&GpuOptions::default())?)? {
         output::line(&format!("== {}: {} dispatches, {} barriers", plan.name, plan.dispatches, plan.barriers));
         output::line(&plan.text);
         if write {
@@ -127,7 +127,7 @@ fn plan(cli: &Cli, check: bool, write: bool) -> Result<ExitCode> {
 }
 
 fn oracle_check(files: &[PathBuf], json: bool) -> Result<ExitCode> {
-    let gpu = Gpu::new(&GpuOptions::default())?;
+    let gpu = Gpu::open(&GpuOptions::default())?;
     let (mut checked, mut passed) = (0, true);
     for file in files {
         let Some(check) = oracle_task::check(&gpu, file)? else {

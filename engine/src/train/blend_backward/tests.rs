@@ -30,7 +30,7 @@ struct Step {
 
 impl Step {
     fn new(scene: &Scene, camera: &Camera, capacity: u32) -> Self {
-        let gpu = Gpu::new(&GpuOptions { pipeline_cache: false, ..GpuOptions::default() }).unwrap();
+        let gpu = Gpu::open(&GpuOptions { pipeline_cache: false, ..GpuOptions::default() }).unwrap();
         let scene = SceneBuffers::new(&gpu, scene, MotionSource::Auto, &Quality::EXACT).unwrap();
         let pixels = u64::from(camera.width) * u64::from(camera.height);
         let options = FrameOptions {

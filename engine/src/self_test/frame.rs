@@ -1,0 +1,90 @@
+//! Frames as they are drawn, kernel by kernel against the twins and whole against the f64 reference.
+
+use glam::DVec3;
+
+use crate::error::{Error, Result};
+use crate::gpu::Gpu;
+use crate::image::{Image, difference};
+use crate::reference::{self, ReferenceOptions};
+use crate::render::{PixelFormat, Quality, RenderOptions, Renderer, SceneHandle, SceneOptions, View, ViewOptions};
+use crate::scene::synthetic::moving_scene;
+use crate::scene::{Camera, DeformNetwork, DeformSize, MotionSource, NonrigidNetwork, Scene};
+
+/// Gaussians and superpoints of the test's scene.
+const GAUSSIANS: usize = 200;
+const SUPERPOINTS: usize = 5;
+/// Key times of its motion.
+const KEYS: usize = 3;
+const SEED: u64 = 11;
+/// Pixels: the last column and the last row of tiles are partial.
+const SIZE: [u32; 2] = [45, 29];
+/// The times that are drawn.
+const TIMES: [f64; 2] = [0.3, 0.85];
+const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.125];
+/// Bounds against the f64 reference, as the tests have them.
+const MIN_PSNR: f64 = 65.0;
+const MAX_DIFFERENCE: f64 = 0.02;
+
+/// Tests the kernels of a frame, then a frame without anybody watching.
+pub(super) fn test(gpu: &Gpu) -> Result<()> {
+    let scene = moving_scene(GAUSSIANS, SUPERPOINTS, KEYS, SEED, false);
+    let options = RenderOptions { background: BACKGROUND, depth: true, ..RenderOptions::default() };
+    watched_frames(gpu, &scene, &options)?;
+    watched_networks(gpu, scene.clone())?;
+    whole_frame(gpu, &scene, &options)
+}
+
+/// Close to the scene, which is about two units across; elsewhere at each time.
+fn camera(time: f64) -> Camera {
+    let eye = DVec3::new(3.2 * time.cos(), 0.9, 3.2 * time.sin());
+    Camera::look_at(eye, DVec3::ZERO, DVec3::Y, 0.8, SIZE)
+}
+
+/// A frame of a table of poses, exact, in each of the renderer's slots.
+fn watched_frames(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<()> {
+    let (watched, watch) = gpu.watched();
+    let mut renderer = Renderer::new(&watched, scene, options)?;
+    let frames = TIMES.map(|time| renderer.submit(&camera(time), time));
+    for frame in frames {
+        let frame = frame?;
+        if renderer.finish(frame)?.is_none() {
+            return Err(Error::Kernel {
+                kernel: "compact".into(),
+                why: "it counts more tile instances than there are".into(),
+            });
+        }
+    }
+    watch.mismatch()?.map_or(Ok(()), |mismatch| Err(mismatch.into_error()))
+}
+
+/// A frame of networks F and G in the quality that programs show, packed as the viewer and other programs get it.
+fn watched_networks(gpu: &Gpu, mut scene: Scene) -> Result<()> {
+    scene.deform = Some(DeformNetwork::init(SEED, DeformSize::PAPER, false));
+    scene.nonrigid = Some(NonrigidNetwork::init(SEED));
+    let (watched, watch) = gpu.watched();
+    let options = SceneOptions { motion: MotionSource::Network, quality: Quality::HIGH };
+    let scene = SceneHandle::upload(&watched, &scene, &options)?;
+    let options = ViewOptions { background: BACKGROUND, format: PixelFormat::Rgba8, ..ViewOptions::default() };
+    View::new(&watched, &scene, &options)?.warm_up(&camera(TIMES[0]), TIMES[0])?;
+    watch.mismatch()?.map_or(Ok(()), |mismatch| Err(mismatch.into_error()))
+}
+
+/// A frame as users get it, without copies between its kernels, against the f64 reference.
+fn whole_frame(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<()> {
+    let [_, time] = TIMES;
+    let image = Renderer::new(gpu, scene, options)?.render(&camera(time), time)?;
+    let options = ReferenceOptions { background: BACKGROUND.map(f64::from), ..ReferenceOptions::default() };
+    check_image(&image, &reference::render(scene, &camera(time), time, &options)?)
+}
+
+fn check_image(image: &Image, truth: &reference::ReferenceImage) -> Result<()> {
+    let found = difference(truth.rgb.iter().copied(), image.rgb());
+    if found.psnr >= MIN_PSNR && found.max <= MAX_DIFFERENCE {
+        return Ok(());
+    }
+    let why = format!(
+        "{:.1} dB from the f64 reference, largest difference {:.2e}; expected at least {MIN_PSNR} dB and at most {MAX_DIFFERENCE}",
+        found.psnr, found.max
+    );
+    Err(Error::Kernel { kernel: "a whole frame".into(), why })
+}

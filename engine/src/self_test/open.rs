@@ -1,0 +1,48 @@
+//! Opening a device that has proven itself.
+
+use super::wanted;
+use crate::error::{Error, Result};
+use crate::gpu::{Gpu, GpuOptions, SelfTest};
+
+impl Gpu {
+    /// Opens a device that has passed the self-test ([`crate::self_test`]), as [`GpuOptions::self_test`] wants it. One that fails
+    /// is warned of, and the next one is tried, unless the options name a device.
+    ///
+    /// # Errors
+    /// `SelfTest` when the named device fails; `NoDevice` when none is left, with what is wrong with each; `Usage` for a name that no
+    /// device has.
+    pub fn new(options: &GpuOptions) -> Result<Self> {
+        let (mut refused, mut reasons) = (Vec::new(), Vec::new());
+        loop {
+            let gpu = match Self::open_except(options, &refused) {
+                Err(Error::NoDevice { reason }) if !refused.is_empty() => return Err(none_left(&reasons, &reason)),
+                opened => opened?,
+            };
+            match prove(&gpu, options) {
+                Ok(()) => return Ok(gpu),
+                Err(error) if options.device.is_some() => return Err(error),
+                Err(error) => {
+                    log::warn!("{error}; trying the next device");
+                    refused.push(gpu.info().index);
+                    reasons.push(format!("[{}] {error}", gpu.info().index));
+                }
+            }
+        }
+    }
+}
+
+fn prove(gpu: &Gpu, options: &GpuOptions) -> Result<()> {
+    for suite in wanted(options, gpu.info()) {
+        match options.self_test {
+            SelfTest::Skip => return Ok(()),
+            SelfTest::Once => gpu.require_self_test(suite)?,
+            SelfTest::Again => gpu.self_test(suite)?,
+        };
+    }
+    Ok(())
+}
+
+fn none_left(reasons: &[String], others: &str) -> Error {
+    let others = if others.contains("no driver found") { Vec::new() } else { vec![others.to_owned()] };
+    Error::NoDevice { reason: [reasons, &others].concat().join("; ") }
+}

@@ -1,0 +1,159 @@
+//! Faults that drivers have, planted in the SPIR-V: the self-test names the kernel.
+
+use std::collections::BTreeSet;
+
+use engine::Error;
+use engine::gpu::kernel::Kernel;
+use engine::gpu::{Gpu, spirv};
+use engine::self_test::Suite;
+
+use crate::{open, options};
+
+const OP_NOP: u32 = 0x0001_0000;
+const OP_ENTRY_POINT: u32 = 15;
+const OP_FUNCTION: u32 = 54;
+const OP_FUNCTION_END: u32 = 56;
+const OP_VARIABLE: u32 = 59;
+const OP_CONTROL_BARRIER: u32 = 224;
+const OP_LABEL: u32 = 248;
+const OP_RETURN: u32 = 253;
+
+fn kernel(name: &str) -> &'static Kernel {
+    engine::kernels().find(|k| k.name == name).unwrap()
+}
+
+/// The instructions of a module: opcode and words.
+fn instructions(words: &[u32]) -> Vec<(u32, &[u32])> {
+    let (mut at, mut found) = (5, Vec::new());
+    while at < words.len() {
+        let length = (words[at] >> 16) as usize;
+        found.push((words[at] & 0xffff, &words[at..at + length]));
+        at += length;
+    }
+    found
+}
+
+/// The kernel without its code: its entry point returns at once.
+fn returns_at_once(kernel: &Kernel) -> Vec<u32> {
+    let words = spirv::words(kernel).unwrap();
+    let all = instructions(&words);
+    let main = all.iter().find(|(op, _)| *op == OP_ENTRY_POINT).unwrap().1[2];
+    let mut out = words[..5].to_vec();
+    let (mut in_main, mut done) = (false, false);
+    for (op, instruction) in all {
+        if op == OP_FUNCTION && instruction[2] == main {
+            (in_main, done) = (true, false);
+        }
+        let head = matches!(op, OP_FUNCTION | OP_LABEL | OP_VARIABLE);
+        if in_main && !done && !head {
+            out.push(1 << 16 | OP_RETURN);
+            done = true;
+        }
+        if op == OP_FUNCTION_END {
+            in_main = false;
+        }
+        if !in_main || !done {
+            out.extend(instruction);
+        }
+    }
+    out
+}
+
+/// The kernel with every barrier left out.
+fn without_barriers(kernel: &Kernel) -> Vec<u32> {
+    let words = spirv::words(kernel).unwrap();
+    let mut out = words[..5].to_vec();
+    for (op, instruction) in instructions(&words) {
+        match op {
+            OP_CONTROL_BARRIER => out.extend(instruction.iter().map(|_| OP_NOP)),
+            _ => out.extend(instruction),
+        }
+    }
+    assert_ne!(out, words, "{} has no barrier", kernel.name);
+    out
+}
+
+/// What the self-test says of a device with this kernel in the place of its own.
+fn verdict(name: &'static str, words: Vec<u32>, suite: Suite) -> Result<(), Error> {
+    let gpu = open(&engine::gpu::GpuOptions { replace_spirv: vec![(name, words)], ..options() });
+    gpu.self_test(suite).map(|_| ())
+}
+
+fn assert_named(name: &'static str, words: Vec<u32>, suite: Suite) {
+    let error = verdict(name, words, suite).expect_err(name);
+    println!("{error}");
+    assert!(matches!(error, Error::SelfTest { .. }), "{error}");
+    assert!(error.to_string().contains(&format!("kernel `{name}`")), "{name}: {error}");
+    assert_eq!(error.exit_code(), 1);
+}
+
+#[test]
+fn a_kernel_that_does_nothing_is_named() {
+    let frame = [
+        "subgroup_order",
+        "sort_histogram",
+        "sort_spine",
+        "sort_scatter",
+        "deform_project",
+        "compact",
+        "sum_tile_counts",
+        "emit_tiles",
+        "tile_ranges",
+        "blend",
+        "blend_packed",
+        "deform_network",
+        "nonrigid_network",
+    ];
+    for name in frame {
+        assert_named(name, returns_at_once(kernel(name)), Suite::Frame);
+    }
+}
+
+#[test]
+fn every_kernel_of_training_is_named() {
+    let gpu = open(&options());
+    let native = gpu.info().capabilities.float_atomics && !gpu.info().is_cpu();
+    // What a run on this device never dispatches.
+    let idle: BTreeSet<&str> = if native { [].into() } else { ["blend_backward_native"].into() };
+    let mut missed = Vec::new();
+    for kernel in engine::train::kernels().filter(|k| !idle.contains(k.name)) {
+        match verdict(kernel.name, returns_at_once(kernel), Suite::Training) {
+            Err(error) if error.to_string().contains(&format!("kernel `{}`", kernel.name)) => {}
+            Err(error) => missed.push(format!("{}: {error}", kernel.name)),
+            Ok(()) => missed.push(format!("{}: passed", kernel.name)),
+        }
+    }
+    assert!(missed.is_empty(), "{}", missed.join("\n"));
+}
+
+#[test]
+fn a_kernel_that_skips_its_barriers_is_named() {
+    for name in ["sort_scatter", "subgroup_order"] {
+        assert_named(name, without_barriers(kernel(name)), Suite::Frame);
+    }
+}
+
+#[test]
+fn a_device_that_fails_is_no_device() {
+    let name = "sort_scatter";
+    let planted = engine::gpu::GpuOptions { replace_spirv: vec![(name, returns_at_once(kernel(name)))], ..options() };
+    let index = open(&planted).info().index.to_string();
+    let asked = engine::gpu::GpuOptions { device: Some(index), ..planted.clone() };
+    let error = Gpu::new(&asked).expect_err("asked for by index");
+    assert!(matches!(&error, Error::SelfTest { why, .. } if why.contains(name)), "{error}");
+    let all = Gpu::new(&engine::gpu::GpuOptions { device: None, ..planted.clone() }).expect_err("none is left");
+    assert!(matches!(&all, Error::NoDevice { reason } if reason.contains(name)), "{all}");
+    assert!(!all.to_string().contains('\n') && all.exit_code() == 1);
+    let skipped = engine::gpu::GpuOptions { self_test: engine::gpu::SelfTest::Skip, ..planted };
+    Gpu::new(&skipped).unwrap();
+}
+
+#[test]
+#[ignore = "by hand: SPGS_TEST_MODULE=kernel=file.spv"]
+fn a_module_from_a_file() {
+    let given = std::env::var("SPGS_TEST_MODULE").unwrap();
+    let (name, path) = given.split_once('=').unwrap();
+    let bytes = std::fs::read(path).unwrap();
+    let words = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+    println!("{:?}", verdict(kernel(name).name, words, Suite::Frame).map_err(|e| e.to_string()));
+}
