@@ -22,6 +22,12 @@ pub const EXCEPTIONS: &[Exception] = &[
     Exception { target: "radv_vega10", kernel: "nonrigid_network", floor: 2.0, why: SHARED_ON_GCN },
     Exception {
         target: "radv_vega10",
+        kernel: "deform_project_backward",
+        floor: 2.0,
+        why: "128 of 256 registers hold a Gaussian's parameters and their gradients at SH degree 3 for the fused Adam step",
+    },
+    Exception {
+        target: "radv_vega10",
         kernel: "property_residual",
         floor: 2.0,
         why: "128 of 256 registers hold the poses of a Gaussian's five superpoints; read twice they would cost more",
