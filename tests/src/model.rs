@@ -36,11 +36,6 @@ pub fn options() -> Option<Options> {
     Some(options)
 }
 
-/// `all` on the device, only `few` on the model, which is slower.
-pub fn fewer<T>(all: T, few: T) -> T {
-    if options().is_some() { few } else { all }
-}
-
 type Programs = HashMap<(&'static str, Vec<u32>), Arc<Program>>;
 static PROGRAMS: Mutex<Option<Programs>> = Mutex::new(None);
 
