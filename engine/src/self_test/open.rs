@@ -19,10 +19,12 @@ impl Gpu {
                 opened => opened?,
             };
             match prove(&gpu, options) {
-                Ok(()) => return Ok(gpu),
+                Ok(()) => {
+                    reasons.iter().for_each(|reason| log::warn!("{reason}; {} is used", gpu.info().name));
+                    return Ok(gpu);
+                }
                 Err(error) if options.device.is_some() => return Err(error),
                 Err(error) => {
-                    log::warn!("{error}; trying the next device");
                     refused.push(gpu.info().index);
                     reasons.push(format!("[{}] {error}", gpu.info().index));
                 }
