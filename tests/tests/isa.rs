@@ -72,7 +72,8 @@ fn what_became_worse_is_named() {
     let (folder, target, rows) = planted();
     let errors = |rows: &[Row]| isa::check(folder.path(), &target, "a GPU", rows).unwrap().errors;
     assert_eq!(errors(&rows), Vec::<String>::new());
-    let faults: [(fn(&mut Statistics), &str); 6] = [
+    type Fault = fn(&mut Statistics);
+    let faults: [(Fault, &str); 6] = [
         (|s| s.spills = 1.0, "spills 1 registers"),
         (|s| s.scratch = 16.0, "keeps 16 bytes in memory"),
         (|s| s.occupancy = 7.0, "has 7 subgroups in flight, expected at least 8"),
