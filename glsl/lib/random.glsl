@@ -3,6 +3,8 @@
 #ifndef SPGS_RANDOM
 #define SPGS_RANDOM
 
+#include "angle.glsl"
+
 // The four-word hash of Jarzynski and Olano, "Hash Functions for GPU Rendering" (JCGT 2020): a linear congruential step per
 // word, then two rounds in which every word is mixed into the others.
 uvec4 random_hash(uvec4 v) {
@@ -33,8 +35,7 @@ float random_uniform(uint word) {
 // Two standard normals from two words (Box and Muller).
 vec2 random_normals(uint a, uint b) {
     float radius = sqrt(-2.0 * log(1.0 - random_uniform(a)));
-    float angle = 6.2831853 * random_uniform(b);
-    return radius * vec2(cos(angle), sin(angle));
+    return radius * sin_cos(6.2831853 * random_uniform(b)).yx;
 }
 
 #endif

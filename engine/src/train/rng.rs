@@ -6,6 +6,8 @@
 
 use std::f32::consts::TAU;
 
+use crate::render::angle::sin_cos;
+
 /// One application of the four-word hash.
 fn hash(v: [u32; 4]) -> [u32; 4] {
     let [mut x, mut y, mut z, mut w] = v.map(|c| c.wrapping_mul(1_664_525).wrapping_add(1_013_904_223));
@@ -54,8 +56,8 @@ pub fn uniform_f32(word: u32) -> f32 {
 /// Two standard normals from two words; twin of `random_normals`.
 pub fn normals_f32(a: u32, b: u32) -> [f32; 2] {
     let radius = (-2.0 * (1.0 - uniform_f32(a)).ln()).sqrt();
-    let angle = TAU * uniform_f32(b);
-    [radius * angle.cos(), radius * angle.sin()]
+    let [sine, cosine] = sin_cos(TAU * uniform_f32(b));
+    [radius * cosine, radius * sine]
 }
 
 #[cfg(test)]
