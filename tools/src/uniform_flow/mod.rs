@@ -13,9 +13,9 @@
 //!    from the other is left to the driver.
 //!
 //! The analysis is that of compilers (divergence by data and control dependence), on the module as it is committed: functions
-//! are expanded at their calls ([`flatten`]), constants are folded for one choice of the specialisation constants in [`CASES`]
-//! ([`constants`]), control dependence follows from post-dominance on what can then be reached ([`graph`]), and each value is
-//! uniform for the workgroup, for the subgroup, or divergent ([`levels`]). Specialisation constants that are not chosen are
+//! are expanded at their calls (`flatten`), constants are folded for one choice of the specialisation constants in `CASES`
+//! (`constants`), control dependence follows from post-dominance on what can then be reached (`graph`), and each value is
+//! uniform for the workgroup, for the subgroup, or divergent (`levels`). Specialisation constants that are not chosen are
 //! unknown but uniform, so what holds, holds for all of their values. Shared memory is taken to be free of races.
 
 mod assigned;
