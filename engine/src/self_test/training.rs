@@ -85,6 +85,8 @@ fn config(adapts: bool) -> Config {
     c.density.interval = 1;
     c.density.opacity_reset_interval = 1;
     c.density.gradient_threshold = 1e-6;
+    // Fewer than want to grow, so that density control has to choose.
+    c.budget.max_gaussians = GAUSSIANS as u32 + 40;
     c.log.finite_interval = 1;
     c
 }
