@@ -24,7 +24,7 @@ layout(push_constant) uniform PushBlock {
 const uint TALLY_BINS = 32u;
 
 void main() {
-    uint i = workgroup_index() * SCAN_THREADS + gl_LocalInvocationID.x;
+    uint i = workgroup_index() * SCAN_THREADS + thread_index();
     uint lane = gl_SubgroupInvocationID;
     uint value = (i * 2654435761u) >> 20;
     uint total;

@@ -20,7 +20,8 @@ const LAYERS: &[&[&str]] = &[
     &["self_test"],
 ];
 /// Names that the crate root re-exports, and where they live.
-const ROOT_NAMES: &[(&str, &str)] = &[("Error", "error"), ("Result", "error"), ("gpu_struct", "gpu")];
+const ROOT_NAMES: &[(&str, &str)] =
+    &[("Error", "error"), ("Result", "error"), ("gpu_struct", "gpu"), ("kernels", "self_test")];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()

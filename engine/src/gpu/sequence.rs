@@ -1,6 +1,7 @@
 //! Operations with their barriers and descriptor sets, ready to be written into a command buffer: the engine's own
 //! ([`super::Commands`]) once, or a host's in every frame.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use ash::vk;
@@ -252,14 +253,8 @@ impl Sequence {
 
     /// Mapped buffers that it uses, each once.
     pub(super) fn mapped(&self) -> Vec<Buffer> {
-        let mut found: Vec<Buffer> = Vec::new();
-        let buffers = self.operations.iter().flat_map(|o| o.work.buffers());
-        for buffer in buffers.filter(|b| b.is_mapped()) {
-            if !found.iter().any(|f| f.id() == buffer.id()) {
-                found.push(buffer.clone());
-            }
-        }
-        found
+        let all = self.operations.iter().flat_map(|o| o.work.buffers()).filter(|b| b.is_mapped());
+        all.map(|b| (b.id(), b.clone())).collect::<BTreeMap<_, _>>().into_values().collect()
     }
 
     /// How many images it writes.

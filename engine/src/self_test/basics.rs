@@ -91,7 +91,7 @@ fn sort_cases(gpu: &Gpu, prescanned: bool) -> Result<Vec<KernelCase>> {
             let buffers = vec![counters.clone(), histogram];
             histogram = step(&SORT_SPINE, Vec::new(), bytemuck::bytes_of(&push), buffers, SPINE_GROUPS).swap_remove(1);
         }
-        let spec = plan.scatter_spec(pass, true, rank_by_ballot(gpu.subgroup_size())).to_vec();
+        let spec = plan.scatter_spec(pass, true, rank_by_ballot(gpu.subgroup_size_of(&SORT_SCATTER))).to_vec();
         let push = plan.scatter_push(pass, COUNT_WORD);
         let out = vec![0; KEYS as usize];
         let buffers = vec![counters.clone(), histogram, keys, values, out.clone(), out, vec![0; rows]];
@@ -105,7 +105,7 @@ fn sort_cases(gpu: &Gpu, prescanned: bool) -> Result<Vec<KernelCase>> {
 
 /// What the twin makes of a case's buffers.
 fn twin_of(gpu: &Gpu, case: &KernelCase, mut buffers: Vec<Vec<u32>>) -> Vec<Vec<u32>> {
-    let mut spec = vec![gpu.subgroup_size()];
+    let mut spec = vec![gpu.subgroup_size_of(case.kernel)];
     spec.extend(&case.spec);
     let mut call = TwinCall { groups: [case.groups, 1, 1], spec: &spec, push: &case.push, buffers: &mut buffers };
     (case.kernel.twin)(&mut call);
