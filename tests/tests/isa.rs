@@ -121,7 +121,9 @@ fn costs(kernel: &Kernel, gpu: &str) -> [f64; 2] {
 
 #[test]
 fn subgroup_sizes_on_amd_are_those_of_the_estimates() {
-    for kernel in engine::kernels() {
+    // The self-test's own runs once, and should see what most kernels see.
+    let once = |kernel: &Kernel| engine::self_test::KERNELS.iter().any(|k| k.name == kernel.name);
+    for kernel in engine::kernels().filter(|k| !once(k)) {
         let own = CHOICES.iter().filter(|c| c.vendor == AMD);
         let choice = own.clone().find(|c| c.kernels.is_empty() || c.kernels.contains(&kernel.name)).unwrap();
         let [mut narrow, mut wide] = [0.0; 2];
