@@ -70,7 +70,7 @@ pub fn write(path: &Path, network: Network, names: &[String]) {
     tensors::write(path, ["test", "1"], tensors, &Default::default()).unwrap();
 }
 
-/// Weights as they are read from the file that [`write`] makes.
+/// Weights as they are read from the file that [`write()`] makes.
 ///
 /// # Panics
 /// When the file cannot be written or read.
