@@ -96,8 +96,7 @@ pub static SPLIT_CHILDREN: Kernel = Kernel {
         Binding::new("log_scale", Access::Update, Element::F32),
     ],
     twin: split_twin,
-    // Normal numbers by the driver's own logarithm and cosine, which Vulkan wants to 2^-11 only.
-    tolerance: Tolerance { absolute: 3e-4, relative: 1e-4, flips: 0.0 },
+    tolerance: Tolerance { absolute: 1e-5, relative: 1e-5, flips: 0.0 },
     bytes: |w| 20 * w.get("gaussians"),
     spirv: include_bytes!("../../../../spirv_cache/split_children.spv"),
 };
