@@ -17,8 +17,7 @@
 
 layout(constant_id = 1) const uint HAS_VALUES = 1u;
 layout(constant_id = 2) const uint HAS_NEXT = 1u;   // count the next digit
-layout(constant_id = 3) const uint PRESCANNED = 0u; // sort_spine has run on `histogram`
-layout(constant_id = 4) const uint RANK_BY_BALLOT = 1u; // else by comparing with each lane: at most 16 lanes
+layout(constant_id = 3) const uint RANK_BY_BALLOT = 1u; // else by comparing with each lane: at most 16 lanes
 
 layout(local_size_x = 256) in;
 
@@ -38,9 +37,10 @@ layout(push_constant) uniform PushBlock {
     uint count_word;      // counters[count_word] = number of keys
     uint next_shift;
     uint next_digit_bits;
-    uint totals_row;      // row of the digit totals in a prescanned histogram
+    uint totals_row;      // row of the digit totals once sort_spine has run on `histogram`, else NOT_PRESCANNED
 } push;
 
+const uint NOT_PRESCANNED = 0xffffffffu;
 const uint MAX_ROWS = 16u; // 16 KiB of counters: subgroups of fewer than 16 lanes share a row, taking turns
 shared uint rank_rows[MAX_ROWS * SORT_DIGITS];
 
@@ -90,8 +90,8 @@ uint digit_base(uint group, uint partitions) {
     uint d = thread_index();
     uint before = 0u;
     uint all = 0u;
-    uint prescanned = PRESCANNED;
-    if (prescanned != 0u) {
+    // Not a specialisation constant: one pipeline serves small sorts and large ones.
+    if (push.totals_row != NOT_PRESCANNED) {
         before = group < partitions ? histogram[group * SORT_DIGITS + d] : 0u;
         all = histogram[push.totals_row * SORT_DIGITS + d];
     } else {

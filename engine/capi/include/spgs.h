@@ -98,8 +98,8 @@ SPGS_API spgs_status spgs_gpu_from_host(const spgs_host *host, spgs_gpu **gpu);
 /* The engine makes instance and device. device_name: index or part of a name, null for the fastest kind. The extensions are
  * enabled beside the engine's own, for a window's surface.
  *
- * At its first use with a driver a device is tested as spgs_gpu_self_test says, and the verdict is kept in the user's cache
- * folder. One that fails is SPGS_ERROR if device_name names it, else the next one is taken. skip_self_test (or the environment
+ * At its first use with a driver a device is tested as spgs_gpu_self_test says, each kind of kernel when it is first needed
+ * (then by the function that needs it), and the verdict is kept in the user's cache folder. One that fails is SPGS_ERROR if device_name names it, else the next one is taken. skip_self_test (or the environment
  * variable SPGS_SELF_TEST=0) takes the device as it is. */
 typedef struct spgs_gpu_options {
     uint32_t struct_size;
@@ -116,7 +116,7 @@ typedef struct spgs_gpu_options {
 /* options may be null. The queue of the device draws too, where the device has such a queue. */
 SPGS_API spgs_status spgs_gpu_create(const spgs_gpu_options *options, spgs_gpu **gpu);
 
-/* Tests now whether the device computes what it must: every kernel of a frame on a small scene. For a host's device, which is
+/* Tests now whether the device computes what it must: the kernels that play scenes, on small ones. For a host's device, which is
  * not tested otherwise. Blocks for a fraction of a second, longer while the driver compiles kernels for the first time; nothing else
  * is recorded or submitted with this spgs_gpu meanwhile. SPGS_ERROR when it fails: spgs_message() names the kernel and the
  * difference. */

@@ -17,6 +17,7 @@ use super::options::GpuOptions;
 use super::pipeline::{PipelineCacheFile, Pipelines};
 use super::proof::Watch;
 use super::reconvergence::Reconvergence;
+use super::trust::Trust;
 use crate::error::{Error, Result};
 
 /// A Vulkan device with one compute queue. Cheap to clone; everything made from it keeps it alive.
@@ -53,6 +54,8 @@ pub(super) struct Shared {
     pub(super) owned: bool,
     /// The host's own lock of the queue, when it submits to it too.
     pub(super) host_lock: Option<Arc<dyn QueueLock>>,
+    /// What the device has proven.
+    pub(super) trust: Trust,
     debug: Option<Messenger>,
     pub(super) instance: ash::Instance,
     pub(super) entry: ash::Entry,
@@ -201,6 +204,7 @@ impl Gpu {
             physical,
             owned,
             host_lock,
+            trust: Trust::default(),
             debug,
             instance,
             entry,

@@ -40,6 +40,7 @@ mod swapchain;
 #[cfg(feature = "window")]
 mod texture;
 mod timestamps;
+mod trust;
 
 pub use cache_folder::cache_folder;
 pub use capability::{Capabilities, DeviceInfo};
@@ -55,3 +56,4 @@ pub use sequence::Sequence;
 pub use statistics::{CompiledKernel, Statistic};
 #[cfg(feature = "window")]
 pub use surface::{Surface, WindowHandle};
+pub use trust::Suite;

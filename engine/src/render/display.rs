@@ -9,7 +9,7 @@ use super::renderer::{FrameId, Renderer};
 use super::twin::{f32_at, spec, struct_at, vec4_at};
 use crate::error::Result;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
-use crate::gpu::{Buffer, Commands, Gpu, Groups, Memory, Slice};
+use crate::gpu::{Buffer, Commands, Gpu, Groups, Memory, Slice, Suite};
 
 /// Threads per workgroup, one pixel each.
 pub const DISPLAY_THREADS: u32 = 256;
@@ -104,6 +104,7 @@ struct Recorded {
 impl Screen {
     /// A screen without pixels.
     pub fn new(gpu: &Gpu) -> Result<Self> {
+        gpu.ready_for(Suite::Packed)?;
         let palette = gpu.buffer_with("palette", bytemuck::cast_slice(&palette()))?;
         Ok(Self { gpu: gpu.clone(), palette, recorded: None })
     }

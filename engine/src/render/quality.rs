@@ -205,6 +205,12 @@ impl Quality {
         KNOBS.iter().map(|k| (k.name, k.get(self))).collect()
     }
 
+    /// Whether frames need other variants of the kernels than exact ones.
+    pub(crate) fn changes_kernels(&self) -> bool {
+        let Self { sh_degree, table_step, interpolation, nonrigid, resolution, .. } = Self::EXACT;
+        Self { sh_degree, table_step, interpolation, nonrigid, resolution, ..*self } != Self::EXACT
+    }
+
     /// Specialisation constant `ALPHA_CUT`: bits of log2(1/cut); 0 stands for 1/255.
     pub fn alpha_cut_constant(&self) -> u32 {
         if self.alpha_cut == Self::EXACT.alpha_cut { 0 } else { (-self.alpha_cut.log2()).to_bits() }

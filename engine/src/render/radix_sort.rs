@@ -12,6 +12,8 @@ use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
 
 /// Above this many partitions `sort_spine` scans the histogram before each `sort_scatter`.
 pub const SPINE_PARTITIONS: u32 = 128;
+/// `totals_row` of a histogram that `sort_spine` has not scanned.
+pub const NOT_PRESCANNED: u32 = u32::MAX;
 /// Workgroups of `sort_spine`: 8 digits each.
 pub const SPINE_GROUPS: u32 = 32;
 
@@ -28,7 +30,7 @@ crate::gpu_struct! {
         pub next_shift: u32,
         /// Its width.
         pub next_digit_bits: u32,
-        /// Row of the digit totals in a histogram that `sort_spine` has scanned.
+        /// Row of the digit totals in a histogram that `sort_spine` has scanned, else [`NOT_PRESCANNED`].
         pub totals_row: u32,
     }
 }
@@ -60,7 +62,7 @@ pub static SORT_SCATTER: Kernel = Kernel {
     name: "sort_scatter",
     doc: "one stable pass of the radix sort: ranks 4,096 keys by one digit, moves them, counts the next digit",
     local_size: 256,
-    spec: &["SUBGROUP_SIZE", "HAS_VALUES", "HAS_NEXT", "PRESCANNED", "RANK_BY_BALLOT"],
+    spec: &["SUBGROUP_SIZE", "HAS_VALUES", "HAS_NEXT", "RANK_BY_BALLOT"],
     push: SortScatterPush::FIELDS,
     bindings: &[
         Binding::new("counters", Access::Read, Element::U32),
@@ -117,14 +119,15 @@ const DIGITS: usize = SORT_DIGITS as usize;
 fn sort_scatter_twin(call: &mut TwinCall<'_>) {
     let push: SortScatterPush = twin::push(call);
     let groups = twin::group_count(call);
-    let [has_values, has_next, prescanned] = [1, 2, 3].map(|id| twin::spec(call, id) != 0);
+    let [has_values, has_next] = [1, 2].map(|id| twin::spec(call, id) != 0);
+    let totals_row = (push.totals_row != NOT_PRESCANNED).then_some(push.totals_row);
     let [counters, histogram, keys_in, values_in, keys_out, values_out, next_histogram] = call.buffers else { return };
     let count = counters[push.count_word as usize];
     let partitions = count.div_ceil(SORT_PARTITION);
     let mask = (1u32 << push.digit_bits) - 1;
     let next_mask = (1u32 << push.next_digit_bits) - 1;
     for group in 0..groups.min(partitions) {
-        let mut place = digit_base(histogram, group, partitions, prescanned.then_some(push.totals_row));
+        let mut place = digit_base(histogram, group, partitions, totals_row);
         for i in group * SORT_PARTITION..count.min((group + 1) * SORT_PARTITION) {
             let key = keys_in[i as usize];
             let digit = (key >> push.shift & mask) as usize;
@@ -258,8 +261,8 @@ impl SortPlan {
     }
 
     /// Specialisation constants of pass `pass` of `sort_scatter`, after SUBGROUP_SIZE. `by_ballot`: see [`rank_by_ballot`].
-    pub fn scatter_spec(&self, pass: usize, has_values: bool, by_ballot: bool) -> [u32; 4] {
-        [has_values.into(), (pass + 1 < self.digits.len()).into(), self.prescanned.into(), by_ballot.into()]
+    pub fn scatter_spec(&self, pass: usize, has_values: bool, by_ballot: bool) -> [u32; 3] {
+        [has_values.into(), (pass + 1 < self.digits.len()).into(), by_ballot.into()]
     }
 
     /// Push constants of pass `pass` of `sort_scatter`.
@@ -272,7 +275,7 @@ impl SortPlan {
             count_word,
             next_shift: next.shift,
             next_digit_bits: next.bits,
-            totals_row: self.partitions,
+            totals_row: if self.prescanned { self.partitions } else { NOT_PRESCANNED },
         }
     }
 

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::error::{Error, Result};
 use crate::gpu::kernel::Workload;
-use crate::gpu::{Buffer, Commands, Gpu, Memory, Timing};
+use crate::gpu::{Buffer, Commands, Gpu, Memory, Suite, Timing};
 use crate::image::Image;
 use crate::scene::{Camera, MotionSource, Rejected, Scene};
 
@@ -142,6 +142,9 @@ impl Renderer {
     /// `Usage` for an inconsistent scene or a motion source that it lacks, `Limit` and `OutOfMemory` when it does not fit.
     pub fn new(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<Self> {
         let options = RenderOptions { quality: options.quality.for_scene(scene), ..options.clone() };
+        if options.depth {
+            gpu.ready_for(Suite::Packed)?;
+        }
         let scene = SceneBuffers::new(gpu, scene, options.motion, &options.quality)?;
         let capacity = capacity::first(scene.gaussians).min(capacity::limit(gpu, options.max_instances));
         let gpu = gpu.clone();

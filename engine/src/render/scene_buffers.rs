@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use crate::error::{Error, Result};
-use crate::gpu::{Buffer, Gpu, Memory};
+use crate::gpu::{Buffer, Gpu, Memory, Suite};
 use crate::scene::{
     Camera, DeformSize, Gaussians, KeyInterval, Motion, MotionSource, NonrigidNetwork, Rejected, Scene,
 };
@@ -98,11 +98,23 @@ pub(crate) struct SceneBuffers {
     pub(crate) sh: [Buffer; 4],
 }
 
+/// Asks whether the device does what the scene needs beyond exact frames of a table.
+fn prove_device(gpu: &Gpu, scene: &Scene, motion: Selected, quality: &Quality) -> Result<()> {
+    if quality.changes_kernels() {
+        gpu.ready_for(Suite::Packed)?;
+    }
+    if matches!(motion, Selected::Network) || scene.nonrigid.is_some() && quality.nonrigid {
+        gpu.ready_for(Suite::Networks)?;
+    }
+    if scene.field.is_some() { gpu.ready_for(Suite::Fields) } else { Ok(()) }
+}
+
 impl SceneBuffers {
     pub(crate) fn new(gpu: &Gpu, scene: &Scene, source: MotionSource, quality: &Quality) -> Result<Self> {
         let g = &scene.gaussians;
         check_lengths(g)?;
         let motion = select_motion(scene, source)?;
+        prove_device(gpu, scene, motion, quality)?;
         let mut rejected = Rejected::default();
         let valid: Vec<bool> = (0..g.len()).map(|i| g.is_valid(i, &mut rejected)).collect();
         let moving = !matches!(motion, Selected::None);
@@ -224,6 +236,7 @@ impl SceneBuffers {
     }
 }
 
+#[derive(Clone, Copy)]
 enum Selected {
     None,
     Table,

@@ -1,47 +1,51 @@
-//! Frames as they are drawn, kernel by kernel against the twins and whole against the f64 reference.
+//! Exact frames of a table of poses, kernel by kernel against the twins and whole against the f64 reference.
 
 use glam::DVec3;
 
+use super::check;
 use crate::error::{Error, Result};
 use crate::gpu::Gpu;
 use crate::image::{Image, difference};
 use crate::reference::{self, ReferenceOptions};
-use crate::render::{PixelFormat, Quality, RenderOptions, Renderer, SceneHandle, SceneOptions, View, ViewOptions};
+use crate::render::{RenderOptions, Renderer};
 use crate::scene::synthetic::moving_scene;
-use crate::scene::{Camera, DeformNetwork, DeformSize, MotionSource, NonrigidNetwork, Scene};
+use crate::scene::{Camera, Scene};
 
 /// Gaussians and superpoints of the test's scene.
 const GAUSSIANS: usize = 200;
 const SUPERPOINTS: usize = 5;
 /// Key times of its motion.
 const KEYS: usize = 3;
-const SEED: u64 = 11;
+pub(super) const SEED: u64 = 11;
 /// Pixels: the last column and the last row of tiles are partial.
-const SIZE: [u32; 2] = [45, 29];
+pub(super) const SIZE: [u32; 2] = [45, 29];
 /// The times that are drawn.
-const TIMES: [f64; 2] = [0.3, 0.85];
-const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.125];
+pub(super) const TIMES: [f64; 2] = [0.3, 0.85];
+pub(super) const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.125];
 /// Bounds against the f64 reference, as the tests have them.
 const MIN_PSNR: f64 = 65.0;
 const MAX_DIFFERENCE: f64 = 0.02;
 
 /// Tests the kernels of a frame, then a frame without anybody watching.
 pub(super) fn test(gpu: &Gpu) -> Result<()> {
-    let scene = moving_scene(GAUSSIANS, SUPERPOINTS, KEYS, SEED, false);
-    let options = RenderOptions { background: BACKGROUND, depth: true, ..RenderOptions::default() };
+    let (scene, options) = (scene(), RenderOptions { background: BACKGROUND, ..RenderOptions::default() });
     watched_frames(gpu, &scene, &options)?;
-    watched_networks(gpu, scene.clone())?;
     whole_frame(gpu, &scene, &options)
 }
 
+/// What is drawn.
+pub(super) fn scene() -> Scene {
+    moving_scene(GAUSSIANS, SUPERPOINTS, KEYS, SEED, false)
+}
+
 /// Close to the scene, which is about two units across; elsewhere at each time.
-fn camera(time: f64) -> Camera {
+pub(super) fn camera(time: f64) -> Camera {
     let eye = DVec3::new(3.2 * time.cos(), 0.9, 3.2 * time.sin());
     Camera::look_at(eye, DVec3::ZERO, DVec3::Y, 0.8, SIZE)
 }
 
-/// A frame of a table of poses, exact, in each of the renderer's slots.
-fn watched_frames(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<()> {
+/// A frame in each of the renderer's slots.
+pub(super) fn watched_frames(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<()> {
     let (watched, watch) = gpu.watched();
     let mut renderer = Renderer::new(&watched, scene, options)?;
     let frames = TIMES.map(|time| renderer.submit(&camera(time), time));
@@ -54,19 +58,7 @@ fn watched_frames(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<(
             });
         }
     }
-    watch.mismatch()?.map_or(Ok(()), |mismatch| Err(mismatch.into_error()))
-}
-
-/// A frame of networks F and G in the quality that programs show, packed as the viewer and other programs get it.
-fn watched_networks(gpu: &Gpu, mut scene: Scene) -> Result<()> {
-    scene.deform = Some(DeformNetwork::init(SEED, DeformSize::PAPER, false));
-    scene.nonrigid = Some(NonrigidNetwork::init(SEED));
-    let (watched, watch) = gpu.watched();
-    let options = SceneOptions { motion: MotionSource::Network, quality: Quality::HIGH };
-    let scene = SceneHandle::upload(&watched, &scene, &options)?;
-    let options = ViewOptions { background: BACKGROUND, format: PixelFormat::Rgba8, ..ViewOptions::default() };
-    View::new(&watched, &scene, &options)?.warm_up(&camera(TIMES[0]), TIMES[0])?;
-    watch.mismatch()?.map_or(Ok(()), |mismatch| Err(mismatch.into_error()))
+    check(&watch)
 }
 
 /// A frame as users get it, without copies between its kernels, against the f64 reference.

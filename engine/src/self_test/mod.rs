@@ -5,11 +5,14 @@
 //! inputs ([`Gpu::new`]; [`Gpu::open`] has none):
 //!
 //! - copies, order and size of subgroups, their operations, atomics of many workgroups, every pass of a radix sort;
-//! - a frame from a table of poses, exact, and one from networks F and G in the quality [`HIGH`](crate::render::Quality::HIGH):
-//!   each dispatch against its CPU twin ([`crate::gpu::proof`]);
+//! - a frame from a table of poses, exact: each dispatch against its CPU twin ([`crate::gpu::proof`]);
 //! - a whole frame against the f64 reference ([`crate::reference`]);
-//! - for training ([`GpuOptions::training`]): a step of each stage with density control, each dispatch against its twin, and
-//!   steps whose loss must fall.
+//! - for training ([`GpuOptions::training`]): a step with density control, each dispatch against its twin, and steps whose
+//!   loss must fall.
+//!
+//! What only some programs use is tested when it is first used, in the same way: frames in reduced quality and for windows,
+//! networks F and G, deformation fields, training of the non-rigid stage ([`Suite`]). So a test compiles hardly any pipeline
+//! that is not needed anyway. Kernels that store into a host's image are not tested.
 //!
 //! The verdict is kept beside the pipeline cache, one file per device and suite ([`known`]), and holds until driver, shaders or
 //! subgroup size change. A device that fails is named with the kernel and the difference ([`Error::SelfTest`]), and the next one
@@ -18,8 +21,11 @@
 //! A host's device ([`Gpu::from_host`]) is tested when the host calls [`Gpu::self_test`].
 
 mod basics;
+mod fields;
 mod frame;
+mod networks;
 mod open;
+mod packed;
 mod subgroup_order;
 mod training;
 mod verdict;
@@ -28,10 +34,10 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use serde::{Deserialize, Serialize};
-
 use crate::error::{Error, Result};
+pub use crate::gpu::Suite;
 use crate::gpu::capability::TRAINING_STORAGE_BUFFERS;
+use crate::gpu::proof::Watch;
 use crate::gpu::{DeviceInfo, Gpu, GpuOptions, Kernel};
 pub use subgroup_order::{SUBGROUP_ORDER, SubgroupOrderPush};
 pub use verdict::{Subject, Verdict, known};
@@ -39,31 +45,10 @@ pub use verdict::{Subject, Verdict, known};
 /// Kernels of this module.
 pub static KERNELS: &[&Kernel] = &[&SUBGROUP_ORDER];
 
-/// What is tested.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Suite {
-    /// The kernels of a frame.
-    Frame,
-    /// Those of training.
-    Training,
-}
-
 impl Suite {
-    /// Both, in the order in which they are run.
-    pub const ALL: [Self; 2] = [Self::Frame, Self::Training];
-
     /// Whether a device has what the suite needs. One that cannot train is not tested for it.
     pub fn fits(self, info: &DeviceInfo) -> bool {
-        self == Self::Frame || info.capabilities.max_storage_buffers >= TRAINING_STORAGE_BUFFERS
-    }
-
-    /// `frame`, `training`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Frame => "frame",
-            Self::Training => "training",
-        }
+        !self.trains() || info.capabilities.max_storage_buffers >= TRAINING_STORAGE_BUFFERS
     }
 }
 
@@ -83,6 +68,7 @@ impl Gpu {
     /// `SelfTest` naming the kernel or check that failed and the difference.
     pub fn self_test(&self, suite: Suite) -> Result<Verdict> {
         RUNS.fetch_add(1, Ordering::Relaxed);
+        self.begin_proof(suite);
         let start = Instant::now();
         let outcome = catch_unwind(AssertUnwindSafe(|| run(self, suite)));
         let outcome = outcome.unwrap_or_else(|_| {
@@ -118,8 +104,17 @@ fn run(gpu: &Gpu, suite: Suite) -> Result<()> {
             basics::test(gpu)?;
             frame::test(gpu)
         }
+        Suite::Packed => packed::test(gpu),
+        Suite::Networks => networks::test(gpu),
+        Suite::Fields => fields::test(gpu),
         Suite::Training => training::test(gpu),
+        Suite::Nonrigid => training::test_nonrigid(gpu),
     }
+}
+
+/// The first dispatch that went wrong, as an error.
+fn check(watch: &Watch) -> Result<()> {
+    watch.mismatch()?.map_or(Ok(()), |mismatch| Err(mismatch.into_error()))
 }
 
 /// The verdict, or what is wrong with the device as an error.
@@ -134,8 +129,8 @@ fn judged(verdict: Verdict) -> Result<Verdict> {
     }
 }
 
-/// Suites that these options ask for.
+/// Suites that these options ask for at once; the others are run when their kernels are first needed.
 fn wanted(options: &GpuOptions, info: &DeviceInfo) -> impl Iterator<Item = Suite> {
     let training = options.training && Suite::Training.fits(info);
-    Suite::ALL.into_iter().filter(move |suite| training || *suite == Suite::Frame)
+    [Suite::Frame].into_iter().chain(training.then_some(Suite::Training))
 }

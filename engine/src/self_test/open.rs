@@ -1,6 +1,6 @@
 //! Opening a device that has proven itself.
 
-use super::wanted;
+use super::{Suite, judged, known, wanted};
 use crate::error::{Error, Result};
 use crate::gpu::{Gpu, GpuOptions, SelfTest};
 
@@ -20,6 +20,9 @@ impl Gpu {
             };
             match prove(&gpu, options) {
                 Ok(()) => {
+                    if options.self_test != SelfTest::Skip {
+                        gpu.trust_after(prove_use);
+                    }
                     reasons.iter().for_each(|reason| log::warn!("{reason}; {} is used", gpu.info().name));
                     return Ok(gpu);
                 }
@@ -33,14 +36,28 @@ impl Gpu {
     }
 }
 
+/// Tests what is wanted at once. A device that failed at anything else that it may be used for is not taken either.
 fn prove(gpu: &Gpu, options: &GpuOptions) -> Result<()> {
-    for suite in wanted(options, gpu.info()) {
-        match options.self_test {
-            SelfTest::Skip => return Ok(()),
-            SelfTest::Once => gpu.require_self_test(suite)?,
-            SelfTest::Again => gpu.self_test(suite)?,
-        };
+    if options.self_test == SelfTest::Skip {
+        return Ok(());
     }
+    for suite in wanted(options, gpu.info()) {
+        gpu.begin_proof(suite);
+        prove_use(gpu, suite)?;
+    }
+    let possible = Suite::ALL
+        .into_iter()
+        .filter(|suite| options.self_test == SelfTest::Once && (options.training || !suite.trains()));
+    possible.filter_map(|suite| known(gpu.info(), options, suite)).try_for_each(|verdict| judged(verdict).map(|_| ()))
+}
+
+/// Tests a suite as the device's options want it.
+fn prove_use(gpu: &Gpu, suite: Suite) -> Result<()> {
+    match gpu.options().self_test {
+        SelfTest::Skip => return Ok(()),
+        SelfTest::Once => gpu.require_self_test(suite)?,
+        SelfTest::Again => gpu.self_test(suite)?,
+    };
     Ok(())
 }
 

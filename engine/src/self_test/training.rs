@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
+use super::check;
 use crate::data::dataset::View;
 use crate::data::pixels::{ImageSource, Pixels};
 use crate::error::{Error, Result};
@@ -12,7 +13,7 @@ use crate::reference::{self, ReferenceOptions};
 use crate::scene::synthetic::random_gaussians;
 use crate::scene::{Camera, Gaussians, Scene};
 use crate::train::blend_backward::Accumulation;
-use crate::train::config::Config;
+use crate::train::config::{Config, Form};
 use crate::train::trainer::{Trainer, TrainingData};
 
 /// Gaussians of the photo, and those that training starts from.
@@ -25,7 +26,7 @@ const TIME: f64 = 0.4;
 const STEPS: usize = 6;
 const FALLS_TO: f64 = 0.97;
 
-/// Tests the kernels of a step, of density control and of the non-rigid stage, then steps without anybody watching.
+/// Tests the kernels of a step and of density control, then steps without anybody watching.
 pub(super) fn test(gpu: &Gpu) -> Result<()> {
     let photo = photo()?;
     let first = first();
@@ -35,7 +36,23 @@ pub(super) fn test(gpu: &Gpu) -> Result<()> {
         let config = Config { deterministic: true, ..config(false) };
         watched_step(gpu, &config, &photo, &first)?;
     }
+    let mut paper = config(false);
+    paper.loss.prop_loss = Form::Paper;
+    watched_step(gpu, &paper, &photo, &first)?;
     loss_falls(gpu, &photo, &first)
+}
+
+/// Tests the kernels of a step of the non-rigid stage.
+pub(super) fn test_nonrigid(gpu: &Gpu) -> Result<()> {
+    let (photo, config) = (photo()?, config(true));
+    let mut trainer = Trainer::new(gpu, &config, &data(), &first())?;
+    trainer.step_on(0, &photo)?;
+    let trained = trainer.checkpoint()?;
+    drop(trainer);
+    let (watched, watch) = gpu.watched();
+    let stepped = Trainer::nonrigid(&watched, &config, &data(), &trained)?.step_on(0, &photo);
+    check(&watch)?;
+    stepped.map(|_| ())
 }
 
 fn camera() -> Camera {
@@ -75,8 +92,6 @@ fn config(adapts: bool) -> Config {
     c.schedule.sh_degree_interval = 0;
     c.gaussians.sh_degree = 1;
     c.motion.superpoints = 6;
-    c.motion.neighbors = 3;
-    c.motion.association_slots = 4;
     c.motion.network_layers = 2;
     c.motion.network_width = 32;
     c.motion.zero_heads = false;
@@ -97,19 +112,13 @@ fn data() -> TrainingData {
     TrainingData { views: Arc::new([view(TIME), view(1.0 - TIME)]), extent: 2.0, is_static: false }
 }
 
-/// A step of the rigid stage and one of the non-rigid stage, each dispatch against its twin.
+/// A step of the rigid stage, each dispatch against its twin.
 fn watched_step(gpu: &Gpu, config: &Config, photo: &Pixels, first: &Gaussians) -> Result<()> {
     let (watched, watch) = gpu.watched();
     let mut trainer = Trainer::new(&watched, config, &data(), first)?;
     let stepped = trainer.step_on(0, photo);
     // A kernel that went wrong says more than what became of it.
-    watch.mismatch()?.map_or(Ok(()), |mismatch| Err(mismatch.into_error()))?;
-    stepped?;
-    let trained = trainer.checkpoint()?;
-    drop(trainer);
-    let (watched, watch) = gpu.watched();
-    let stepped = Trainer::nonrigid(&watched, config, &data(), &trained)?.step_on(0, photo);
-    watch.mismatch()?.map_or(Ok(()), |mismatch| Err(mismatch.into_error()))?;
+    check(&watch)?;
     stepped.map(|_| ())
 }
 

@@ -22,7 +22,7 @@ use crate::data::loader::ImageLoader;
 use crate::data::pixels::Pixels;
 use crate::error::{Error, Result};
 use crate::gpu::capability::TRAINING_STORAGE_BUFFERS;
-use crate::gpu::{Buffer, Gpu, Memory, Slice, Timing};
+use crate::gpu::{Buffer, Gpu, Memory, Slice, Suite, Timing};
 use crate::render::frame::{Frame, FrameOptions};
 use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE};
 use crate::render::scene_buffers::Poses;
@@ -152,6 +152,9 @@ impl Trainer {
         if have < TRAINING_STORAGE_BUFFERS {
             let what = "storage buffers per shader stage, for training".to_owned();
             return Err(Error::Limit { what, need: TRAINING_STORAGE_BUFFERS.into(), have: have.into() });
+        }
+        if stage == Stage::Nonrigid {
+            gpu.ready_for(Suite::Nonrigid)?;
         }
         if config.budget.max_bytes > 0 {
             gpu.set_byte_budget(config.budget.max_bytes);

@@ -2,14 +2,33 @@
 
 use std::process::ExitCode;
 
-use engine::error::Result;
+use engine::error::{Error, Result};
+use engine::gpu::{GpuOptions, devices};
 use tools::args::{Cli, Command};
 use tools::{bench, compare, convert, demo, devices, eval, hard_cases, inspect, output, render, train, viewer};
 
 fn main() -> ExitCode {
     match output::parse::<Cli>("spgs") {
-        Ok(cli) => output::run_main("spgs", move || run(&cli)),
+        Ok(cli) => output::run_main("spgs", move || run_on_proven_device(cli)),
         Err(code) => code,
+    }
+}
+
+/// Some tests of a device are run when a scene first needs what they are about. A device that fails then is known and not
+/// taken again, so the command begins anew on the next one. Training does not: it may have gone on for hours.
+fn run_on_proven_device(mut cli: Cli) -> Result<ExitCode> {
+    let named = cli.global.device.is_some() || GpuOptions::default().device.is_some();
+    let mut others =
+        if named || matches!(cli.command, Command::Train(_)) { 0 } else { devices().map_or(0, |d| d.len()) };
+    loop {
+        match run(&cli) {
+            Err(error @ Error::SelfTest { .. }) if others > 1 => {
+                log::warn!("{error}; trying another device");
+                others -= 1;
+                cli.global.self_test = false;
+            }
+            done => return done,
+        }
     }
 }
 

@@ -19,6 +19,9 @@ const ARENA_BYTES: u64 = 4 << 20;
 /// Arguments of dispatches: poison would be two thousand million workgroups.
 const INDIRECT: &str = "indirect";
 
+/// What a dispatch that has run leaves; a recording may be one of several that are made at once and never be submitted.
+const RAN: u32 = 0x5afe_5afe;
+
 /// What the dispatches did that were recorded with [`Gpu::watched`].
 #[derive(Debug, Default)]
 pub struct Watch {
@@ -42,6 +45,8 @@ struct Dispatch {
     /// Per binding; `None` for what is only read.
     after: Vec<Option<Slice>>,
     words: Vec<usize>,
+    /// A word that is [`RAN`] once the dispatch has run.
+    ran: Slice,
 }
 
 /// Workgroups in x, y, z: known, or in a copy of the indirect arguments.
@@ -67,13 +72,24 @@ impl Gpu {
 }
 
 impl Watch {
-    /// Gives each dispatch's input to its twin and compares what it left. The recordings have run once, and not again since.
+    /// Gives the input of each dispatch that has run to its twin and compares what it left. No recording has run twice.
     /// The first dispatch that differs is the one to blame: what follows works on its result.
     ///
     /// # Errors
-    /// `Usage` when a copy cannot be read.
+    /// `Usage` when a copy cannot be read; `Kernel` when nothing was recorded that has run, or an input makes no sense.
     pub fn mismatch(&self) -> Result<Option<Mismatch>> {
-        for dispatch in lock(&self.seen).iter() {
+        let seen = lock(&self.seen);
+        let mut run = Vec::with_capacity(seen.len());
+        for dispatch in seen.iter() {
+            if read(&dispatch.ran)? == [RAN] {
+                run.push(dispatch);
+            }
+        }
+        if run.is_empty() {
+            let why = format!("none of {} recorded dispatches has run", seen.len());
+            return Err(Error::Kernel { kernel: "vkCmdDispatch".into(), why });
+        }
+        for dispatch in run {
             if let Some(mismatch) = dispatch.mismatch()? {
                 return Ok(Some(mismatch));
             }
@@ -97,7 +113,9 @@ impl Watch {
         let aligned = bytes.next_multiple_of(16);
         let room = arena.as_ref().is_some_and(|(buffer, used)| used + aligned <= buffer.bytes());
         if !room {
-            *arena = Some((gpu.buffer("watched", aligned.max(ARENA_BYTES), Memory::Readback)?, 0));
+            let buffer = gpu.buffer("watched", aligned.max(ARENA_BYTES), Memory::Readback)?;
+            buffer.write_readback(0, &vec![0; buffer.bytes() as usize])?;
+            *arena = Some((buffer, 0));
         }
         let Some((buffer, used)) = arena.as_mut() else {
             return Err(Error::usage("watched recording", "no buffer", "one"));
@@ -161,7 +179,10 @@ impl Watch {
         }
         let mut all = vec![gpu.subgroup_size_of(kernel)];
         all.extend(spec);
+        let ran = self.keep(gpu, 4)?;
+        r.fill(&ran, RAN)?;
         lock(&self.seen).push(Dispatch {
+            ran,
             label: label.to_owned(),
             kernel,
             spec: all,
@@ -179,7 +200,7 @@ impl Watch {
         let mut found: Vec<Buffer> = Vec::new();
         for dispatch in lock(&self.seen).iter() {
             let groups = if let Counts::Copied(slice) = &dispatch.groups { Some(slice) } else { None };
-            for slice in dispatch.before.iter().chain(&dispatch.after).flatten().chain(groups) {
+            for slice in dispatch.before.iter().chain(&dispatch.after).flatten().chain(groups).chain([&dispatch.ran]) {
                 if !found.iter().any(|b| b.id() == slice.buffer.id()) {
                     found.push(slice.buffer.clone());
                 }

@@ -13,7 +13,7 @@ use super::check;
 use super::options::{Finished, MAX_IN_FLIGHT, Recorded, Target, ViewOptions};
 use super::scene::SceneHandle;
 use crate::error::{Error, Result};
-use crate::gpu::{Buffer, Gpu, HostCommandBuffer, Memory, Sequence, Timing};
+use crate::gpu::{Buffer, Gpu, HostCommandBuffer, Memory, Sequence, Suite, Timing};
 use crate::scene::Camera;
 
 /// Bytes of the counters in their ring, and of one place of it: counters, then the serial number of the frame.
@@ -87,6 +87,7 @@ impl View {
     pub fn new(gpu: &Gpu, scene: &SceneHandle, options: &ViewOptions) -> Result<Self> {
         check::options(options)?;
         check::scene(gpu, scene)?;
+        gpu.ready_for(Suite::Packed)?;
         let ring = gpu.buffer("counter ring", RING_BYTES * u64::from(options.in_flight), Memory::Readback)?;
         ring.write_readback(0, &vec![0; ring.bytes() as usize])?;
         let capacity = capacity::first(scene.buffers.gaussians).min(capacity::limit(gpu, options.max_instances));
