@@ -12,7 +12,7 @@ use super::account::MemoryBudget;
 use super::cache_folder::cache_folder;
 use super::capability::{Capabilities, DeviceInfo, REQUIREMENTS};
 use super::host::QueueLock;
-use super::instance::{Messages, Messenger, create_instance};
+use super::instance::{Messages, Messenger, create_instance, validation_layer_is_old};
 use super::options::GpuOptions;
 use super::pipeline::{PipelineCacheFile, Pipelines};
 use super::proof::Watch;
@@ -129,6 +129,9 @@ impl Gpu {
         let (physical, mut info) = candidates[index].clone();
         if options.draws {
             info.draw();
+        }
+        if options.validation && validation_layer_is_old(&entry) {
+            info.capabilities.reconvergence = Reconvergence::None;
         }
         let statistics =
             options.statistics && info.capabilities.has_extension(ash::khr::pipeline_executable_properties::NAME);

@@ -13,6 +13,18 @@ use crate::error::{Error, Result};
 pub(super) type Messenger = (ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT);
 pub(super) type Messages = Arc<Mutex<Vec<String>>>;
 
+const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
+/// The first headers that know `VK_KHR_shader_maximal_reconvergence`.
+const KNOWS_RECONVERGENCE: u32 = vk::make_api_version(0, 1, 3, 276);
+
+/// Whether the validation layer is older than what the engine asks of newer drivers: it takes that for a mistake.
+pub(super) fn validation_layer_is_old(entry: &ash::Entry) -> bool {
+    // SAFETY: plain enumeration.
+    let available = unsafe { entry.enumerate_instance_layer_properties() }.unwrap_or_default();
+    let layer = available.iter().find(|l| l.layer_name_as_c_str() == Ok(VALIDATION_LAYER));
+    layer.is_some_and(|l| l.spec_version < KNOWS_RECONVERGENCE)
+}
+
 pub(super) fn create_instance(
     options: &GpuOptions,
 ) -> Result<(ash::Entry, ash::Instance, Option<Messenger>, Messages)> {
@@ -35,16 +47,15 @@ pub(super) fn create_instance(
         .api_version(version.min(vk::API_VERSION_1_3));
     let mut layers = Vec::new();
     let mut extensions: Vec<_> = options.instance_extensions.iter().map(|e| e.as_ptr()).collect();
-    let validation_layer = c"VK_LAYER_KHRONOS_validation";
     if options.validation {
         // SAFETY: plain query.
         let available = unsafe { entry.enumerate_instance_layer_properties() }.map_err(no_instance)?;
-        if !available.iter().any(|l| l.layer_name_as_c_str() == Ok(validation_layer)) {
+        if !available.iter().any(|l| l.layer_name_as_c_str() == Ok(VALIDATION_LAYER)) {
             let reason =
                 "validation was asked for, but VK_LAYER_KHRONOS_validation is not installed; run ci/setup --tests";
             return Err(Error::NoDevice { reason: reason.into() });
         }
-        layers.push(validation_layer.as_ptr());
+        layers.push(VALIDATION_LAYER.as_ptr());
         extensions.push(ash::ext::debug_utils::NAME.as_ptr());
         extensions.push(ash::ext::validation_features::NAME.as_ptr());
     }
