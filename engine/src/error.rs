@@ -101,6 +101,21 @@ pub enum Error {
         /// The kernel after it.
         next_kernel: String,
     },
+    /// The device did not finish in time; it hangs, or it compiles or computes for longer than it was given.
+    #[error(
+        "no answer for {seconds} s (SPGS_TIMEOUT_S gives more) from `{label}`; last finished kernel: {last_kernel}; running: \
+         {next_kernel}"
+    )]
+    TimedOut {
+        /// Seconds that were waited.
+        seconds: f64,
+        /// Name of the recorded commands.
+        label: String,
+        /// Last kernel whose breadcrumb arrived.
+        last_kernel: String,
+        /// The kernel after it.
+        next_kernel: String,
+    },
     /// A device does not compute what it must (see [`crate::self_test`]).
     #[error(
         "device {device} ({driver}) fails the self-test: {why}; update its driver, choose another device (--device, SPGS_DEVICE; \
@@ -134,7 +149,11 @@ impl Error {
             Self::Limit { .. } | Self::OutOfMemory { .. } => 4,
             Self::DeviceLost { .. } => 5,
             Self::NonFinite { .. } => 6,
-            Self::NoDevice { .. } | Self::Vulkan { .. } | Self::SelfTest { .. } | Self::Kernel { .. } => 1,
+            Self::NoDevice { .. }
+            | Self::Vulkan { .. }
+            | Self::TimedOut { .. }
+            | Self::SelfTest { .. }
+            | Self::Kernel { .. } => 1,
         }
     }
 

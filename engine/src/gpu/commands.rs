@@ -119,6 +119,11 @@ impl Commands {
         }
     }
 
+    fn timed_out(&self, seconds: f64) -> Error {
+        let (last_kernel, next_kernel) = self.trace();
+        Error::TimedOut { seconds, label: self.sequence.name.clone(), last_kernel, next_kernel }
+    }
+
     fn device_lost(&self) -> Error {
         let (last_kernel, next_kernel) = self.trace();
         Error::DeviceLost { submission: self.last.0, label: self.sequence.name.clone(), last_kernel, next_kernel }
@@ -222,6 +227,7 @@ impl Gpu {
     pub fn wait_for(&self, commands: &Commands) -> Result<()> {
         self.wait(commands.last).map_err(|error| match error {
             Error::DeviceLost { .. } => commands.device_lost(),
+            Error::TimedOut { seconds, .. } => commands.timed_out(seconds),
             other => other,
         })
     }
@@ -242,6 +248,11 @@ impl Gpu {
             match unsafe { self.0.device.wait_semaphores(&wait, timeout) } {
                 Ok(()) => return Ok(()),
                 Err(vk::Result::TIMEOUT) if self.finished()? > finished => finished = self.finished()?,
+                Err(vk::Result::TIMEOUT) => {
+                    let (seconds, unknown) = (self.0.options.timeout_s, || "unknown".to_owned());
+                    let label = format!("submission {}", submission.0);
+                    return Err(Error::TimedOut { seconds, label, last_kernel: unknown(), next_kernel: unknown() });
+                }
                 Err(code) => return Err(self.vulkan_error("vkWaitSemaphores", code)),
             }
         }

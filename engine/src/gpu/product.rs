@@ -14,10 +14,14 @@ pub enum Stage {
 impl Stage {
     /// The better one for this device.
     pub fn of(gpu: &Gpu) -> Self {
-        if gpu.info().is_cpu() { Self::Shuffle } else { Self::Shared }
+        let info = gpu.info();
+        let few_lanes = info.capabilities.subgroup_size <= MOST_SHUFFLING_LANES;
+        if info.is_cpu() && few_lanes { Self::Shuffle } else { Self::Shared }
     }
 }
 
+/// Lanes up to which kernels that shuffle are written for (`nonrigid_network`).
+const MOST_SHUFFLING_LANES: u32 = 16;
 /// Threads per workgroup of every kernel that multiplies matrices.
 pub const PRODUCT_THREADS: u32 = 256;
 const SHUFFLE_ROWS: u32 = 32;
