@@ -88,6 +88,7 @@ pub mod file;
 #[allow(unsafe_code, reason = "raw Vulkan calls")]
 pub mod gpu;
 pub mod image;
+pub mod manual;
 pub mod metrics;
 pub mod reference;
 pub mod render;

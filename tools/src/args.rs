@@ -7,6 +7,7 @@ use engine::render::Quality;
 use engine::scene::MotionSource;
 
 use crate::convert::ConvertArgs;
+use crate::help::{self, HelpArgs};
 use crate::paper::Benchmark;
 
 mod render;
@@ -17,7 +18,7 @@ pub use viewer::ViewerArgs;
 
 /// Renders dynamic 3D Gaussian scenes on Vulkan.
 #[derive(Debug, Parser)]
-#[command(name = "spgs", version, arg_required_else_help = false)]
+#[command(name = "spgs", version, arg_required_else_help = false, disable_help_subcommand = true, after_help = help::topics())]
 pub struct Cli {
     /// What holds for every subcommand.
     #[command(flatten)]
@@ -64,6 +65,8 @@ pub enum Command {
     Inspect(InspectArgs),
     /// List the Vulkan devices and what they lack
     Devices(DevicesArgs),
+    /// Explain a command or a topic
+    Help(HelpArgs),
 }
 
 /// `spgs demo`.

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use engine::error::{Error, Result};
 use engine::gpu::{GpuOptions, devices};
 use tools::args::{Cli, Command};
-use tools::{bench, compare, convert, demo, devices, eval, hard_cases, inspect, output, render, train, viewer};
+use tools::{bench, compare, convert, demo, devices, eval, hard_cases, help, inspect, output, render, train, viewer};
 
 fn main() -> ExitCode {
     match output::parse::<Cli>("spgs") {
@@ -45,6 +45,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Convert(args) => convert::run(args, &cli.global),
         Command::Inspect(args) => inspect::run(args),
         Command::Devices(args) => devices::run(args, &cli.global),
+        Command::Help(args) => help::run(args),
     };
     done.map(|()| ExitCode::SUCCESS)
 }
