@@ -108,12 +108,8 @@ fn table(root: &Path) -> Result<String> {
         let commit = of("/program/commit");
         let device = format!("{}, {}", of("/device/name"), of("/device/driver"));
         let short = &commit[..commit.len().min(9)];
-        text += &format!(
-            "| {} `{file}` | {} | {} | {short} |\n",
-            what(&record),
-            result(&record),
-            device.replace('|', "/")
-        );
+        text +=
+            &format!("| {} `{file}` | {} | {} | {short} |\n", what(&record), result(&record), device.replace('|', "/"));
     }
     Ok(text)
 }
@@ -284,12 +280,7 @@ mod tests {
         assert!(write(root.path()).unwrap() && !write(root.path()).unwrap());
         let text = std::fs::read_to_string(root.path().join(PAGE)).unwrap();
         assert!(text.starts_with("before\n") && text.ends_with("after\n") && !text.contains("stale"), "{text}");
-        assert!(
-            text.contains(
-                "| Hard cases `a.json` | 2 of 3 hold, 5 s | x/y, d | 012345678 |"
-            ),
-            "{text}"
-        );
+        assert!(text.contains("| Hard cases `a.json` | 2 of 3 hold, 5 s | x/y, d | 012345678 |"), "{text}");
     }
 
     #[test]

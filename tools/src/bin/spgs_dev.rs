@@ -90,12 +90,20 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         }
         Task::Measurements { check: true, .. } => {
             let (old, new) = measurements::updated(&cli.root)?;
-            output::line(if old == new { "tools/docs/measured.md is up to date" } else { "tools/docs/measured.md is out of date" });
+            output::line(if old == new {
+                "tools/docs/measured.md is up to date"
+            } else {
+                "tools/docs/measured.md is out of date"
+            });
             Ok(status(old == new))
         }
         Task::Measurements { .. } => {
             let changed = measurements::write(&cli.root)?;
-            output::line(if changed { "tools/docs/measured.md written" } else { "tools/docs/measured.md was up to date" });
+            output::line(if changed {
+                "tools/docs/measured.md written"
+            } else {
+                "tools/docs/measured.md was up to date"
+            });
             Ok(ExitCode::SUCCESS)
         }
     }

@@ -64,7 +64,10 @@ fn inline(text: &str) -> String {
             rest = after;
             continue;
         }
-        if !code && c == '[' && let Some((inside, after)) = link(rest) {
+        if !code
+            && c == '['
+            && let Some((inside, after)) = link(rest)
+        {
             out += &inline(inside);
             rest = after;
             continue;
@@ -122,9 +125,8 @@ fn table(lines: &[&str]) -> String {
     rows.remove(1);
     let columns = rows.iter().map(Vec::len).max().unwrap_or_default();
     let cell = |row: &[String], c: usize| row.get(c).cloned().unwrap_or_default();
-    let widths: Vec<usize> = (0..columns)
-        .map(|c| rows.iter().map(|r| cell(r, c).chars().count()).max().unwrap_or_default())
-        .collect();
+    let widths: Vec<usize> =
+        (0..columns).map(|c| rows.iter().map(|r| cell(r, c).chars().count()).max().unwrap_or_default()).collect();
     let mut out = String::new();
     if widths.iter().map(|w| w + 2).sum::<usize>() <= WIDTH {
         for row in &rows {
@@ -153,7 +155,8 @@ mod tests {
     fn marks_and_targets_are_left_out() {
         let page = "# Title\n\nA **bold** [link][x] and [another](y.md), `[N,3]` and\nmore.\n\n- one\n  more\n- two\n\n\
                     ```sh\nspgs demo\n```\n<!-- no -->\n[x]: z.md\n";
-        let expected = "Title\n=====\n\nA bold link and another, `[N,3]` and more.\n\n- one more\n- two\n\n    spgs demo\n";
+        let expected =
+            "Title\n=====\n\nA bold link and another, `[N,3]` and more.\n\n- one more\n- two\n\n    spgs demo\n";
         assert_eq!(plain(page), expected);
     }
 
