@@ -23,11 +23,11 @@ pub fn pages() -> impl Iterator<Item = &'static Page> {
 // A page ends with link targets for the web. Those in front of it are for rustdoc: of two targets the first one counts.
 
 pub mod commands {
-    //! [data]: engine::manual::data
+    //! [data]: ../../../engine/manual/data/index.html
     //! [drivers]: super::drivers
-    //! [formats]: engine::manual::formats
+    //! [formats]: ../../../engine/manual/formats/index.html
     //! [measuring]: super::measuring
-    //! [metrics]: engine::manual::metrics
+    //! [metrics]: ../../../engine/manual/metrics/index.html
     //! [quality]: super::quality
     //! [training]: super::training
     //! [video]: super::video
@@ -47,19 +47,19 @@ pub mod video {
 }
 
 pub mod training {
-    //! [data]: engine::manual::data
-    //! [metrics]: engine::manual::metrics
+    //! [data]: ../../../engine/manual/data/index.html
+    //! [metrics]: ../../../engine/manual/metrics/index.html
     #![doc = include_str!("../docs/training.md")]
 }
 
 pub mod quality {
-    //! [image]: engine::manual::image
+    //! [image]: ../../../engine/manual/image/index.html
     //! [measuring]: super::measuring
     #![doc = include_str!("../docs/quality.md")]
 }
 
 pub mod measuring {
-    //! [image]: engine::manual::image
+    //! [image]: ../../../engine/manual/image/index.html
     //! [measured]: super::measured
     //! [quality]: super::quality
     #![doc = include_str!("../docs/measuring.md")]
@@ -71,6 +71,6 @@ pub mod measured {
 }
 
 pub mod drivers {
-    //! [embedding]: engine::manual::embedding
+    //! [embedding]: ../../../engine/manual/embedding/index.html
     #![doc = include_str!("../docs/drivers.md")]
 }

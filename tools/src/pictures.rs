@@ -93,3 +93,16 @@ fn animation(gpu: &Gpu, scene: &Scene, path: &Path) -> Result<Vec<u8>> {
     drop(encoder);
     Ok(bytes)
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+    use super::*;
+
+    #[test]
+    fn the_images_in_the_repository_are_small() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().join(FOLDER);
+        let bytes: u64 = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().metadata().unwrap().len()).sum();
+        assert!((1..=1_500_000).contains(&bytes), "{bytes} bytes");
+    }
+}
