@@ -18,8 +18,11 @@ fn main() -> ExitCode {
 /// taken again, so the command begins anew on the next one. Training does not: it may have gone on for hours.
 fn run_on_proven_device(mut cli: Cli) -> Result<ExitCode> {
     let named = cli.global.device.is_some() || GpuOptions::default().device.is_some();
-    let mut others =
-        if named || matches!(cli.command, Command::Train(_)) { 0 } else { devices().map_or(0, |d| d.len()) };
+    let mut others = if named || matches!(cli.command, Command::Train(_) | Command::Help(_)) {
+        0
+    } else {
+        devices().map_or(0, |d| d.len())
+    };
     loop {
         match run(&cli) {
             Err(error @ Error::SelfTest { .. }) if others > 1 => {
