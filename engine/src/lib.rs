@@ -9,9 +9,11 @@
 //!                                                 └ measured against reference::render (f64, CPU)
 //! ```
 //!
-//! A window gets its pictures without a way over the host (feature `window`, used by `spgs view`): kernel `display` makes 8-bit
-//! pixels of a frame, [`render::display::Screen`] keeps them, `gpu::presenter` copies them into the window's image and paints the
-//! interface over them.
+//! Images for a window never leave the device (feature `window`, used by `spgs view`): kernel `display` makes 8-bit pixels of a
+//! frame, [`render::display::Screen`] keeps them, `gpu::presenter` copies them into the window's image and paints the interface
+//! over them.
+//!
+//! The [`manual`] says how to use all of this; the page ends with a [glossary](#glossary).
 //!
 //! ## Modules, lowest first
 //!
@@ -19,13 +21,14 @@
 //!
 //! | module | what it holds |
 //! |---|---|
+//! | [`manual`] | the engine's pages of the manual, as `spgs help TOPIC` prints them |
 //! | [`error`] | the one error type; its variants are the exit codes of the command line |
 //! | [`gpu`] | device, buffers, kernels, barriers, submission; the only module that names `ash` or writes `unsafe`; knows nothing of Gaussians |
 //! | [`scene`] | plain data: Gaussians, superpoints, key-time table, networks, deformation fields, cameras; synthetic scenes |
 //! | [`image`] | float images and their comparison |
-//! | [`mod@reference`] | the f64 image that is the truth |
-//! | [`mod@file`], [`data`] | model files and pictures; data sets of posed pictures, camera files |
-//! | [`metrics`] | how far a picture is from its ground truth: PSNR, SSIM, MS-SSIM, FLIP, LPIPS, flicker |
+//! | [`mod@reference`] | the f64 reference: the definition of the image |
+//! | [`mod@file`], [`data`] | model files and images; data sets of posed images, camera files |
+//! | [`metrics`] | how far an image is from its ground truth: PSNR, SSIM, MS-SSIM, FLIP, LPIPS, flicker |
 //! | [`render`] | scene(t) + camera → image on the GPU: kernels, their twins, the frame; [`render::embed`]: frames in other programs |
 //! | [`train`] | posed images → scene on the GPU: loss, backward kernels, Adam, density, checkpoints |
 //! | [`self_test`] | whether a device computes what it must: every kernel of a frame or a step on a small scene; [`gpu::Gpu::new`] |
@@ -76,9 +79,35 @@
 //! - Raw parameters carry their transform in the name: `log_scale`, `opacity_logit`.
 //! - `a_from_b` is an array indexed by b; plurals are arrays; counts are `n` of something or the plural's length.
 //! - Subgroup size is specialisation constant 0 of every kernel: 4 to 128, never assumed 32, and chosen per kernel where the
-//!   driver can pin it ([`gpu::subgroup_size`]). Float atomics are not used.
+//!   driver can pin it ([`gpu::subgroup_size`]). Rendering uses no float atomics; training uses them where the device is faster
+//!   with them, unless it is to be deterministic.
 //! - Barriers and subgroup operations sit in flow that is uniform for the workgroup and the subgroup, functions before them have
-//!   one way out, and a kernel that thinks in subgroups numbers its threads by them: `spgs-dev spirv --check` proves it.
+//!   one way out, and a kernel that works by subgroups numbers its threads by them: `spgs-dev spirv --check` proves it.
+//!
+//! ## Glossary
+//!
+//! | word | meaning |
+//! |---|---|
+//! | Gaussian | one ellipsoid of the scene: centre, scale, rotation, opacity, colour as SH |
+//! | splat | a Gaussian projected into an image |
+//! | SH | spherical harmonics: colour that depends on the view direction |
+//! | superpoint | a group of Gaussians that move together rigidly |
+//! | pose | rotation and translation of a superpoint at a time |
+//! | key-time table | poses of all superpoints at key times; between them they are interpolated |
+//! | network F | gives the pose of a superpoint at any time; training bakes it into the key-time table |
+//! | network G | gives offsets of each Gaussian at any time, for motion that is not rigid |
+//! | deformation field | motion of each Gaussian by another method (Deformable-3DGS, 4D-GS, SC-GS) |
+//! | association | which superpoints a Gaussian follows while training, with weights |
+//! | tile, tile instance | a square of 16×16 pixels; a pair of a splat and a tile that it touches |
+//! | α, T | opacity of a splat in a pixel; transmittance, the share of light that still passes |
+//! | kernel, twin | a compute shader; the CPU function that computes the same, for tests |
+//! | subgroup, lane | invocations that run together, 4 to 128 of them; one of them |
+//! | f64 reference | the image by its definition, computed in f64 on the CPU ([`mod@reference`]) |
+//! | ground truth | an image of a data set that a render is compared with |
+//! | oracle | images and gradients of an independent float64 implementation (`spgs-dev oracle-check`) |
+//! | knob, preset | one setting that trades error for speed; a named set of them ([`render::Quality`]) |
+//! | rejected | counted, named in a warning, and left out: a Gaussian that cannot be drawn, a file's unknown part |
+//! | lavapipe | Mesa's Vulkan driver for CPUs |
 
 #![deny(unsafe_code)]
 
@@ -88,6 +117,7 @@ pub mod file;
 #[allow(unsafe_code, reason = "raw Vulkan calls")]
 pub mod gpu;
 pub mod image;
+pub mod manual;
 pub mod metrics;
 pub mod reference;
 pub mod render;

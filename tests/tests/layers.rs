@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 /// Modules of `engine`, lowest first; those of one line may not import each other.
 const LAYERS: &[&[&str]] = &[
+    &["manual"],
     &["error"],
     &["gpu"],
     &["scene"],

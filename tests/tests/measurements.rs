@@ -1,4 +1,4 @@
-//! Recorded measurements: each names what makes it comparable, and the README's table is made from them.
+//! Recorded measurements: each names what makes it comparable, and the manual's table is made from them.
 
 use std::path::Path;
 
@@ -9,9 +9,9 @@ fn root() -> &'static Path {
 }
 
 #[test]
-fn the_readme_is_in_step() {
+fn the_table_is_up_to_date() {
     let (old, new) = measurements::updated(root()).unwrap();
-    assert!(old == new, "README.md is not made from tests/measurements: run spgs-dev measurements");
+    assert!(old == new, "tools/docs/measured.md is not made from tests/measurements: run spgs-dev measurements");
 }
 
 #[test]

@@ -7,6 +7,7 @@ use engine::render::Quality;
 use engine::scene::MotionSource;
 
 use crate::convert::ConvertArgs;
+use crate::help::{self, HelpArgs};
 use crate::paper::Benchmark;
 
 mod render;
@@ -15,11 +16,11 @@ mod viewer;
 pub use render::{PathArg, RenderArgs};
 pub use viewer::ViewerArgs;
 
-/// Renders dynamic 3D Gaussian scenes on Vulkan.
+/// Train, render and measure moving 3D Gaussian scenes on Vulkan
 #[derive(Debug, Parser)]
-#[command(name = "spgs", version, arg_required_else_help = false)]
+#[command(name = "spgs", version, arg_required_else_help = false, disable_help_subcommand = true, after_help = help::topics())]
 pub struct Cli {
-    /// What holds for every subcommand.
+    /// Options of every subcommand.
     #[command(flatten)]
     pub global: Global,
     /// What to do.
@@ -30,13 +31,13 @@ pub struct Cli {
 /// Options of every subcommand.
 #[derive(Debug, Clone, Args)]
 pub struct Global {
-    /// Vulkan device: its index in `spgs devices` or part of its name [default: the fastest kind; also SPGS_DEVICE]
+    /// Vulkan device: index in `spgs devices`, or part of its name [default: SPGS_DEVICE, else the fastest kind]
     #[arg(long, global = true, value_name = "N|NAME")]
     pub device: Option<String>,
-    /// Test the device again before it is used, whatever is known of it (SPGS_SELF_TEST=0: never test it)
+    /// Test the device again before using it (SPGS_SELF_TEST=0: never test it)
     #[arg(long, global = true)]
     pub self_test: bool,
-    /// No progress and no report on the terminal; warnings and errors only
+    /// Print warnings and errors only
     #[arg(long, short, global = true)]
     pub quiet: bool,
 }
@@ -44,35 +45,37 @@ pub struct Global {
 /// The subcommands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Render a built-in moving scene; print FPS, kernel times and where the pictures are
+    /// Render a built-in moving scene; print FPS and kernel times
     Demo(DemoArgs),
-    /// Reconstruct a moving scene from posed images
+    /// Train a moving scene from posed images
     Train(TrainArgs),
-    /// Render a model along a camera file
+    /// Render a model from the views of a camera file, or along a path
     Render(RenderArgs),
-    /// Fly through a scene in a window, scrub its time, see what every millisecond goes to
+    /// Fly through a scene in a window and scrub its time
     View(ViewerArgs),
-    /// Measure frame and kernel times
+    /// Measure frames, kernels, training steps and errors
     Bench(BenchArgs),
-    /// Compare two pictures, or the pictures of two folders: PSNR, SSIM, MS-SSIM, FLIP, LPIPS
+    /// Compare two images, or the images of two folders: PSNR, SSIM, MS-SSIM, FLIP, LPIPS
     Compare(CompareArgs),
-    /// Score a model on the held-out views of a data set, beside the paper's figures
+    /// Score a model on the held-out views of a data set, beside the paper's numbers
     Eval(EvalArgs),
-    /// Write a model in another format, whole, at a time, or as a sequence over time; say what that cost
+    /// Convert a model to another format: whole, at one time, or as a sequence
     Convert(ConvertArgs),
-    /// Say what is in a model file or a data set
+    /// Describe a model file or a data set
     Inspect(InspectArgs),
-    /// List the Vulkan devices and what they lack
+    /// List the Vulkan devices, and what unusable ones lack
     Devices(DevicesArgs),
+    /// Explain a command or a topic
+    Help(HelpArgs),
 }
 
 /// `spgs demo`.
 #[derive(Debug, Args)]
 pub struct DemoArgs {
-    /// Folder for the pictures
+    /// Folder for the images
     #[arg(long, value_name = "DIR", default_value = "out/demo")]
     pub out: PathBuf,
-    /// Number of pictures over t = 0 to 1
+    /// Number of images from t = 0 to 1
     #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub frames: u32,
     /// Print the result as JSON
@@ -83,46 +86,47 @@ pub struct DemoArgs {
 /// `spgs train`.
 #[derive(Debug, Args)]
 pub struct TrainArgs {
-    /// Data set: a folder with transforms_train.json, dataset.json, poses_bounds.npy, precomputed.json or a COLMAP model
+    /// Data set: a folder with transforms_train.json, transforms.json, dataset.json, poses_bounds.npy, precomputed.json or a
+    /// COLMAP model (see `spgs help data`)
     #[arg(required_unless_present = "print_config")]
     pub data: Option<PathBuf>,
-    /// Folder for everything the run writes: model.safetensors, config.toml, run.jsonl, report.html, images/, checkpoints/
+    /// Output folder: model.safetensors, config.toml, run.jsonl, report.html, images/, checkpoints/
     #[arg(long, value_name = "DIR", required_unless_present = "print_config")]
     pub out: Option<PathBuf>,
-    /// Length of the run; the schedule scales with it [default: the configuration's, 40000]
+    /// Number of iterations; the schedule scales with it [default: the configuration's, 40000]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
     pub iterations: Option<u64>,
-    /// Values of the paper for a kind of data [default: by the data set's format]
+    /// The paper's values for a kind of data [default: by the data set's format]
     #[arg(long, value_enum)]
     pub preset: Option<PresetArg>,
-    /// Hyper-parameters that differ from the preset (see --print-config)
+    /// File with hyper-parameters that override the preset (see --print-config)
     #[arg(long, value_name = "F.toml")]
     pub config: Option<PathBuf>,
-    /// Print the whole configuration as TOML and stop
+    /// Print the whole configuration as TOML and exit
     #[arg(long)]
     pub print_config: bool,
-    /// Go on from the newest checkpoint in DIR, with its configuration
+    /// Continue from the newest checkpoint in DIR, with its configuration
     #[arg(long, conflicts_with_all = ["config", "preset", "init"])]
     pub resume: bool,
-    /// Images are averaged down by this factor [default: the data set's rule, mostly 1]
+    /// Average images down by this factor [default: the data set's rule, mostly 1]
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub downscale: Option<u32>,
-    /// The same bits on every run: no float atomics, fixed orders of sums
+    /// Give the same bits on every run: no float atomics, fixed order of sums
     #[arg(long)]
     pub deterministic: bool,
-    /// Train the non-rigid network G on top of the trained model in DIR
+    /// Train network G (motion that is not rigid) on top of the trained model in DIR
     #[arg(long)]
     pub nonrigid: bool,
-    /// First Gaussians: a model (.safetensors or 3DGS .ply) [default: the data set's points, or random ones]
+    /// Start from this model (.safetensors or 3DGS .ply) [default: the data set's points, or random ones]
     #[arg(long, value_name = "FILE")]
     pub init: Option<PathBuf>,
-    /// Train as a static scene, without superpoints
+    /// Train a static scene, without superpoints
     #[arg(long)]
     pub no_motion: bool,
-    /// Seed of every random choice
+    /// Seed of all random choices
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Watch: opens `spgs view` on DIR, which shows the scene anew with every checkpoint
+    /// Open `spgs view` on DIR; it shows every new checkpoint
     #[arg(long)]
     pub view: bool,
     /// Print the result as JSON
@@ -158,10 +162,10 @@ pub struct ViewArgs {
     /// Where the motion comes from [default: the key-time table where the model has one]
     #[arg(long, value_enum)]
     pub motion: Option<MotionArg>,
-    /// What may be given up for speed: exact; high: nothing that is visible; fast: a few levels of 255 in places
+    /// Error allowed for speed: exact: none; high: none that is visible; fast: a few levels of 255 in places
     #[arg(long, value_name = "exact|high|fast", default_value = "high", value_parser = preset)]
     pub quality: Quality,
-    /// Single knobs on top of --quality, knob=value,…: cull, alpha_cut, stop, depth_bits, position, sh_degree, sh, colour,
+    /// Override single knobs of --quality (see `spgs help quality`): cull, alpha_cut, stop, depth_bits, position, sh_degree, sh, colour,
     /// conic, table_step, interpolation, network, nonrigid, resolution
     #[arg(long, value_name = "KNOB=VALUE,…", value_parser = knobs)]
     pub set: Option<String>,
@@ -171,7 +175,7 @@ impl ViewArgs {
     /// `--quality` with the knobs of `--set`.
     pub fn quality(&self) -> Quality {
         let mut quality = self.quality;
-        // The parser has taken the list, so nothing is left to refuse.
+        // The parser has accepted the list already.
         let _ = quality.set_all(self.set.as_deref().unwrap_or_default());
         quality
     }
@@ -197,13 +201,13 @@ pub struct BenchArgs {
     /// Model: .safetensors, 3DGS .ply, or anything that `spgs convert` reads [default: a synthetic scene]
     #[arg(conflicts_with_all = ["synthetic", "superpoints"])]
     pub model: Option<PathBuf>,
-    /// Level of detail of a SOG that has several (lod-meta.json), 0 the finest [default: the finest whose files are all there]
+    /// Level of detail of a SOG with lod-meta.json; 0 is the finest [default: the finest whose files are all there]
     #[arg(long, value_name = "N", requires = "model")]
     pub level: Option<u32>,
-    /// A synthetic scene of N random Gaussians
+    /// Use a synthetic scene of N random Gaussians
     #[arg(long, value_name = "N", default_value_t = 120_000, value_parser = clap::value_parser!(u32).range(0..=200_000_000))]
     pub synthetic: u32,
-    /// Superpoints that move the synthetic scene; 0: it stands still
+    /// Superpoints of the synthetic scene; 0: it stands still
     #[arg(long, value_name = "M", default_value_t = 512, value_parser = clap::value_parser!(u32).range(0..=65_536))]
     pub superpoints: u32,
     /// Camera file (transforms*.json), COLMAP folder or data set [default: a view of the whole scene]
@@ -212,7 +216,7 @@ pub struct BenchArgs {
     /// Part of a data set
     #[arg(long, value_name = "NAME", requires = "cameras")]
     pub split: Option<String>,
-    /// The view, counted from 0 in the camera file's order
+    /// View to measure, counted from 0 in the camera file's order
     #[arg(long, value_name = "I", default_value_t = 0, requires = "cameras")]
     pub frame: usize,
     /// Time of every frame [default: swept over the motion]
@@ -221,62 +225,61 @@ pub struct BenchArgs {
     /// How the view is drawn
     #[command(flatten)]
     pub view: ViewArgs,
-    /// Measured frames, or training steps [default: 100; --sweep 60 on a GPU, 9 on a CPU; --train 20; --train --sweep 3;
+    /// Frames or training steps to measure [default: 100; --sweep 60 on a GPU, 9 on a CPU; --train 20; --train --sweep 3;
     /// drift of --hard-cases 1000]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub frames: Option<u32>,
-    /// Frames or steps before the measurement [default: 10; --sweep 3; --train 3; --train --sweep 1]
+    /// Frames or steps before measuring [default: 10; --sweep 3; --train 3; --train --sweep 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
     pub warmup: Option<u32>,
-    /// Measure training steps instead of frames: on the photos of --cameras, from a disturbed copy of MODEL that stands
-    /// still; or on photos made of the synthetic scene, with its superpoints, network F and association
+    /// Measure training steps instead of frames: on the images of --cameras, from a disturbed copy of MODEL that stands
+    /// still; or on images made of the synthetic scene, with its superpoints, network F and association
     #[arg(long, conflicts_with_all = ["paper_protocol", "check", "time", "frame", "split", "quality", "set"])]
     pub train: bool,
-    /// Speed against error of every knob of --set alone, of the presets of --quality, and of combinations: three views of
-    /// --cameras (or an orbit), errors against the f64 reference and, where there are photos, against them. It says what it
-    /// reduced. With --train: training steps of synthetic scenes of 10k, 100k and 300k Gaussians at 200x200, 400x400 and
-    /// 800x800 pixels
+    /// Measure speed against error of every knob of --set, of the presets of --quality, and of combinations: on three views
+    /// of --cameras (or an orbit), against the f64 reference and, if there is one, the ground truth. With --train: measure
+    /// training steps of synthetic scenes of 10k, 100k and 300k Gaussians at 200x200, 400x400 and 800x800 pixels
     #[arg(long, conflicts_with_all = ["paper_protocol", "check", "frame", "quality", "set"])]
     pub sweep: bool,
-    /// Train on --cameras DATA until held-out views reach X dB; iterations per second, time to it, the curve
+    /// Train on --cameras DATA until held-out views reach X dB; report iterations per second, the time and the curve
     #[arg(long, value_name = "X", group = "trains", requires_all = ["train", "cameras"], conflicts_with_all = ["model", "synthetic", "superpoints", "sweep"], value_parser = finite)]
     pub until_psnr: Option<f64>,
-    /// The paper's ablations on a data set, one training run per setting, beside the paper's rows
+    /// Run the paper's ablations on a data set, one training per setting, beside the paper's rows
     #[arg(long, value_name = "DATA", group = "trains", conflicts_with_all = ["model", "train", "cameras", "synthetic", "superpoints", "paper_protocol", "check", "time", "frames", "warmup", "width", "height", "sweep", "quality", "set"])]
     pub ablation: Option<PathBuf>,
-    /// Only these ablations, by name: superpoints, neighbors, property-loss, weight-position, … [default: all]
+    /// Run only these ablations: superpoints, neighbors, property-loss, weight-position, … [default: all]
     #[arg(long, value_name = "NAME,…", value_delimiter = ',', requires = "ablation")]
     pub only: Vec<String>,
     /// Iterations of each run of --ablation [default: 4000] or --until-psnr [default: 40000]; the schedule scales with it
     #[arg(long, value_name = "N", requires = "trains", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
     pub iterations: Option<u64>,
-    /// Photos of --ablation or --until-psnr are averaged down by this factor [default: the data set's rule]
+    /// Average the images of --ablation or --until-psnr down by this factor [default: the data set's rule]
     #[arg(long, value_name = "K", requires = "trains", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub downscale: Option<u32>,
-    /// Also by the paper's protocol: one view, 1000 frames, t from 0 to 1
+    /// Also measure by the paper's protocol: one view, 1000 frames, t from 0 to 1
     #[arg(long)]
     pub paper_protocol: bool,
-    /// Also the error of this view against the f64 reference
+    /// Also measure the error of this view against the f64 reference
     #[arg(long)]
     pub check: bool,
-    /// Frame rates by the paper's protocol and over the whole path of --cameras, beside the paper's on its devices; the
-    /// roofline of this device; how the cost grows with Gaussians, superpoints and pixels
+    /// Measure frame rates by the paper's protocol and over all views of --cameras, beside the paper's numbers; the roofline
+    /// of this device; how the cost grows with Gaussians, superpoints and pixels
     #[arg(long, conflicts_with_all = ["train", "sweep", "paper_protocol", "check", "hard_cases", "ablation"])]
     pub paper: bool,
-    /// Seconds that --paper may take, about; what it leaves out for that it says; 0: no curves [default: 180]
+    /// Seconds that --paper may take, roughly; it says what it leaves out; 0: no curves [default: 180]
     #[arg(long, value_name = "S", requires = "paper", value_parser = seconds)]
     pub budget: Option<f64>,
-    /// Judge numerical stability on small hard scenes against the f64 truth: a table of error, bound, pass or fail, time.
-    /// Exit code 1 when a bound does not hold, 6 when a number is not finite
+    /// Test numerical stability on small hard scenes against the f64 reference: error, bound, pass or fail, time. Exit code
+    /// 1 if a bound does not hold, 6 if a number is not finite
     #[arg(long, conflicts_with_all = ["model", "train", "ablation", "synthetic", "superpoints", "cameras", "time", "paper_protocol", "check", "width", "height", "warmup", "motion", "background", "sweep", "quality", "set"])]
     pub hard_cases: bool,
-    /// Runs whose bits --hard-cases compares [default: 20]
+    /// Number of runs whose bits --hard-cases compares [default: 20]
     #[arg(long, value_name = "N", requires = "hard_cases", value_parser = clap::value_parser!(u32).range(2..=100_000))]
     pub runs: Option<u32>,
     /// Write everything as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// Write a self-contained page: a bar chart of the kernels; with --sweep the charts, tables and pictures
+    /// Write a self-contained page with charts; with --sweep also tables and images
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
 }
@@ -284,18 +287,18 @@ pub struct BenchArgs {
 /// `spgs compare`.
 #[derive(Debug, Args)]
 pub struct CompareArgs {
-    /// The truth: a picture (PNG, JPEG or EXR), or a folder of them
+    /// Reference: an image (PNG, JPEG or EXR), or a folder of images
     pub reference: PathBuf,
-    /// What is compared with it: a picture of the same size, or a folder with pictures of the same names
+    /// Test: an image of the same size, or a folder with images of the same names
     pub test: PathBuf,
-    /// Weights for LPIPS (.safetensors with AlexNet, VGG-16 or both; may be given twice) [default: none, LPIPS is null]
+    /// Weights for LPIPS: .safetensors with AlexNet, VGG-16 or both; repeatable [default: none, LPIPS is null]
     #[arg(long, value_name = "FILE")]
     pub lpips_weights: Vec<PathBuf>,
-    /// Colour behind pictures with alpha
+    /// Colour behind images with alpha
     #[arg(long, value_name = "R,G,B", default_value = "0,0,0", allow_hyphen_values = true, value_parser = color)]
     pub background: [f32; 3],
-    /// Error images: FILE.png gets the map of FLIP of one pair; a folder gets NAME_flip.png and NAME_error.png (4 times the
-    /// absolute difference) of each
+    /// Write error images: FILE.png gets the FLIP map of one pair; a folder gets NAME_flip.png and NAME_error.png (4 times
+    /// the absolute difference) of each
     #[arg(long, value_name = "FILE.png|DIR")]
     pub out: Option<PathBuf>,
     /// Print the result as JSON
@@ -314,34 +317,34 @@ pub struct EvalArgs {
     /// Part of the data set
     #[arg(long, value_enum, default_value_t = SplitArg::Test)]
     pub split: SplitArg,
-    /// By which rules of the paper [default: by the data set's format]
+    /// The paper's protocol to follow [default: by the data set's format]
     #[arg(long, value_enum)]
     pub protocol: Option<Benchmark>,
-    /// The paper's scene to compare with [default: by the data folder's name]
+    /// Scene of the paper to compare with [default: by the data folder's name]
     #[arg(long, value_name = "NAME")]
     pub scene: Option<String>,
-    /// Images are averaged down by this factor [default: as the model was trained, else the protocol's]
+    /// Average images down by this factor [default: as the model was trained, else the protocol's]
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub downscale: Option<u32>,
-    /// Colour behind the scene and behind pictures with alpha [default: as the model was trained, else the protocol's black]
+    /// Colour behind the scene and behind images with alpha [default: as the model was trained, else the protocol's black]
     #[arg(long, value_name = "R,G,B", allow_hyphen_values = true, value_parser = color)]
     pub background: Option<[f32; 3]>,
     /// Where the motion comes from [default: the key-time table where the model has one]
     #[arg(long, value_enum)]
     pub motion: Option<MotionArg>,
-    /// Weights for LPIPS (.safetensors with AlexNet, VGG-16 or both; may be given twice) [default: none, LPIPS is null]
+    /// Weights for LPIPS: .safetensors with AlexNet, VGG-16 or both; repeatable [default: none, LPIPS is null]
     #[arg(long, value_name = "FILE")]
     pub lpips_weights: Vec<PathBuf>,
-    /// Also the scores under the data set's masks (of what moves)
+    /// Also score the moving parts, by the data set's masks
     #[arg(long)]
     pub masks: bool,
     /// Write everything as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// Write a page with tables, charts and pictures
+    /// Write a page with tables, charts and images
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
-    /// Folder for pictures of every view: NNNNN.png, NNNNN_truth.png, NNNNN_flip.png, NNNNN_error.png
+    /// Folder for images of every view: NNNNN.png, NNNNN_truth.png, NNNNN_flip.png, NNNNN_error.png
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 }
@@ -351,7 +354,7 @@ pub struct EvalArgs {
 pub enum SplitArg {
     /// Held-out views.
     Test,
-    /// Views held out beside the test split.
+    /// Further held-out views.
     Val,
     /// Views that were trained on.
     Train,
@@ -371,9 +374,9 @@ impl SplitArg {
 /// `spgs inspect`.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// Model (any file or folder that `spgs convert` reads, or PyTorch weights) or folder of a data set
+    /// Model (anything that `spgs convert` reads, or PyTorch weights) or data set
     pub file: PathBuf,
-    /// Print it as JSON
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
 }
@@ -381,12 +384,12 @@ pub struct InspectArgs {
 /// `spgs devices`.
 #[derive(Debug, Args)]
 pub struct DevicesArgs {
-    /// Print it as JSON
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
 }
 
-/// Picture format.
+/// Image format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Format {
     /// 8 bit, clamped.

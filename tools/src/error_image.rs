@@ -31,6 +31,17 @@ pub fn absolute(reference: &Planes, test: &Planes) -> Image {
     Image { width: reference.width as u32, height: reference.height as u32, rgba, depth: Vec::new() }
 }
 
+/// The largest |difference| of a pixel's channels in colours, by its power of ten: black is `from` and below, pale yellow
+/// `to` and above.
+pub fn decades(reference: &Planes, test: &Planes, [from, to]: [f64; 2]) -> Image {
+    let value = |i: usize| {
+        let channels = reference.rgb.iter().zip(&test.rgb).map(|(r, t)| (r[i] - t[i]).abs());
+        ((channels.fold(0.0, f64::max).log10() - from) / (to - from)) as f32
+    };
+    let rgba = (0..reference.pixels()).flat_map(|i| color(value(i))).collect();
+    Image { width: reference.width as u32, height: reference.height as u32, rgba, depth: Vec::new() }
+}
+
 /// Planes as an image.
 pub fn image(planes: &Planes) -> Image {
     let [r, g, b] = &planes.rgb;
@@ -57,5 +68,13 @@ mod tests {
         assert!(color(1.0)[..3].iter().zip(RAMP[7]).all(|(found, ramp)| (found - ramp).abs() < 1e-6));
         let map = FlipMap { width: 2, height: 1, error: vec![0.0, 1.0] };
         assert_eq!(flip(&map).rgba.len(), 8);
+    }
+
+    #[test]
+    fn powers_of_ten_get_even_steps_of_colour() {
+        let planes = |values: [f64; 3]| Planes { width: 3, height: 1, rgb: [0; 3].map(|_| values.to_vec()) };
+        let image = decades(&planes([0.0; 3]), &planes([0.0, 1.0e-5, 0.5]), [-8.0, -2.0]);
+        let expected = [color(0.0), color(0.5), color(1.0)].concat();
+        assert!(image.rgba.iter().zip(&expected).all(|(found, expected)| (found - expected).abs() < 1.0e-6));
     }
 }

@@ -1,4 +1,4 @@
-//! `spgs-dev measurements`: the table of recorded measurements in the README, made from `tests/measurements/*.json`, and the
+//! `spgs-dev measurements`: the manual's table of recorded measurements, made from `tests/measurements/*.json`, and the
 //! commands that record them.
 
 use std::path::{Path, PathBuf};
@@ -7,7 +7,9 @@ use engine::error::{Error, Result};
 use engine::file::durable::write_atomic;
 use serde_json::Value;
 
-/// Where the table stands in the README.
+/// The page of the manual with the table.
+const PAGE: &str = "tools/docs/measured.md";
+/// Where the table stands in it.
 const BEGIN: &str = "<!-- measurements: made by `spgs-dev measurements`, do not edit -->\n";
 const END: &str = "<!-- end of measurements -->\n";
 
@@ -48,12 +50,12 @@ pub fn commands(device: &str) -> Vec<String> {
     all
 }
 
-/// Writes the table into the README of a source tree; true when it changed.
+/// Writes the table into the manual of a source tree; true when it changed.
 ///
 /// # Errors
 /// Those of [`updated`]; a file that cannot be written.
 pub fn write(root: &Path) -> Result<bool> {
-    let path = root.join("README.md");
+    let path = root.join(PAGE);
     let (old, new) = updated(root)?;
     if old != new {
         write_atomic(&path, |out| out.write_all(new.as_bytes()))?;
@@ -61,12 +63,12 @@ pub fn write(root: &Path) -> Result<bool> {
     Ok(old != new)
 }
 
-/// The README as it is and as it should be.
+/// The page as it is and as it should be.
 ///
 /// # Errors
-/// `Corrupt` for a measurement that cannot be read or a README without the two markers; `Io`.
+/// `Corrupt` for a measurement that cannot be read or a page without the two markers; `Io`.
 pub fn updated(root: &Path) -> Result<(String, String)> {
-    let path = root.join("README.md");
+    let path = root.join(PAGE);
     let old = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
     let missing = || Error::corrupt(&path, "markers", "not both", format!("`{}` and `{}`", BEGIN.trim(), END.trim()));
     let start = old.find(BEGIN).ok_or_else(missing)? + BEGIN.len();
@@ -106,12 +108,8 @@ fn table(root: &Path) -> Result<String> {
         let commit = of("/program/commit");
         let device = format!("{}, {}", of("/device/name"), of("/device/driver"));
         let short = &commit[..commit.len().min(9)];
-        text += &format!(
-            "| {} [`{file}`](tests/measurements/{file}) | {} | {} | {short} |\n",
-            what(&record),
-            result(&record),
-            device.replace('|', "/")
-        );
+        text +=
+            &format!("| {} `{file}` | {} | {} | {short} |\n", what(&record), result(&record), device.replace('|', "/"));
     }
     Ok(text)
 }
@@ -260,10 +258,11 @@ mod tests {
 
     use super::*;
 
-    fn tree(readme: &str, record: &Value) -> tempfile::TempDir {
+    fn tree(page: &str, record: &Value) -> tempfile::TempDir {
         let root = tempfile::tempdir().unwrap();
         std::fs::create_dir_all(root.path().join("tests/measurements")).unwrap();
-        std::fs::write(root.path().join("README.md"), readme).unwrap();
+        std::fs::create_dir_all(root.path().join("tools/docs")).unwrap();
+        std::fs::write(root.path().join(PAGE), page).unwrap();
         std::fs::write(root.path().join("tests/measurements/a.json"), record.to_string()).unwrap();
         root
     }
@@ -279,18 +278,13 @@ mod tests {
     fn the_table_replaces_what_is_between_the_markers() {
         let root = tree(&format!("before\n{BEGIN}stale\n{END}after\n"), &record());
         assert!(write(root.path()).unwrap() && !write(root.path()).unwrap());
-        let text = std::fs::read_to_string(root.path().join("README.md")).unwrap();
+        let text = std::fs::read_to_string(root.path().join(PAGE)).unwrap();
         assert!(text.starts_with("before\n") && text.ends_with("after\n") && !text.contains("stale"), "{text}");
-        assert!(
-            text.contains(
-                "| Hard cases [`a.json`](tests/measurements/a.json) | 2 of 3 hold, 5 s | x/y, d | 012345678 |"
-            ),
-            "{text}"
-        );
+        assert!(text.contains("| Hard cases `a.json` | 2 of 3 hold, 5 s | x/y, d | 012345678 |"), "{text}");
     }
 
     #[test]
-    fn what_cannot_be_compared_is_refused() {
+    fn what_cannot_be_compared_is_rejected() {
         let no_markers = tree("nothing", &record());
         assert!(updated(no_markers.path()).unwrap_err().to_string().contains("markers"));
         let mut without = record();

@@ -18,7 +18,8 @@ use serde_json::json;
 use crate::args::{Format, Global, PathArg, RenderArgs};
 use crate::interrupt::{self, Interrupt};
 use crate::{gpu_session, model, output, progress, view};
-use average::{Mean, reduced};
+use average::Mean;
+pub(crate) use average::reduced;
 use plan::Picture;
 use video::Encoder;
 

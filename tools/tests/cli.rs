@@ -75,6 +75,17 @@ fn usage_mistakes_are_code_2() {
 }
 
 #[test]
+fn help_explains_commands_and_topics() {
+    let all = ok(&["help"]);
+    assert_eq!(all, ok(&["--help"]));
+    assert!(all.contains("render") && all.contains("Topics") && all.contains("model-file"), "{all}");
+    assert_eq!(ok(&["help", "render"]), ok(&["render", "--help"]));
+    assert!(ok(&["help", "model-file"]).contains("gaussians.opacity_logit"));
+    let line = mistake(&["help", "nonsense"], 2);
+    assert!(line.contains("nonsense") && line.contains("model-file") && line.contains("drivers"), "{line}");
+}
+
+#[test]
 fn an_unknown_device_is_a_usage_mistake_that_lists_what_there_is() {
     for device in ["99", "no such device"] {
         let line = mistake(&["demo", "--device", device], 2);

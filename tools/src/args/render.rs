@@ -11,7 +11,7 @@ use super::{Format, ViewArgs, finite, near, seconds};
 pub struct RenderArgs {
     /// Model: .safetensors, 3DGS .ply, or anything that `spgs convert` reads
     pub model: PathBuf,
-    /// Level of detail of a SOG that has several (lod-meta.json), 0 the finest [default: the finest whose files are all there]
+    /// Level of detail of a SOG with lod-meta.json; 0 is the finest [default: the finest whose files are all there]
     #[arg(long, value_name = "N")]
     pub level: Option<u32>,
     /// Camera file (transforms*.json), COLMAP folder or data set [with --path turntable and time: a view of the whole scene]
@@ -20,8 +20,8 @@ pub struct RenderArgs {
     /// Part of a data set
     #[arg(long, value_name = "NAME", requires = "cameras")]
     pub split: Option<String>,
-    /// Move the camera: turntable: once around the scene; time: it stays, and time passes; cameras: smoothly through the
-    /// views of --cameras; FILE: through those of a recorded path (a camera file)
+    /// Move the camera: turntable: once around the scene; time: not at all, the motion plays; cameras: smoothly through the
+    /// views of --cameras; FILE: through the views of a recorded path (a camera file)
     #[arg(long, value_name = "turntable|time|cameras|FILE", value_parser = path)]
     pub path: Option<PathArg>,
     /// Number of frames along the path [default: --seconds times --fps]
@@ -39,33 +39,33 @@ pub struct RenderArgs {
     /// Axis of the turntable [default: what is up in the cameras, else 0,-1,0]
     #[arg(long, value_name = "X,Y,Z", requires = "path", allow_hyphen_values = true, value_parser = axis)]
     pub up: Option<[f64; 3]>,
-    /// Average N sub-frames over the time that the shutter is open
+    /// Average N sub-frames while the shutter is open
     #[arg(long, value_name = "N", requires = "path", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
     pub motion_blur: u32,
     /// Share of the time between frames that the shutter is open
     #[arg(long, value_name = "X", default_value_t = 0.5, allow_hyphen_values = true, value_parser = shutter)]
     pub shutter: f64,
-    /// Draw K times as wide and high, and average K x K pixels
+    /// Average K x K samples per pixel
     #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
     pub supersample: u32,
     /// Time of every frame [default: the camera's own]
     #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = finite)]
     pub time: Option<f64>,
-    /// Only this frame, counted from 0 in the camera file's order; may be given several times. With --path turntable and
-    /// time: the view that it starts from
+    /// Render only this frame, counted from 0 in the camera file's order; repeatable. With --path turntable and time: the
+    /// view to start from
     #[arg(long = "frame", value_name = "I")]
     pub frames: Vec<usize>,
-    /// Folder for the pictures: DIR/00000.png, 00001.png, …
+    /// Folder for the images: DIR/00000.png, 00001.png, …
     #[arg(long, value_name = "DIR", required_unless_present = "video")]
     pub out: Option<PathBuf>,
-    /// Video of all frames, encoded by ffmpeg when it is installed (the extension chooses the format: .mp4, .mkv, .webm);
-    /// else numbered pictures, in a folder of its name unless --out names one
+    /// Video of all frames, encoded by ffmpeg if it is installed (the extension chooses the format: .mp4, .mkv, .webm);
+    /// otherwise numbered images, in a folder with its name unless --out names one
     #[arg(long, value_name = "FILE")]
     pub video: Option<PathBuf>,
     /// png: 8 bit; exr: float R, G, B, A and depth Z
     #[arg(long, value_enum, default_value_t = Format::Png)]
     pub format: Format,
-    /// Nothing nearer to the camera is drawn, world units [default: 0.2; without cameras at most a tenth of the scene's radius]
+    /// Draw nothing nearer to the camera than this, world units [default: 0.2; without cameras at most a tenth of the scene's radius]
     #[arg(long, value_name = "Z", value_parser = near)]
     pub near: Option<f32>,
     /// How the view is drawn

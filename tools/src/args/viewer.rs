@@ -10,13 +10,13 @@ use super::{MotionArg, color, finite, knobs, near, preset};
 /// `spgs view`.
 #[derive(Debug, Clone, Args)]
 pub struct ViewerArgs {
-    /// Model: .safetensors, 3DGS .ply, or anything that `spgs convert` reads; a folder of `spgs train` is watched while it trains
-    /// [default: an empty window that takes dropped files]
+    /// Model: .safetensors, 3DGS .ply, or anything that `spgs convert` reads; or the output folder of `spgs train`, which is
+    /// watched [default: an empty window that takes dropped files]
     pub model: Option<PathBuf>,
-    /// Level of detail of a SOG that has several (lod-meta.json), 0 the finest [default: the finest whose files are all there]
+    /// Level of detail of a SOG with lod-meta.json; 0 is the finest [default: the finest whose files are all there]
     #[arg(long, value_name = "N", requires = "model")]
     pub level: Option<u32>,
-    /// Camera file (transforms*.json), COLMAP folder or data set: camera presets, frusta, and which way is up
+    /// Camera file (transforms*.json), COLMAP folder or data set, for camera presets, frusta and which way is up
     #[arg(long, value_name = "FILE|DATA")]
     pub data: Option<PathBuf>,
     /// Part of the data set
@@ -25,13 +25,13 @@ pub struct ViewerArgs {
     /// Size of the window, pixels
     #[arg(long, value_name = "WxH", default_value = "1280x800", value_parser = size)]
     pub size: [u32; 2],
-    /// First time shown [default: the start of the motion]
+    /// Time to start at [default: the start of the motion]
     #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = finite)]
     pub time: Option<f64>,
-    /// Nothing nearer to the camera is drawn, world units [default: 0.2, at most a tenth of the scene's radius]
+    /// Draw nothing nearer to the camera than this, world units [default: 0.2, at most a tenth of the scene's radius]
     #[arg(long, value_name = "Z", value_parser = near)]
     pub near: Option<f32>,
-    /// Time stands still at first
+    /// Start paused
     #[arg(long)]
     pub pause: bool,
     /// Colour behind the scene
@@ -40,25 +40,25 @@ pub struct ViewerArgs {
     /// Where the motion comes from [default: the key-time table where the model has one]
     #[arg(long, value_enum)]
     pub motion: Option<MotionArg>,
-    /// What may be given up for speed: exact; high: nothing that is visible; fast: a few levels of 255 in places
+    /// Error allowed for speed: exact: none; high: none that is visible; fast: a few levels of 255 in places
     #[arg(long, value_name = "exact|high|fast", default_value = "high", value_parser = preset)]
     pub quality: Quality,
-    /// Single knobs on top of --quality, knob=value,… (see `spgs render --help`)
+    /// Override single knobs of --quality (see `spgs help quality`)
     #[arg(long, value_name = "KNOB=VALUE,…", value_parser = knobs)]
     pub set: Option<String>,
-    /// Folder for saved pictures and recorded camera paths
+    /// Folder for saved images and recorded camera paths
     #[arg(long, value_name = "DIR", default_value = "out/view")]
     pub out: PathBuf,
     /// Draw as fast as possible instead of once per refresh of the display
     #[arg(long)]
     pub no_vsync: bool,
-    /// Render all pixels while something moves, however slow that is
+    /// Render all pixels while something moves, even if that is slow
     #[arg(long)]
     pub full_resolution: bool,
     /// Close the window after N frames
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub frames: Option<u64>,
-    /// Print what was measured as JSON when the window closes
+    /// Print the measurements as JSON when the window closes
     #[arg(long)]
     pub json: bool,
     /// Test seam: the device is reported lost at the N-th submission; given again, the one after it too
@@ -70,7 +70,7 @@ impl ViewerArgs {
     /// `--quality` with the knobs of `--set`.
     pub fn quality(&self) -> Quality {
         let mut quality = self.quality;
-        // The parser has taken the list, so nothing is left to refuse.
+        // The parser has accepted the list already.
         let _ = quality.set_all(self.set.as_deref().unwrap_or_default());
         quality
     }

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use engine::error::{Error, Result};
 use engine::gpu::{GpuOptions, devices};
 use tools::args::{Cli, Command};
-use tools::{bench, compare, convert, demo, devices, eval, hard_cases, inspect, output, render, train, viewer};
+use tools::{bench, compare, convert, demo, devices, eval, hard_cases, help, inspect, output, render, train, viewer};
 
 fn main() -> ExitCode {
     match output::parse::<Cli>("spgs") {
@@ -18,8 +18,11 @@ fn main() -> ExitCode {
 /// taken again, so the command begins anew on the next one. Training does not: it may have gone on for hours.
 fn run_on_proven_device(mut cli: Cli) -> Result<ExitCode> {
     let named = cli.global.device.is_some() || GpuOptions::default().device.is_some();
-    let mut others =
-        if named || matches!(cli.command, Command::Train(_)) { 0 } else { devices().map_or(0, |d| d.len()) };
+    let mut others = if named || matches!(cli.command, Command::Train(_) | Command::Help(_)) {
+        0
+    } else {
+        devices().map_or(0, |d| d.len())
+    };
     loop {
         match run(&cli) {
             Err(error @ Error::SelfTest { .. }) if others > 1 => {
@@ -45,6 +48,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Convert(args) => convert::run(args, &cli.global),
         Command::Inspect(args) => inspect::run(args),
         Command::Devices(args) => devices::run(args, &cli.global),
+        Command::Help(args) => help::run(args),
     };
     done.map(|()| ExitCode::SUCCESS)
 }

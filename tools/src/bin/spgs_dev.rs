@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use engine::error::{Error, Result};
 use engine::gpu::{Gpu, GpuOptions};
-use tools::{isa, kernel_docs, measurements, oracle_task, output, plan_task, spirv_task};
+use tools::{isa, kernel_docs, measurements, oracle_task, output, pictures, plan_task, spirv_task};
 
 /// The project's own tasks: shaders, barrier plan, checks against the oracle.
 #[derive(Parser)]
@@ -50,9 +50,11 @@ enum Task {
     Isa(isa::task::Options),
     /// Print the kernels as a table, from their declarations
     Docs,
-    /// Write the README's table of recorded measurements from tests/measurements/*.json
+    /// Render the images of the README from the built-in scene: an animation, a still, the f64 reference, the error
+    Pictures,
+    /// Write the manual's table of recorded measurements (tools/docs/measured.md) from tests/measurements/*.json
     Measurements {
-        /// Change nothing; fail when the README is not in step
+        /// Change nothing; fail when the table is out of date
         #[arg(long)]
         check: bool,
         /// Print the commands that record everything for files that begin with DEVICE_, one per line
@@ -78,18 +80,30 @@ fn run(cli: &Cli) -> Result<ExitCode> {
             output::line(kernel_docs::table().trim_end());
             Ok(ExitCode::SUCCESS)
         }
+        Task::Pictures => {
+            pictures::write(&Gpu::open(&GpuOptions::default())?, &cli.root)?.iter().for_each(|l| output::line(l));
+            Ok(ExitCode::SUCCESS)
+        }
         Task::Measurements { commands: Some(device), .. } => {
             measurements::commands(device).iter().for_each(|c| output::line(c));
             Ok(ExitCode::SUCCESS)
         }
         Task::Measurements { check: true, .. } => {
             let (old, new) = measurements::updated(&cli.root)?;
-            output::line(if old == new { "README.md is in step" } else { "README.md is not in step" });
+            output::line(if old == new {
+                "tools/docs/measured.md is up to date"
+            } else {
+                "tools/docs/measured.md is out of date"
+            });
             Ok(status(old == new))
         }
         Task::Measurements { .. } => {
             let changed = measurements::write(&cli.root)?;
-            output::line(if changed { "README.md written" } else { "README.md was in step" });
+            output::line(if changed {
+                "tools/docs/measured.md written"
+            } else {
+                "tools/docs/measured.md was up to date"
+            });
             Ok(ExitCode::SUCCESS)
         }
     }

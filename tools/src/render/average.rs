@@ -3,7 +3,7 @@
 use engine::image::Image;
 
 /// The mean of K × K pixels for each pixel of a picture that was drawn K times as wide and high.
-pub(super) fn reduced(image: Image, k: u32) -> Image {
+pub(crate) fn reduced(image: Image, k: u32) -> Image {
     if k <= 1 {
         return image;
     }
