@@ -22,7 +22,7 @@ use engine::scene::{Camera, Scene};
 use glam::DVec3;
 use tests_harness::render_case::{RenderInput, test_camera};
 use tests_harness::{KernelCase, TestGpu};
-use tools::args::{Cli, Command as Subcommand};
+use tools::cli::args::{Cli, Command as Subcommand};
 
 const COUNT: usize = 700;
 
@@ -348,10 +348,10 @@ const ARGUMENTS: &str = "SPGS_TEST_ARGUMENTS";
 #[test]
 fn spgs_process() {
     let Ok(arguments) = std::env::var(ARGUMENTS) else { return };
-    let code = tools::output::run_main("spgs", move || {
+    let code = tools::cli::output::run_main("spgs", move || {
         let cli = Cli::try_parse_from(std::iter::once("spgs").chain(arguments.lines())).unwrap();
         match &cli.command {
-            Subcommand::Bench(args) => tools::bench::run(args, &cli.global)?,
+            Subcommand::Bench(args) => tools::bench::frame::run(args, &cli.global)?,
             other => panic!("no test uses {other:?}"),
         }
         Ok(std::process::ExitCode::SUCCESS)

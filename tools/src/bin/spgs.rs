@@ -3,8 +3,11 @@
 use std::process::ExitCode;
 
 use engine::error::Result;
-use tools::args::{Cli, Command};
-use tools::{bench, compare, convert, demo, devices, eval, hard_cases, inspect, output, render, train, viewer};
+use tools::bench::{frame as bench, hard_cases};
+use tools::cli::args::{Cli, Command};
+use tools::cli::output;
+use tools::command::{compare, convert, demo, devices, eval, inspect, render, train};
+use tools::viewer;
 
 fn main() -> ExitCode {
     match output::parse::<Cli>("spgs") {

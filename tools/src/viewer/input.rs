@@ -246,9 +246,9 @@ fn cycle_up(state: &mut State) {
 #[cfg(test)]
 pub(super) fn test_state() -> State {
     use clap::Parser as _;
-    let cli = crate::args::Cli::try_parse_from(["spgs", "view", "--size", "640x480"]);
+    let cli = crate::cli::args::Cli::try_parse_from(["spgs", "view", "--size", "640x480"]);
     let args = match cli.map(|c| c.command) {
-        Ok(crate::args::Command::View(args)) => args,
+        Ok(crate::cli::args::Command::View(args)) => args,
         other => unreachable!("{other:?}"),
     };
     super::first_state(&args).unwrap_or_else(|e| unreachable!("{e}"))

@@ -54,8 +54,8 @@ use self::state::{Settings, Show, State};
 use self::timeline::Timeline;
 pub use self::turn::ALLOCATIONS;
 use self::turn::{Allocations, Turn};
-use crate::args::{Global, ViewerArgs, motion_source};
-use crate::{gpu_session, model as model_file, output, view};
+use crate::cli::args::{Global, ViewerArgs, motion_source};
+use crate::cli::{camera, gpu_session, model as model_file, output};
 
 /// The program between two events.
 struct Viewer {
@@ -121,7 +121,7 @@ fn first_state(args: &ViewerArgs) -> Result<State> {
         Some(path) => model_file::load_cameras(path, args.split.as_deref(), [None; 2])?.cameras,
         None => Vec::new(),
     };
-    let camera = view::default_camera(&Scene::default(), args.size);
+    let camera = camera::default_camera(&Scene::default(), args.size);
     let up = navigator::up_of_cameras(&cameras);
     let quality_name = Quality::PRESETS.iter().find(|(_, q)| *q == args.quality());
     let settings = Settings {
@@ -197,7 +197,7 @@ impl Viewer {
     /// The whole scene in view, or the first camera of the data set.
     fn place_camera(&mut self, first: bool) {
         let Some(gui) = &self.gui else { return };
-        let camera = view::default_camera(&gui.model.scene, gui.size());
+        let camera = camera::default_camera(&gui.model.scene, gui.size());
         let state = &mut self.state;
         let pose = Pose::of_camera(&camera, (camera.position - state.extent.0).length());
         state.navigator.jump_to(pose);
