@@ -1,4 +1,4 @@
-//! `spgs bench --ablation DATA`: the paper's ablations on one data set, each beside the paper's row.
+//! `spgs bench ablation DATA`: the paper's ablations on one data set, each beside the paper's row.
 
 mod plan;
 
@@ -14,16 +14,13 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use self::plan::{Plan, Variant, plans};
-use crate::bench::frame::write_text;
 use crate::bench::train::session::{Session, Timed};
-use crate::cli::args::{BenchArgs, Global};
+use crate::cli::args::{AblationArgs, Global};
 use crate::cli::{gpu_session, output, progress};
-use crate::report::measure::{self, Quantiles};
+use crate::report::measure::Quantiles;
 use crate::report::page::{Align, Axis, Chart, Mark, Page, Series, Table, field};
-use crate::report::paper;
+use crate::report::{paper, provenance};
 
-/// Iterations of each run where the arguments do not say: a tenth of the paper's.
-const ITERATIONS: u64 = 4_000;
 /// Frames by which play-back is timed.
 const FRAMES: u32 = 30;
 
@@ -64,14 +61,11 @@ struct Ablation {
 ///
 /// # Errors
 /// Those of the data set and of training.
-pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
-    let Some(path) = &args.ablation else {
-        return Err(Error::usage("--ablation", "nothing", "a data set"));
-    };
+pub fn run(args: &AblationArgs, global: &Global) -> Result<()> {
     let chosen = chosen(&args.only)?;
     let gpu = gpu_session::open_to_measure_training(global)?;
-    let session = Session::new(&gpu, path, args.downscale)?;
-    let base = session.config(args.iterations.unwrap_or(ITERATIONS));
+    let session = Session::new(&gpu, &args.data, args.downscale)?;
+    let base = session.config(args.iterations);
     let total: usize = chosen.iter().map(|p| p.variants.len()).sum();
     let bar = progress::training(base.iterations * total as u64, 0, global.quiet);
     let mut runs = Runs { session: &session, done: BTreeMap::new(), tick: &|| bar.inc(1) };
@@ -82,26 +76,18 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     }
     bar.finish_and_clear();
     gpu_session::report_validation(&gpu);
-    let record = json!({
-        "kind": "ablation",
-        "program": { "name": "spgs", "version": env!("CARGO_PKG_VERSION"), "commit": measure::commit() },
-        "command": std::env::args().collect::<Vec<_>>().join(" "),
-        "device": gpu.info(),
-        "data": path,
+    let numbers = json!({
+        "data": args.data,
         "views": session.describe(),
         "iterations": base.iterations,
         "trained": runs.done.len(),
         "ablations": found,
     });
-    if let Some(file) = &args.json {
-        write_text(file, &(output::to_json(&record)? + "\n"))?;
-    }
-    if let Some(file) = &args.report {
-        write_text(file, &html(&record, &found)?)?;
-    }
+    let record = provenance::record(Some("ablation"), &gpu, numbers);
+    args.results.write(&record, || html(&record, &found))?;
     if !global.quiet {
         output::line(&format!("device  {}", gpu_session::describe(&gpu)));
-        output::line(&format!("data    {}: {}", path.display(), session.describe()));
+        output::line(&format!("data    {}: {}", args.data.display(), session.describe()));
         output::line(&format!("runs    {} of {} iterations each", runs.done.len(), base.iterations));
         for a in &found {
             output::line(&format!("\n{} ({})", a.title, a.id));
@@ -230,7 +216,7 @@ fn table(a: &Ablation) -> Result<Table> {
 }
 
 fn html(record: &Value, found: &[Ablation]) -> Result<String> {
-    let mut page = Page::new("spgs bench --ablation");
+    let mut page = Page::new("spgs bench ablation");
     page.provenance(record);
     page.facts(&[
         ("Data", field(record, "/data")),

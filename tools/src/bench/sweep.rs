@@ -1,33 +1,32 @@
-//! `spgs bench --sweep`: speed against error of every knob of the renderer, for a model and a camera path.
+//! `spgs bench sweep`: speed against error of every knob of the renderer, for a model and a camera path.
 
+mod combine;
 mod measure;
+mod measured;
 mod report;
 mod settings;
+mod table;
 mod views;
 
 use engine::error::Result;
-use engine::gpu::Gpu;
 use engine::image::Image;
 use engine::reference::{self, ReferenceOptions};
-use engine::scene::Scene;
-use serde_json::{Value, json};
+use engine::scene::{Camera, Scene};
+use serde_json::json;
 
-use self::measure::{Measured, Measurer};
+use self::measure::Measurer;
+use self::measured::{Measured, VISIBLE, VISIBLE_SHARE};
 use self::settings::Kind;
+use self::table::table;
 use self::views::Views;
-use crate::bench::frame::{load_scene, write_text};
-use crate::cli::args::{BenchArgs, Global};
+use super::scene;
+use crate::cli::args::{Global, SweepArgs};
 use crate::cli::{gpu_session, model, output, progress};
-use crate::report::page::{Align, Standing, Table};
-
-/// A value off by more than this is visible in an 8-bit picture.
-const VISIBLE: f64 = 1.0 / 255.0;
-/// Share of values that may be off by more for a setting to count as without visible error.
-const VISIBLE_SHARE: f64 = 1e-4;
+use crate::report::provenance;
 
 /// Measures every setting and reports.
-pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
-    let (scene, name) = load_scene(args)?;
+pub(crate) fn run(args: &SweepArgs, global: &Global) -> Result<()> {
+    let (scene, name) = scene::load(&args.scene, args.look.motion.is_some())?;
     let gpu = gpu_session::open_to_measure(global)?;
     let views = Views::choose(args, &scene, gpu.info().is_cpu())?;
     let mut settings = settings::alone(&scene);
@@ -42,7 +41,7 @@ pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
         results.push(measurer.measure(setting)?);
         bar.inc(1);
     }
-    for setting in settings::combinations(&results) {
+    for setting in combine::combinations(&results) {
         bar.set_message(setting.name.clone());
         results.push(measurer.measure(setting)?);
         bar.inc(1);
@@ -50,17 +49,18 @@ pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     bar.finish_and_clear();
     mark_front(&mut results);
     gpu_session::report_validation(&gpu);
-    let record = record(&gpu, &scene, &name, &views, &results);
-    let page = match &args.report {
-        Some(path) => Some((path, report::html(&record, &measurer, &results)?)),
-        None => None,
-    };
-    if let Some(path) = &args.json {
-        write_text(path, &(output::to_json(&record)? + "\n"))?;
-    }
-    if let Some((path, page)) = page {
-        write_text(path, &page)?;
-    }
+    let view = |(c, t): &(Camera, f64)| json!({ "name": c.name, "width": c.width, "height": c.height, "time": t });
+    let numbers = json!({
+        "scene": provenance::scene(&name, &scene),
+        "views": views.cameras.iter().map(view).collect::<Vec<_>>(),
+        "timed_size": views.timed_size,
+        "photos": views.photos.is_some(),
+        "notes": views.notes,
+        "visible": { "difference": VISIBLE, "share": VISIBLE_SHARE },
+        "settings": results,
+    });
+    let record = provenance::record(None, &gpu, numbers);
+    args.results.write(&record, || report::html(&record, &measurer, &results))?;
     if !global.quiet {
         output::line(&format!("device  {}", gpu_session::describe(&gpu)));
         output::line(&format!("scene   {name}: {}", model::describe(&scene)));
@@ -71,10 +71,10 @@ pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
 }
 
 /// The f64 image of each view.
-fn references(scene: &Scene, args: &BenchArgs, views: &Views, tick: &dyn Fn()) -> Result<Vec<Image>> {
+fn references(scene: &Scene, args: &SweepArgs, views: &Views, tick: &dyn Fn()) -> Result<Vec<Image>> {
     let options = ReferenceOptions {
-        background: args.view.background.map(f64::from),
-        motion: args.view.motion_source(),
+        background: args.look.background.map(f64::from),
+        motion: args.look.motion_source(),
         ..ReferenceOptions::default()
     };
     let mut images = Vec::new();
@@ -95,70 +95,6 @@ fn mark_front(results: &mut [Measured]) {
         let beats = |p: &(f64, f64)| p.0 <= ms && p.1 <= error && (p.0 < ms || p.1 < error);
         result.pareto = !points.iter().any(beats);
     }
-}
-
-/// Everything that makes the numbers comparable.
-fn record(gpu: &Gpu, scene: &Scene, name: &str, views: &Views, results: &[Measured]) -> Value {
-    json!({
-        "program": { "name": "spgs", "version": env!("CARGO_PKG_VERSION"), "commit": crate::report::measure::commit() },
-        "command": std::env::args().collect::<Vec<_>>().join(" "),
-        "device": gpu.info(),
-        "scene": {
-            "name": name,
-            "gaussians": scene.gaussians.len(),
-            "sh_degree": scene.gaussians.sh_degree,
-            "superpoints": scene.superpoints.as_ref().map_or(0, |s| s.position.len()),
-            "key_times": scene.motion.as_ref().map_or(0, |m| m.times.len()),
-        },
-        "views": views.cameras.iter().map(|(c, t)| json!({ "name": c.name, "width": c.width, "height": c.height, "time": t })).collect::<Vec<_>>(),
-        "timed_size": views.timed_size,
-        "photos": views.photos.is_some(),
-        "notes": views.notes,
-        "visible": { "difference": VISIBLE, "share": VISIBLE_SHARE },
-        "settings": results,
-    })
-}
-
-/// The table of the terminal and of the page.
-fn table(results: &[Measured]) -> Table {
-    let photos = results.iter().any(|r| r.photo_psnr.is_some());
-    let mut columns = vec![
-        ("setting", Align::Left),
-        ("ms", Align::Right),
-        ("speed", Align::Right),
-        ("MB/frame", Align::Right),
-        ("dispatches", Align::Right),
-        ("PSNR dB", Align::Right),
-        ("largest", Align::Right),
-        ("> 1/255", Align::Right),
-        ("FLIP", Align::Right),
-    ];
-    if photos {
-        columns.push(("PSNR to photos", Align::Right));
-    }
-    columns.push(("", Align::Left));
-    let mut table = Table::new(&columns);
-    let exact = results.first().map_or(f64::NAN, Measured::ms);
-    for r in results {
-        let e = &r.error;
-        let mut cells = vec![
-            r.setting.name.clone(),
-            format!("{:.2}", r.ms()),
-            format!("{:.2}×", exact / r.ms()),
-            format!("{:.2}", r.bytes as f64 / 1e6),
-            r.dispatches.to_string(),
-            format!("{:.1}", e.psnr),
-            format!("{:.1e}", e.max),
-            format!("{:.3} %", 100.0 * e.visible),
-            format!("{:.4}", e.flip),
-        ];
-        if photos {
-            cells.push(r.photo_psnr.map_or("–".into(), |p| format!("{p:.2}")));
-        }
-        cells.push(if r.pareto { "Pareto" } else { "" }.into());
-        table.marked(if r.pareto { Standing::Good } else { Standing::Plain }, cells);
-    }
-    table
 }
 
 #[cfg(test)]

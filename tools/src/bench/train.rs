@@ -1,4 +1,4 @@
-//! `spgs bench --train`: times of training steps, by kernel, with the bytes that they move and the memory that they take.
+//! `spgs bench train`: times of training steps, by kernel, with the bytes that they move and the memory that they take.
 
 mod measure;
 mod report;
@@ -10,15 +10,15 @@ use engine::data::dataset::{self, DatasetOptions};
 use engine::error::{Error, Result};
 use engine::gpu::Gpu;
 use engine::scene::Gaussians;
-use engine::scene::synthetic::{moving_scene, random_scene};
 use engine::train::config::Config;
 use engine::train::trainer::{Trainer, TrainingData};
 use serde_json::{Value, json};
 
 use self::measure::{Plan, TrainMeasurement};
-use crate::bench::frame::{DEFAULT_SIZE, SYNTHETIC_KEYS, SYNTHETIC_SEED, SYNTHETIC_SH_DEGREE, write_text};
-use crate::cli::args::{BenchArgs, Global};
+use super::scene::{self, DEFAULT_SIZE, SYNTHETIC_SEED};
+use crate::cli::args::{Global, TrainBenchArgs};
 use crate::cli::{gpu_session, model, output, progress};
+use crate::report::provenance;
 
 /// Measured steps, and steps before, where the arguments do not say: one scene, then each of a sweep.
 const STEPS: [[u32; 2]; 2] = [[20, 3], [3, 1]];
@@ -39,15 +39,14 @@ pub(crate) struct Case {
 }
 
 /// Measures and reports.
-pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
+pub(crate) fn run(args: &TrainBenchArgs, global: &Global) -> Result<()> {
     if let Some(wanted) = args.until_psnr {
         return until::run(args, global, wanted);
     }
-    let fixed =
-        args.model.is_some() || args.cameras.is_some() || args.view.width.is_some() || args.view.height.is_some();
+    let fixed = args.scene.model.is_some() || args.cameras.is_some() || args.size.asked() != [None; 2];
     if args.sweep && fixed {
         return Err(Error::usage(
-            "bench --train --sweep",
+            "bench train --sweep",
             "a model, cameras or a size",
             "none: the scenes are synthetic",
         ));
@@ -56,34 +55,27 @@ pub(crate) fn run(args: &BenchArgs, global: &Global) -> Result<()> {
     let [steps, warmup] = STEPS[usize::from(args.sweep)];
     let plan = Plan { steps: args.frames.unwrap_or(steps), warmup: args.warmup.unwrap_or(warmup) };
     let copy = crate::report::measure::copy_bandwidth(&gpu)?;
-    let (width, height) = (args.view.width, args.view.height);
-    let size = [width.or(height).unwrap_or(DEFAULT_SIZE), height.or(width).unwrap_or(DEFAULT_SIZE)];
     let scenes: Vec<(u32, [u32; 2])> = if args.sweep {
         let [counts, sides] = SWEEP;
         counts.into_iter().flat_map(|n| sides.into_iter().map(move |s| (n, [s, s]))).collect()
     } else {
-        vec![(args.synthetic, size)]
+        vec![(args.scene.synthetic, args.size.or_square(DEFAULT_SIZE))]
     };
     let bar = progress::bar(2 * u64::from(plan.steps + plan.warmup) * scenes.len() as u64, global.quiet);
     let mut cases = Vec::new();
     for (n, size) in scenes {
-        let case = if args.model.is_some() {
+        let case = if args.scene.model.is_some() {
             posed(args)?
         } else {
-            synthetic(&gpu, args.superpoints, args.view.background, n, size)?
+            synthetic(&gpu, args.scene.superpoints, args.background, n, size)?
         };
         let measured = measure::measure(&gpu, &case.config, &case.data, &case.first, plan, copy, &|| bar.inc(1))?;
         cases.push((case_record(&case, &measured), measured));
     }
     bar.finish_and_clear();
     gpu_session::report_validation(&gpu);
-    let record = record(&gpu, &cases, args.sweep);
-    if let Some(path) = &args.json {
-        write_text(path, &(output::to_json(&record)? + "\n"))?;
-    }
-    if let Some(path) = &args.report {
-        write_text(path, &report::html(&record, &cases))?;
-    }
+    let record = provenance::record(None, &gpu, numbers(&cases, args.sweep));
+    args.results.write(&record, || Ok(report::html(&record, &cases)))?;
     if !global.quiet {
         output::line(&format!("device  {}", gpu_session::describe(&gpu)));
         cases.iter().for_each(|(record, m)| output::line(report::text(record, m, !args.sweep).trim_end()));
@@ -105,20 +97,16 @@ fn config(gaussians: &Gaussians, background: [f32; 3], superpoints: u32) -> Conf
 }
 
 /// The model of the arguments, disturbed, and the photos of `--cameras`.
-fn posed(args: &BenchArgs) -> Result<Case> {
-    let (Some(path), Some(photos)) = (&args.model, &args.cameras) else {
-        return Err(Error::usage(
-            "bench --train",
-            "a model without photos",
-            "MODEL with --cameras DATA, or --synthetic",
-        ));
+fn posed(args: &TrainBenchArgs) -> Result<Case> {
+    let (Some(path), Some(photos)) = (&args.scene.model, &args.cameras) else {
+        return Err(Error::usage("bench train", "a model without photos", "MODEL with --cameras DATA, or --synthetic"));
     };
-    if args.view.width.is_some() || args.view.height.is_some() {
-        return Err(Error::usage("bench --train", "--width or --height", "photos at their own size"));
+    if args.size.asked() != [None; 2] {
+        return Err(Error::usage("bench train", "--width or --height", "photos at their own size"));
     }
     let data = dataset::load(photos, &DatasetOptions::default())?;
-    let first = start::disturbed(&model::load(path)?.scene.gaussians, SYNTHETIC_SEED);
-    let config = config(&first, args.view.background, 0);
+    let first = start::disturbed(&model::load_level(path, args.scene.level)?.scene.gaussians, SYNTHETIC_SEED);
+    let config = config(&first, args.background, 0);
     let name = format!("{} from a disturbed {}", photos.display(), path.display());
     let data = TrainingData { views: data.train.into(), extent: data.extent, is_static: true };
     Ok(Case { name, data, first, config, _folder: None })
@@ -126,15 +114,12 @@ fn posed(args: &BenchArgs) -> Result<Case> {
 
 /// A synthetic scene, disturbed, and photos of it.
 pub(crate) fn synthetic(gpu: &Gpu, superpoints: u32, background: [f32; 3], n: u32, size: [u32; 2]) -> Result<Case> {
-    let (count, superpoints) = (n as usize, superpoints.min(n));
-    let scene = match superpoints {
-        0 => random_scene(count, SYNTHETIC_SEED, SYNTHETIC_SH_DEGREE),
-        m => moving_scene(count, m as usize, SYNTHETIC_KEYS, SYNTHETIC_SEED, false),
-    };
+    let superpoints = superpoints.min(n);
+    let scene = scene::synthetic(n, superpoints, false);
     let (folder, data) = start::photos(gpu, &scene, size, background)?;
     let first = start::disturbed(&scene.gaussians, SYNTHETIC_SEED);
     let config = config(&first, background, superpoints);
-    let name = format!("synthetic, seed {SYNTHETIC_SEED}");
+    let name = scene::synthetic_name();
     Ok(Case { name, data, first, config, _folder: Some(folder) })
 }
 
@@ -161,20 +146,10 @@ fn case_record(case: &Case, measured: &TrainMeasurement) -> Value {
     })
 }
 
-/// Everything that makes the numbers comparable.
-fn record(gpu: &Gpu, cases: &[(Value, TrainMeasurement)], sweep: bool) -> Value {
-    let mut record = json!({
-        "program": { "name": "spgs", "version": env!("CARGO_PKG_VERSION"), "commit": crate::report::measure::commit() },
-        "command": std::env::args().collect::<Vec<_>>().join(" "),
-        "device": gpu.info(),
-    });
+/// The numbers of one training set, or of a sweep over several.
+fn numbers(cases: &[(Value, TrainMeasurement)], sweep: bool) -> Value {
     match cases {
-        [(case, _)] if !sweep => {
-            for key in ["scene", "photos", "training"] {
-                record[key] = case[key].clone();
-            }
-        }
-        all => record["sweep"] = all.iter().map(|(case, _)| case.clone()).collect(),
+        [(case, _)] if !sweep => case.clone(),
+        all => json!({ "sweep": all.iter().map(|(case, _)| case.clone()).collect::<Vec<_>>() }),
     }
-    record
 }

@@ -64,7 +64,7 @@ enum Task {
 }
 
 fn main() -> ExitCode {
-    match output::parse::<Cli>("spgs-dev") {
+    match output::parse::<Cli>("spgs-dev", |_, _| None) {
         Ok(cli) => output::run_main("spgs-dev", move || run(&cli)),
         Err(code) => code,
     }

@@ -4,7 +4,9 @@ use std::io::Write as _;
 use std::process::ExitCode;
 use std::sync::{Mutex, OnceLock};
 
-use engine::error::{Error, Result};
+use engine::error::Result;
+
+use crate::report::files::to_json;
 
 /// Writes a line to standard output. A reader that went away (`spgs … | head`) is no error.
 pub fn line(text: &str) {
@@ -22,11 +24,6 @@ pub fn error_line(text: &str) {
 pub fn json(value: &impl serde::Serialize) -> Result<()> {
     line(&to_json(value)?);
     Ok(())
-}
-
-/// A value as indented JSON. Numbers that are not finite become `null`.
-pub fn to_json(value: &impl serde::Serialize) -> Result<String> {
-    serde_json::to_string_pretty(value).map_err(|e| Error::usage("JSON output", e.to_string(), "serialisable values"))
 }
 
 /// Runs a program's body: an error becomes one line and its exit code, a panic one line and exit code 1.
@@ -59,9 +56,22 @@ pub fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Parses arguments with clap; help and version go to standard output, a mistake becomes one line and exit code 2.
-pub fn parse<T: clap::Parser>(program: &str) -> std::result::Result<T, ExitCode> {
-    T::try_parse().map_err(|error| {
+/// Parses arguments with clap; help and version go to standard output, a mistake becomes one line and exit code 2. `advice` may
+/// say more of a mistake than clap does: it gets the words, and what clap made of them unless that failed.
+pub fn parse<T: clap::Parser>(
+    program: &str,
+    advice: impl Fn(&[String], Option<&clap::ArgMatches>) -> Option<String>,
+) -> std::result::Result<T, ExitCode> {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let refuse = |text: &str| {
+        error_line(&format!("{program}: {}; see {} --help", one_line(text), asked::<T>(program, &words)));
+        ExitCode::from(2)
+    };
+    let matches = T::command().try_get_matches();
+    if let Some(text) = advice(&words, matches.as_ref().ok()) {
+        return Err(refuse(&text));
+    }
+    matches.and_then(|m| T::from_arg_matches(&m)).map_err(|error| {
         if !error.use_stderr() {
             let _ = error.print();
             return ExitCode::SUCCESS;
@@ -75,12 +85,20 @@ pub fn parse<T: clap::Parser>(program: &str) -> std::result::Result<T, ExitCode>
             wrong.strip_prefix("error: ").unwrap_or(wrong).replace("\n\n  tip: ", "; ").trim().to_owned()
         };
         let text = text.split("\n\nFor more information").next().unwrap_or_default();
-        let command = T::command();
-        let asked = std::env::args().skip(1).find(|a| command.find_subcommand(a).is_some());
-        let help = asked.map_or_else(|| program.to_owned(), |sub| format!("{program} {sub}"));
-        error_line(&format!("{program}: {}; see {help} --help", one_line(&without_bad_advice(text))));
-        ExitCode::from(2)
+        refuse(&without_bad_advice(text))
     })
+}
+
+/// The program and the subcommands that were asked for, as `spgs bench train`.
+fn asked<T: clap::Parser>(program: &str, words: &[String]) -> String {
+    let (mut command, mut name) = (T::command(), program.to_owned());
+    for word in words {
+        if let Some(sub) = command.find_subcommand(word).cloned() {
+            name = format!("{name} {word}");
+            command = sub;
+        }
+    }
+    name
 }
 
 /// clap's advice for a negative number, `-- -1`, would make it a file name.

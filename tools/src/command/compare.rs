@@ -12,8 +12,8 @@ use serde_json::json;
 
 use crate::cli::args::{CompareArgs, Global};
 use crate::cli::{gpu_session, output, progress};
-use crate::command::render::create_folder;
 use crate::report::error_image;
+use crate::report::files::create_folder;
 use crate::report::scores::{self, AllScores, Scorer};
 
 /// Extensions of pictures in a folder.

@@ -16,12 +16,13 @@ use engine::scene::{Gaussians, MotionSource, Scene};
 
 use crate::cli::args::{ConvertArgs, Global, motion_source};
 use crate::cli::{camera, gpu_session, model, output, progress};
-use moment::Moments;
+use moment::{Moments, is_moving};
 use targets::Targets;
 
 pub use bake::Baked;
 pub use loss::Loss;
-pub use summary::{Summary, Written};
+pub use summary::Summary;
+pub use targets::Written;
 
 /// Converts, and says what that cost.
 pub fn run(args: &ConvertArgs, global: &Global) -> Result<()> {
@@ -212,11 +213,6 @@ fn size(path: &Path, depth: u32) -> u64 {
         }
         _ => 0,
     }
-}
-
-/// Whether a scene moves by itself.
-fn is_moving(scene: &Scene) -> bool {
-    scene.field.is_some() || scene.motion_source(MotionSource::Auto).is_ok_and(|s| s.is_some())
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use serde_json::json;
 
 use crate::cli::args::{DemoArgs, Format, Global};
 use crate::cli::{gpu_session, model, output, progress};
-use crate::command::render::{create_folder, write};
+use crate::report::files::create_folder;
 use crate::report::measure::{self, Plan};
 use crate::report::summary;
 
@@ -32,7 +32,7 @@ pub fn run(args: &DemoArgs, global: &Global) -> Result<()> {
     for i in 0..args.frames {
         let time = f64::from(i) / f64::from(args.frames.max(2) - 1);
         let image = renderer.render(&demo_camera(time, WIDTH, HEIGHT), time)?;
-        write(&args.out.join(format!("{i:05}.png")), &image, Format::Png)?;
+        Format::Png.write(&args.out.join(format!("{i:05}.png")), &image)?;
         bar.inc(1);
     }
     bar.finish_and_clear();

@@ -1,5 +1,6 @@
 //! `spgs eval`: a model scored on the held-out views of a data set, with the paper's figures beside it.
 
+mod evaluation;
 mod protocol;
 mod report;
 mod session;
@@ -13,31 +14,15 @@ use engine::metrics::flicker::Flicker;
 use engine::metrics::{flip, mean_of};
 use serde_json::{Value, json};
 
+use self::evaluation::{Evaluation, our_row, paper_rows, paper_title};
 use self::session::{FloatScores, Session, ViewResult};
 use self::setting::Setting;
-use crate::bench::frame::write_text;
 use crate::cli::args::{EvalArgs, Global};
 use crate::cli::{gpu_session, model, output, progress};
-use crate::command::render::create_folder;
-use crate::report::error_image;
-use crate::report::measure::commit;
-use crate::report::paper::{self, SceneRow};
+use crate::report::files::create_folder;
+use crate::report::paper;
 use crate::report::scores::{self, AllScores, cell};
-
-pub use protocol::{Protocol, by_format, of as protocol_of};
-
-/// Everything that was found.
-#[derive(Debug)]
-struct Evaluation {
-    views: Vec<ViewResult>,
-    mean: AllScores,
-    mean_float: FloatScores,
-    mean_masked: Option<AllScores>,
-    /// Mean LPIPS as the paper's code computes it, if its network is known and has weights.
-    mean_lpips_paper: Option<f64>,
-    flicker: Option<Flicker>,
-    notes: Vec<String>,
-}
+use crate::report::{error_image, provenance};
 
 /// Scores every view, then writes and prints: a mistake leaves nothing behind.
 pub fn run(args: &EvalArgs, global: &Global) -> Result<()> {
@@ -57,17 +42,8 @@ pub fn run(args: &EvalArgs, global: &Global) -> Result<()> {
     bar.finish_and_clear();
     let evaluation = summarise(views, flicker, &setting, &weights)?;
     let record = record(args, &gpu, &loaded.scene, &setting, &evaluation, seconds)?;
-    let page = match &args.report {
-        Some(path) => Some((path, report::page(&record, &setting, &evaluation, &mut session)?)),
-        None => None,
-    };
+    args.results.write(&record, || report::page(&record, &setting, &evaluation, &mut session))?;
     gpu_session::report_validation(&gpu);
-    if let Some(path) = &args.json {
-        write_text(path, &(output::to_json(&record)? + "\n"))?;
-    }
-    if let Some((path, page)) = page {
-        write_text(path, &page)?;
-    }
     staged.map_or(Ok(()), Staged::publish)?;
     if !global.quiet {
         print(&setting, &evaluation)?;
@@ -113,10 +89,7 @@ fn record(
         mean.insert("masked".into(), json!(e.mean_masked));
         mean.insert("lpips_paper".into(), json!(e.mean_lpips_paper));
     }
-    Ok(json!({
-        "program": { "name": "spgs", "version": env!("CARGO_PKG_VERSION"), "commit": commit() },
-        "command": std::env::args().collect::<Vec<_>>().join(" "),
-        "device": gpu.info(),
+    let numbers = json!({
         "model": { "file": args.model, "gaussians": scene.gaussians.len(), "description": model::describe(scene) },
         "data": { "folder": args.data, "format": setting.kind.name(), "split": setting.split.name(),
                   "downscale": setting.downscale, "background": setting.background },
@@ -126,7 +99,8 @@ fn record(
         "images": e.views,
         "paper": paper_record(setting)?,
         "notes": e.notes,
-    }))
+    });
+    Ok(provenance::record(None, gpu, numbers))
 }
 
 fn paper_record(setting: &Setting) -> Result<Value> {
@@ -142,33 +116,6 @@ fn paper_record(setting: &Setting) -> Result<Value> {
         "means": tables.means(protocol.benchmark),
         "contradictions": tables.contradictions(protocol.benchmark),
     }))
-}
-
-/// Ours in the columns of the paper's table per scene: PSNR, similarity, LPIPS.
-fn our_row(setting: &Setting, e: &Evaluation) -> [Option<f64>; 3] {
-    let similarity = match &setting.protocol {
-        Some(p) if p.similarity == "MS-SSIM" => e.mean.pixel.ms_ssim,
-        _ => Some(e.mean.pixel.ssim),
-    };
-    [Some(e.mean.pixel.psnr), similarity, e.mean_lpips_paper]
-}
-
-/// The paper's rows of the scene, or of the means where it has no such scene.
-fn paper_rows(setting: &Setting) -> Result<Vec<SceneRow>> {
-    let Some(protocol) = &setting.protocol else { return Ok(Vec::new()) };
-    let tables = paper::tables()?;
-    Ok(match &setting.scene {
-        Some(scene) => tables.scene(protocol.benchmark, scene).into_iter().cloned().collect(),
-        None => tables.means(protocol.benchmark),
-    })
-}
-
-/// What [`paper_rows`] are of.
-fn paper_title(setting: &Setting) -> String {
-    match &setting.scene {
-        Some(scene) => format!("scene {scene}"),
-        None => "means of its scenes, none of which has this folder's name (--scene)".into(),
-    }
 }
 
 fn print(setting: &Setting, e: &Evaluation) -> Result<()> {

@@ -4,12 +4,11 @@ mod average;
 mod plan;
 mod video;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use engine::data::CameraSet;
 use engine::error::{Error, Result};
-use engine::file::picture::{self, Alpha};
 use engine::image::Image;
 use engine::render::{RenderOptions, Renderer};
 use serde::Serialize;
@@ -18,6 +17,7 @@ use serde_json::json;
 use crate::cli::args::{Format, Global, PathArg, RenderArgs};
 use crate::cli::interrupt::{self, Interrupt};
 use crate::cli::{camera, gpu_session, model, output, progress};
+use crate::report::files::create_folder;
 use average::{Mean, reduced};
 use plan::Picture;
 use video::Encoder;
@@ -65,11 +65,11 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
     let own = if set.is_none() { camera::near(&loaded.scene) } else { RenderOptions::default().near };
     let gpu = gpu_session::open(global)?;
     let options = RenderOptions {
-        background: args.view.background,
+        background: args.look.background,
         depth: args.format == Format::Exr,
         near: args.near.unwrap_or(own),
-        motion: args.view.motion_source(),
-        quality: args.view.quality(),
+        motion: args.look.motion_source(),
+        quality: args.quality.chosen(),
         ..RenderOptions::default()
     };
     let mut renderer = Renderer::new(&gpu, &loaded.scene, &options)?;
@@ -95,7 +95,7 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
         let render_ms = begin.elapsed().as_secs_f64() * 1e3;
         let file = places.folder.as_ref().map(|f| f.join(format!("{:05}.{}", picture.index, args.format.extension())));
         if let Some(file) = &file {
-            write(file, &image, args.format)?;
+            args.format.write(file, &image)?;
         }
         if interrupt.is_set() {
             break;
@@ -173,8 +173,7 @@ fn cameras(args: &RenderArgs) -> Result<Option<CameraSet>> {
         Some(PathArg::File(file)) => Some(file),
         _ => args.cameras.as_ref(),
     };
-    let size = [args.view.width, args.view.height];
-    file.map(|f| model::load_cameras(f, args.split.as_deref(), size)).transpose()
+    file.map(|f| model::load_cameras(f, args.split.as_deref(), args.size.asked())).transpose()
 }
 
 /// Where things go; without an encoder the pictures take the video's place, and a line says so.
@@ -204,17 +203,4 @@ fn draw(renderer: &mut Renderer, picture: &Picture, supersample: u32) -> Result<
         mean.add(reduced(image, supersample));
     }
     Ok(mean.finish())
-}
-
-/// Makes a folder and those above it.
-pub fn create_folder(folder: &Path) -> Result<()> {
-    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "make folder", e))
-}
-
-/// Writes a picture; the file is there whole or not at all.
-pub fn write(path: &Path, image: &Image, format: Format) -> Result<()> {
-    match format {
-        Format::Png => picture::write_png(path, image, Alpha::Drop),
-        Format::Exr => picture::write_exr(path, image),
-    }
 }

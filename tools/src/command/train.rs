@@ -22,12 +22,11 @@ use engine::train::trainer::{StepReport, Trainer, TrainingData};
 use indicatif::ProgressBar;
 use serde_json::json;
 
-pub(crate) use self::decide::preset_of;
 use self::log::RunLog;
 use crate::cli::args::{Global, TrainArgs};
 use crate::cli::interrupt::Interrupt;
 use crate::cli::{gpu_session, output, progress};
-use crate::command::render::create_folder;
+use crate::report::files::create_folder;
 
 /// A run in progress.
 struct Run<'a> {

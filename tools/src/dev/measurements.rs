@@ -16,26 +16,26 @@ const END: &str = "<!-- end of measurements -->\n";
 const RECORDINGS: [(&str, &str); 10] = [
     (
         "bench_s50k",
-        "bench $SPGS_DATA/bench_s50k/model.ply --cameras $SPGS_DATA/bench_s50k --split train --frames 100 --check",
+        "bench frame $SPGS_DATA/bench_s50k/model.ply --cameras $SPGS_DATA/bench_s50k --split train --frames 100 --check",
     ),
-    ("synthetic_120k", "bench --synthetic 120000 --superpoints 300 --width 800 --height 800 --check"),
-    ("train_bench_s50k", "bench $SPGS_DATA/bench_s50k/model.ply --train --cameras $SPGS_DATA/bench_s50k"),
-    ("hard_cases", "bench --hard-cases"),
-    ("paper", "bench --paper --synthetic 120000 --superpoints 300"),
+    ("synthetic_120k", "bench frame --synthetic 120000 --superpoints 300 --width 800 --height 800 --check"),
+    ("train_bench_s50k", "bench train $SPGS_DATA/bench_s50k/model.ply --cameras $SPGS_DATA/bench_s50k"),
+    ("hard_cases", "bench hard-cases"),
+    ("paper", "bench paper --synthetic 120000 --superpoints 300"),
     (
         "paper_dnerf_hook_path",
-        "bench --paper --synthetic 120000 --superpoints 300 --cameras $SPGS_DATA/dnerf_hook_cameras/transforms_test.json --width 800 --height 800 --budget 0",
+        "bench paper --synthetic 120000 --superpoints 300 --cameras $SPGS_DATA/dnerf_hook_cameras/transforms_test.json --width 800 --height 800 --budget 0",
     ),
     (
         "until_psnr_robot_dance",
-        "bench --train --until-psnr 20 --cameras $SPGS_DATA/robot_dance --iterations 2000 --downscale 8",
+        "bench train --until-psnr 20 --cameras $SPGS_DATA/robot_dance --iterations 2000 --downscale 8",
     ),
     (
         "ablation_robot_dance",
-        "bench --ablation $SPGS_DATA/robot_dance --iterations 60 --downscale 8 --only superpoints,neighbors,property-loss,network-size,warm-up,inference",
+        "bench ablation $SPGS_DATA/robot_dance --iterations 60 --downscale 8 --only superpoints,neighbors,property-loss,network-size,warm-up,inference",
     ),
-    ("sweep_100k", "bench --sweep --synthetic 100000 --superpoints 300"),
-    ("train_sweep", "bench --train --sweep"),
+    ("sweep_100k", "bench sweep --synthetic 100000 --superpoints 300"),
+    ("train_sweep", "bench train --sweep"),
 ];
 
 /// The commands that record everything on a device whose files begin with `device`.

@@ -357,21 +357,6 @@ pub fn copy_bandwidth(gpu: &Gpu) -> Result<f64> {
     Ok(2.0 * bytes as f64 / best / 1e3)
 }
 
-/// The commit of the source tree: given at build time as `SPGS_COMMIT`, else asked of git where the tree still is.
-pub fn commit() -> Option<String> {
-    if let Some(commit) = option_env!("SPGS_COMMIT") {
-        return Some(commit.to_owned());
-    }
-    let git = |args: &[&str]| {
-        let out =
-            std::process::Command::new("git").args(["-C", env!("CARGO_MANIFEST_DIR")]).args(args).output().ok()?;
-        out.status.success().then(|| String::from_utf8_lossy(&out.stdout).trim().to_owned())
-    };
-    let commit = git(&["rev-parse", "HEAD"])?;
-    let clean = git(&["status", "--porcelain"]).is_some_and(|s| s.is_empty());
-    Some(if clean { commit } else { commit + "-modified" })
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]

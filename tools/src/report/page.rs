@@ -21,6 +21,7 @@ mod encode;
 mod table;
 
 pub use chart::{Axis, Bar, Chart, Mark, Series, bars};
+use encode::escape;
 pub use encode::{base64, encode_png};
 pub use table::{Align, Standing, Table};
 
@@ -159,11 +160,6 @@ pub fn field(record: &Value, pointer: &str) -> String {
         Some(Value::Null) | None => "unknown".into(),
         Some(other) => other.to_string(),
     }
-}
-
-/// Text that is safe inside HTML.
-pub fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 const HEAD_BEFORE_TITLE: &str = "<!doctype html>

@@ -6,6 +6,8 @@ use std::sync::OnceLock;
 use engine::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 
+use super::benchmark::Benchmark;
+
 /// A printed number, or what is printed instead (`<1`, `~1.5`).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
@@ -31,42 +33,6 @@ impl std::fmt::Display for Figure {
         match self {
             Self::Number(v) => write!(f, "{v}"),
             Self::Text(text) => write!(f, "{text}"),
-        }
-    }
-}
-
-/// The four data sets of the paper.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum Benchmark {
-    /// D-NeRF: synthetic, 8 scenes.
-    DNerf,
-    /// HyperNeRF, the four `vrig` scenes.
-    #[value(name = "hypernerf")]
-    #[serde(rename = "hypernerf")]
-    HyperNerf,
-    /// NeRF-DS: specular objects, 7 scenes.
-    NerfDs,
-    /// NVIDIA Dynamic Scene (Yoon et al.), 7 scenes.
-    Nvidia,
-}
-
-impl Benchmark {
-    /// Name for people.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::DNerf => "D-NeRF",
-            Self::HyperNerf => "HyperNeRF",
-            Self::NerfDs => "NeRF-DS",
-            Self::Nvidia => "NVIDIA Dynamic Scene",
-        }
-    }
-
-    /// What the similarity column of its table per scene is called there.
-    pub fn similarity(self) -> &'static str {
-        match self {
-            Self::DNerf | Self::Nvidia => "SSIM",
-            Self::HyperNerf | Self::NerfDs => "MS-SSIM",
         }
     }
 }

@@ -18,6 +18,7 @@ mod input;
 mod interface;
 mod latency;
 mod load;
+mod losses;
 mod model;
 mod navigator;
 mod overlay;
@@ -48,13 +49,13 @@ use winit::window::{Window, WindowId};
 
 use self::gui::{Gui, Next};
 use self::load::{News, Opened};
+use self::losses::Losses;
 use self::navigator::{Navigator, Pose};
-use self::recovery::Losses;
 use self::state::{Settings, Show, State};
 use self::timeline::Timeline;
 pub use self::turn::ALLOCATIONS;
 use self::turn::{Allocations, Turn};
-use crate::cli::args::{Global, ViewerArgs, motion_source};
+use crate::cli::args::{Global, ViewerArgs};
 use crate::cli::{camera, gpu_session, model as model_file, output};
 
 /// The program between two events.
@@ -123,15 +124,15 @@ fn first_state(args: &ViewerArgs) -> Result<State> {
     };
     let camera = camera::default_camera(&Scene::default(), args.size);
     let up = navigator::up_of_cameras(&cameras);
-    let quality_name = Quality::PRESETS.iter().find(|(_, q)| *q == args.quality());
+    let quality_name = Quality::PRESETS.iter().find(|(_, q)| *q == args.quality.chosen());
     let settings = Settings {
         show: Show::Color,
-        background: args.background,
-        resolution: args.quality().resolution,
+        background: args.look.background,
+        resolution: args.quality.chosen().resolution,
         adaptive: !args.full_resolution,
-        quality: Quality { resolution: 1.0, ..args.quality() },
+        quality: Quality { resolution: 1.0, ..args.quality.chosen() },
         quality_name: quality_name.map_or("", |(name, _)| name),
-        motion: motion_source(args.motion),
+        motion: args.look.motion_source(),
         near: args.near,
         vsync: !args.no_vsync,
         centers: false,

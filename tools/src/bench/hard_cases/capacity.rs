@@ -5,8 +5,9 @@ use engine::render::{RenderOptions, Renderer};
 use engine::scene::Scene;
 use engine::scene::synthetic::random_scene;
 
+use super::case::{Case, Check, Context, Outcome};
 use super::compare::{compare, usual_options};
-use super::{Case, Check, Context, Outcome, images, views};
+use super::{images, views};
 
 pub(super) fn cases() -> Vec<Case> {
     let one = "3,000 Gaussians with room for exactly the tile instances that they need, and for one less.";

@@ -9,9 +9,10 @@ use engine::scene::Camera;
 use engine::scene::synthetic::random_scene;
 
 use super::blend::{Rules, blend};
+use super::case::{Case, Check, Context, Outcome};
 use super::compare::reference_options;
 use super::gradients::in_f64;
-use super::{Case, Check, Context, Outcome, views};
+use super::views;
 
 /// Edge of the original's tiles, pixels.
 const TILE: f64 = 16.0;

@@ -8,7 +8,7 @@ use engine::render::{FrameStatistics, RenderOptions, Renderer};
 use engine::scene::synthetic::HardCase;
 use engine::scene::{Camera, Scene};
 
-use super::{Check, Outcome};
+use super::case::{Check, Outcome};
 
 /// PSNR that every image must reach, dB.
 pub(super) const MIN_PSNR: f64 = 65.0;

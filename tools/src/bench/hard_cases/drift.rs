@@ -4,8 +4,9 @@ use engine::error::Result;
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::{Random, moving_scene};
 
+use super::case::{Case, Check, Context, Outcome};
 use super::repeat::hash_image;
-use super::{Case, Check, Context, Outcome, views};
+use super::views;
 
 /// Steps of the paper's run.
 const STEPS: u32 = 40_000;

@@ -11,7 +11,8 @@ use engine::scene::synthetic::{HardCase, Random, moving_scene, random_scene};
 use engine::scene::{Camera, Scene};
 use engine::train::gradient::{GradientOptions, SceneGradients, scene_gradients};
 
-use super::{Case, Check, Context, Outcome, images, views};
+use super::case::{Case, Check, Context, Outcome};
+use super::{images, views};
 
 /// Largest ‖device − truth‖ / ‖truth‖ of a kind of parameter.
 const MAX_RELATIVE_L2: f64 = 1e-4;

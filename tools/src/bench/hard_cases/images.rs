@@ -4,10 +4,10 @@ use engine::error::{Error, Result};
 use engine::gpu::Gpu;
 use engine::scene::synthetic::{HardCase, hard_cases};
 
+use super::case::{Case, Check, GROUPS, Outcome};
 use super::compare::{compare, options_of};
-use super::{Case, Check, Outcome};
 
-/// Beginnings of the names of each group of [`super::GROUPS`].
+/// Beginnings of the names of each group of [`GROUPS`].
 const NUMBERS: [(usize, &[&str]); 14] = [
     (1, &["needles"]),
     (2, &["scale_"]),
@@ -28,7 +28,7 @@ const NUMBERS: [(usize, &[&str]); 14] = [
 /// Group of a case of the engine; the last one for a name that no group claims.
 fn number(name: &str) -> usize {
     let claims = |names: &[&str]| names.iter().any(|n| name.starts_with(n));
-    NUMBERS.iter().find(|(_, names)| claims(names)).map_or(super::GROUPS.len(), |(number, _)| *number)
+    NUMBERS.iter().find(|(_, names)| claims(names)).map_or(GROUPS.len(), |(number, _)| *number)
 }
 
 /// One case for each of [`hard_cases`].

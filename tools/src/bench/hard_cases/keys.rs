@@ -9,8 +9,10 @@ use engine::scene::Scene;
 use engine::scene::synthetic::random_scene;
 
 use super::blend::{Rules, blend};
+use super::case::{Case, Check, Context, Outcome};
 use super::compare::{compare, options_of, reference_options, usual_options};
-use super::{Case, Check, Context, Outcome, images, in_f64, views};
+use super::gradients::in_f64;
+use super::{images, views};
 
 /// Key widths that published renderers use, and ours.
 const KEY_BITS: [u32; 4] = [18, 20, 24, 32];

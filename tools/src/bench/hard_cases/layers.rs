@@ -6,9 +6,10 @@ use engine::reference::gradient::image::visible_splats;
 use engine::scene::Scene;
 
 use super::blend::{Rules, blend};
+use super::case::{Case, Check, Context, Outcome};
 use super::compare::{compare, options_of, reference_options};
 use super::gradients::in_f64;
-use super::{Case, Check, Context, Outcome, images};
+use super::images;
 
 pub(super) fn cases() -> Vec<Case> {
     let above = "300 layers with α up to 1.05/255: what the cut at 1/255 drops at their rims.";

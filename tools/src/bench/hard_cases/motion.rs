@@ -9,8 +9,9 @@ use engine::scene::synthetic::moving_scene;
 use engine::train::association::{AssociationOptions, SuperpointState};
 use glam::{DMat3, DVec3};
 
+use super::case::{Case, Check, Context, Outcome};
 use super::compare::{compare, usual_options};
-use super::{Case, Check, Context, Outcome, views};
+use super::views;
 
 pub(super) fn cases() -> Vec<Case> {
     let sweep = "Key rotations 0.5 rad apart at eight places from 0 to 2π, shown half-way.";

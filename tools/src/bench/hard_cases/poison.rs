@@ -6,8 +6,8 @@ use engine::scene::synthetic::random_scene;
 use engine::scene::{Camera, Gaussians, Rejected, Scene};
 use glam::DVec3;
 
+use super::case::{Case, Check, Outcome};
 use super::compare::{compare, usual_options};
-use super::{Case, Check, Outcome};
 
 /// What is put into a parameter: not finite, at the ends of the range, denormal, and beside thresholds (1/255, the tile
 /// edge, the near plane, the largest log scale).

@@ -5,8 +5,8 @@ use engine::image::Image;
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::{demo_camera, demo_scene, moving_scene};
 
+use super::case::{Case, Check, Context, Outcome};
 use super::gradients::View;
-use super::{Case, Check, Context, Outcome};
 
 pub(super) fn cases() -> Vec<Case> {
     let image = "The demo scene at 160×120, a new renderer every time.";

@@ -1,20 +1,16 @@
-//! `spgs bench --hard-cases`: runs the cases; a table on the terminal, everything as JSON, a page.
+//! `spgs bench hard-cases`: runs the cases; a table on the terminal, everything as JSON, a page.
 
 use std::process::ExitCode;
 
 use engine::error::Result;
-use engine::gpu::Gpu;
 use serde_json::{Value, json};
 
-use super::{Bound, Check, Context, GROUPS, Row, cases};
-use crate::bench::frame::write_text;
-use crate::cli::args::{BenchArgs, Global};
+use super::case::{Bound, Check, Context, GROUPS, Row};
+use super::list::cases;
+use crate::cli::args::{Global, HardCasesArgs};
 use crate::cli::{gpu_session, output, progress};
 use crate::report::page::{Align, Page, Standing, Table};
-
-/// Runs whose bits are compared, and frames of the drift test, where the arguments do not say.
-const RUNS: u32 = 20;
-const FRAMES: u32 = 1000;
+use crate::report::provenance;
 
 /// Exit code when a bound does not hold, and when a number is not finite.
 const MISSED: u8 = 1;
@@ -24,9 +20,9 @@ const NOT_FINITE: u8 = 6;
 ///
 /// # Errors
 /// No device, a lost device, a file that cannot be written.
-pub fn run(args: &BenchArgs, global: &Global) -> Result<ExitCode> {
+pub fn run(args: &HardCasesArgs, global: &Global) -> Result<ExitCode> {
     let gpu = gpu_session::open_to_measure(global)?;
-    let context = Context { gpu: &gpu, runs: args.runs.unwrap_or(RUNS), frames: args.frames.unwrap_or(FRAMES) };
+    let context = Context { gpu: &gpu, runs: args.runs, frames: args.frames };
     let cases = cases();
     let bar = progress::bar(cases.len() as u64, global.quiet);
     let mut rows = Vec::with_capacity(cases.len());
@@ -36,13 +32,18 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<ExitCode> {
     }
     bar.finish_and_clear();
     gpu_session::report_validation(&gpu);
-    let record = record(&gpu, &context, &rows);
-    if let Some(path) = &args.json {
-        write_text(path, &(output::to_json(&record)? + "\n"))?;
-    }
-    if let Some(path) = &args.report {
-        write_text(path, &html(&record, &rows))?;
-    }
+    let failed: Vec<&str> = rows.iter().filter(|r| !r.pass).map(|r| r.name.as_str()).collect();
+    let numbers = json!({
+        "runs": context.runs,
+        "drift_frames": context.frames,
+        "groups": GROUPS,
+        "cases": rows,
+        "passed": rows.len() - failed.len(),
+        "failed": failed,
+        "ms": rows.iter().map(|r| r.ms).sum::<f64>(),
+    });
+    let record = provenance::record(Some("hard_cases"), &gpu, numbers);
+    args.results.write(&record, || Ok(html(&record, &rows)))?;
     if !global.quiet {
         output::line(&format!("device  {}", gpu_session::describe(&gpu)));
         output::line(text(&rows).trim_end());
@@ -80,23 +81,6 @@ fn number(value: f64) -> String {
     }
 }
 
-fn record(gpu: &Gpu, context: &Context<'_>, rows: &[Row]) -> Value {
-    let failed: Vec<&str> = rows.iter().filter(|r| !r.pass).map(|r| r.name.as_str()).collect();
-    json!({
-        "kind": "hard_cases",
-        "program": { "name": "spgs", "version": env!("CARGO_PKG_VERSION"), "commit": crate::report::measure::commit() },
-        "command": std::env::args().collect::<Vec<_>>().join(" "),
-        "device": gpu.info(),
-        "runs": context.runs,
-        "drift_frames": context.frames,
-        "groups": GROUPS,
-        "cases": rows,
-        "passed": rows.len() - failed.len(),
-        "failed": failed,
-        "ms": rows.iter().map(|r| r.ms).sum::<f64>(),
-    })
-}
-
 /// One line per case: verdict, time, and the most telling number.
 fn text(rows: &[Row]) -> String {
     let mut lines = Vec::new();
@@ -123,7 +107,7 @@ fn headline(row: &Row) -> String {
 
 /// The page: a table of all cases, failures first, then every number of every case.
 fn html(record: &Value, rows: &[Row]) -> String {
-    let mut page = Page::new("spgs bench --hard-cases");
+    let mut page = Page::new("spgs bench hard-cases");
     page.provenance(record);
     let passed = rows.iter().filter(|r| r.pass).count();
     page.note(&format!("{passed} of {} cases hold.", rows.len()));

@@ -10,8 +10,9 @@ use engine::scene::synthetic::{moving_scene, random_scene};
 use engine::scene::{Camera, Scene};
 use glam::{DMat3, DVec3};
 
+use super::case::{Case, Check, Context, Outcome};
 use super::compare::{reference_options, usual_options};
-use super::{Case, Check, Context, Outcome, views};
+use super::views;
 
 /// Frames of the turning camera.
 const FRAMES: u32 = 9;

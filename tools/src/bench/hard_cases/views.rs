@@ -6,8 +6,8 @@ use engine::scene::Camera;
 use engine::scene::synthetic::random_scene;
 use glam::DVec3;
 
+use super::case::{Case, Check, Context, Outcome};
 use super::compare::{compare, usual_options};
-use super::{Case, Check, Context, Outcome};
 
 pub(super) fn cases() -> Vec<Case> {
     let triple = "4,000 Gaussians through three times the usual field of view (137 degrees), the camera among them.";

@@ -6,11 +6,13 @@ use std::time::{Duration, Instant};
 use engine::error::Result;
 use engine::gpu::Gpu;
 use engine::render::{RenderOptions, Renderer};
-use engine::scene::Scene;
+use engine::scene::{Camera, Scene};
 use serde::Serialize;
 
-use super::Stop;
 use crate::report::measure::PAPER_FRAMES;
+
+/// A view of the path and its time.
+pub(super) type Stop = (Camera, f64);
 
 /// Passes over the path at most.
 const MAX_PASSES: u32 = 50;

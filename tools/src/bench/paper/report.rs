@@ -8,9 +8,10 @@ use serde_json::Value;
 use super::protocol::Rates;
 use super::roofline::Roofline;
 use super::scaling::Curve;
+use crate::report::benchmark::Benchmark;
 use crate::report::measure::{Measurement, PAPER_FRAMES};
 use crate::report::page::{Align, Axis, Chart, Mark, Page, Series, Standing, Table};
-use crate::report::paper::{self, Benchmark};
+use crate::report::paper;
 
 /// Everything that was found.
 pub(super) struct Found {

@@ -8,7 +8,7 @@ use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::moving_scene;
 use serde::Serialize;
 
-use crate::bench::frame::{DEFAULT_SIZE, SYNTHETIC_KEYS, SYNTHETIC_SEED};
+use crate::bench::scene::{DEFAULT_SIZE, SYNTHETIC_KEYS, SYNTHETIC_SEED};
 use crate::cli::camera;
 use crate::report::measure::Quantiles;
 

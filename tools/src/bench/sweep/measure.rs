@@ -10,12 +10,11 @@ use engine::image::{Image, difference};
 use engine::metrics::{Planes, flip};
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::{Camera, MotionSource, Scene};
-use serde::Serialize;
 
+use super::measured::{ErrorOf, Measured, VISIBLE, VISIBLE_SHARE};
 use super::settings::Setting;
 use super::views::Views;
-use super::{VISIBLE, VISIBLE_SHARE};
-use crate::cli::args::BenchArgs;
+use crate::cli::args::SweepArgs;
 use crate::report::measure::{Quantiles, with_keys, with_push};
 use crate::report::processor::processor_seconds;
 
@@ -23,60 +22,6 @@ use crate::report::processor::processor_seconds;
 const FRAMES: [u32; 2] = [60, 9];
 /// Frames before.
 const WARMUP: u32 = 3;
-
-/// How far the images of a setting are from the f64 reference, over all views.
-#[derive(Debug, Clone, Copy, Default, Serialize)]
-pub(super) struct ErrorOf {
-    /// dB, of the mean square over all values.
-    pub(super) psnr: f64,
-    /// Root of the mean square.
-    pub(super) rmse: f64,
-    /// Largest difference.
-    pub(super) max: f64,
-    /// 99.9 % of the values are within this.
-    pub(super) q999: f64,
-    /// Share of values off by more than 1/255.
-    pub(super) visible: f64,
-    /// Whether so few values are off by more than 1/255 that nobody sees it.
-    pub(super) invisible: bool,
-    /// Mean FLIP over the views.
-    pub(super) flip: f64,
-}
-
-/// A setting with what it costs and what it gives up.
-#[derive(Debug, Clone, Serialize)]
-pub(super) struct Measured {
-    #[serde(flatten)]
-    pub(super) setting: Setting,
-    /// Host time from submission to the finished frame.
-    pub(super) frame_ms: Quantiles,
-    /// Processor time of a frame, all threads; only for a device that is a CPU. Such a machine's speed drifts, so it is the
-    /// median ratio to an exact frame that is drawn just before each frame, times what the first exact frames took.
-    pub(super) processor_ms: Option<f64>,
-    /// Median device time of each stage; empty without timestamps.
-    pub(super) stage_ms: BTreeMap<&'static str, f64>,
-    /// Bytes that the frame's kernels move at least.
-    pub(super) bytes: u64,
-    /// Bytes of the model on the device.
-    pub(super) scene_bytes: u64,
-    /// Dispatches of a frame.
-    pub(super) dispatches: usize,
-    /// (Gaussian, tile) pairs of the last frame.
-    pub(super) instances: u64,
-    /// Against the f64 reference.
-    pub(super) error: ErrorOf,
-    /// PSNR against the photos, dB, mean over the views.
-    pub(super) photo_psnr: Option<f64>,
-    /// No other setting is both faster and more accurate.
-    pub(super) pareto: bool,
-}
-
-impl Measured {
-    /// The time that settings are compared by, milliseconds: of the frame, or of the processor where it is the device.
-    pub(super) fn ms(&self) -> f64 {
-        self.processor_ms.unwrap_or(self.frame_ms.median)
-    }
-}
 
 /// What all settings have in common.
 pub(super) struct Measurer<'a> {
@@ -99,15 +44,15 @@ impl<'a> Measurer<'a> {
     pub(super) fn new(
         gpu: &'a Gpu,
         scene: &'a Scene,
-        args: &BenchArgs,
+        args: &SweepArgs,
         views: &'a Views,
         truth: &'a [Image],
     ) -> Result<Self> {
         let mut measurer = Self {
             gpu,
             scene,
-            background: args.view.background,
-            motion: args.view.motion_source(),
+            background: args.look.background,
+            motion: args.look.motion_source(),
             frames: args.frames.unwrap_or(FRAMES[usize::from(gpu.info().is_cpu())]),
             warmup: args.warmup.unwrap_or(WARMUP),
             pace: None,
@@ -254,27 +199,6 @@ fn stage(label: &str) -> &'static str {
         l if l.contains("tile") => STAGES[3],
         l if l.starts_with("blend") => STAGES[4],
         _ => STAGES[5],
-    }
-}
-
-#[cfg(test)]
-impl Measured {
-    pub(super) fn for_tests(name: &str, ms: f64, rmse: f64) -> Self {
-        let quality = engine::render::Quality::EXACT;
-        let kind = super::settings::Kind::Exact;
-        Self {
-            setting: Setting { name: name.into(), kind, quality, network: false },
-            frame_ms: Quantiles { median: ms, p5: ms, p95: ms },
-            processor_ms: None,
-            stage_ms: BTreeMap::new(),
-            bytes: 0,
-            scene_bytes: 0,
-            dispatches: 0,
-            instances: 0,
-            error: ErrorOf { rmse, ..ErrorOf::default() },
-            photo_psnr: None,
-            pareto: false,
-        }
     }
 }
 

@@ -5,9 +5,10 @@ use engine::image::Image;
 use engine::metrics::Planes;
 use serde_json::Value;
 
-use super::measure::{Measured, Measurer, STAGES};
+use super::measure::{Measurer, STAGES};
+use super::measured::{Measured, VISIBLE};
 use super::settings::Kind;
-use super::{VISIBLE, table};
+use super::table::table;
 use crate::report::error_image;
 use crate::report::page::{self, Align, Axis, Chart, Mark, Page, Picture, Series, Standing, Table};
 

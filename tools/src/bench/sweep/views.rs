@@ -5,8 +5,8 @@ use engine::error::{Error, Result};
 use engine::image::Image;
 use engine::scene::{Camera, Scene};
 
-use crate::bench::frame::DEFAULT_SIZE;
-use crate::cli::args::BenchArgs;
+use crate::bench::scene::DEFAULT_SIZE;
+use crate::cli::args::SweepArgs;
 use crate::cli::{camera, model};
 
 /// Views, where the camera path has more.
@@ -33,12 +33,12 @@ pub(super) struct Views {
 
 impl Views {
     /// From the arguments: the cameras of `--cameras`, else an orbit.
-    pub(super) fn choose(args: &BenchArgs, scene: &Scene, is_cpu: bool) -> Result<Self> {
+    pub(super) fn choose(args: &SweepArgs, scene: &Scene, is_cpu: bool) -> Result<Self> {
         let mut notes = Vec::new();
-        let asked = [args.view.width, args.view.height];
-        let (all, photos) = match &args.cameras {
+        let asked = args.size.asked();
+        let (all, photos) = match &args.path.cameras {
             Some(path) => {
-                let set = model::load_cameras(path, args.split.as_deref(), asked)?;
+                let set = model::load_cameras(path, args.path.split.as_deref(), asked)?;
                 let of = dataset::load(path, &DatasetOptions::default()).ok();
                 (set.cameras, of)
             }
@@ -50,7 +50,7 @@ impl Views {
         }
         let full: Vec<Camera> = chosen.iter().map(|i| all[*i].clone()).collect();
         let Some(first) = full.first() else {
-            return Err(Error::usage("--sweep", "no camera", "at least one"));
+            return Err(Error::usage("bench sweep", "no camera", "at least one"));
         };
         let size = [first.width, first.height];
         let side = error_side(size, full.len(), scene.gaussians.len(), asked != [None, None]);
@@ -59,7 +59,7 @@ impl Views {
             let to = |s: u32| ((f64::from(s) * scale).round() as u32).max(1);
             c.resized(to(c.width), to(c.height))
         };
-        let cameras: Vec<(Camera, f64)> = full.iter().map(|c| (small(c), args.time.unwrap_or(c.time))).collect();
+        let cameras: Vec<(Camera, f64)> = full.iter().map(|c| (small(c), args.path.time.unwrap_or(c.time))).collect();
         let reduced = [cameras[0].0.width, cameras[0].0.height];
         if reduced != size {
             let [w, h] = reduced;
@@ -73,7 +73,7 @@ impl Views {
         if is_cpu && reduced != size {
             notes.push("times at that size too: the device is a CPU".into());
         }
-        let photos = photos_of(photos.as_ref(), &cameras, args.view.background)?;
+        let photos = photos_of(photos.as_ref(), &cameras, args.look.background)?;
         if photos.is_none() {
             notes.push("no photos beside the cameras: no error against ground truth".into());
         }
@@ -107,10 +107,8 @@ fn spread(count: usize, most: usize) -> Vec<usize> {
 }
 
 /// Views from all sides at the size of the arguments.
-fn orbit(args: &BenchArgs, scene: &Scene) -> Vec<Camera> {
-    let (width, height) = (args.view.width, args.view.height);
-    let size = [width.or(height).unwrap_or(DEFAULT_SIZE), height.or(width).unwrap_or(DEFAULT_SIZE)];
-    camera::orbit(scene, size, VIEWS)
+fn orbit(args: &SweepArgs, scene: &Scene) -> Vec<Camera> {
+    camera::orbit(scene, args.size.or_square(DEFAULT_SIZE), VIEWS)
 }
 
 /// Photos of the cameras (same pose and time), over the background, averaged down to the cameras' size; none unless all are there.

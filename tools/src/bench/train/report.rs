@@ -8,7 +8,7 @@ use super::measure::TrainMeasurement;
 use crate::report::page::{self, Align, Page, Table};
 use crate::report::summary::{MIB, operations, text_row};
 
-/// What `bench --train` prints of a training set; with `rows` also its kernels.
+/// What `bench train` prints of a training set; with `rows` also its kernels.
 pub(super) fn text(record: &Value, m: &TrainMeasurement, rows: bool) -> String {
     let mut t = format!("scene   {}\n", title(record));
     for (name, value) in facts(m) {

@@ -16,7 +16,7 @@ use engine::train::start;
 use engine::train::trainer::{Trainer, TrainingData};
 use serde::Serialize;
 
-use crate::command::train::preset_of;
+use crate::report::benchmark::Benchmark;
 use crate::report::measure::Quantiles;
 
 /// Most held-out views that are evaluated.
@@ -91,7 +91,7 @@ impl<'a> Session<'a> {
 
     /// The paper's settings for this kind of data, for a run of `iterations`.
     pub(crate) fn config(&self, iterations: u64) -> Config {
-        let mut config = Config { iterations, ..preset_of(self.data.kind).config() };
+        let mut config = Config { iterations, ..Benchmark::preset_of_format(self.data.kind).config() };
         config.log.evaluate_interval = 0;
         config
     }

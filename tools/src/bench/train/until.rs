@@ -1,14 +1,13 @@
-//! `spgs bench --train --until-psnr X --cameras DATA`: iterations per second and time to a PSNR of a real run.
+//! `spgs bench train --until-psnr X --cameras DATA`: iterations per second and time to a PSNR of a real run.
 
 use engine::error::{Error, Result};
 use serde_json::{Value, json};
 
-use super::session::{Session, Timed};
-use crate::bench::frame::write_text;
-use crate::cli::args::{BenchArgs, Global};
+use super::session::{Milestone, Session, Timed};
+use crate::cli::args::{Global, TrainBenchArgs};
 use crate::cli::{gpu_session, output, progress};
-use crate::report::measure;
-use crate::report::page::{Align, Axis, Chart, Mark, Page, Series, Table};
+use crate::report::page::{Align, Axis, Chart, Mark, Page, Series, Table, field};
+use crate::report::provenance;
 
 /// Iterations of a run where the arguments do not say: the paper's.
 const ITERATIONS: u64 = 40_000;
@@ -16,7 +15,7 @@ const ITERATIONS: u64 = 40_000;
 const EVALUATIONS: u64 = 40;
 
 /// Trains, times, reports.
-pub(super) fn run(args: &BenchArgs, global: &Global, wanted: f64) -> Result<()> {
+pub(super) fn run(args: &TrainBenchArgs, global: &Global, wanted: f64) -> Result<()> {
     let Some(path) = &args.cameras else {
         return Err(Error::usage("--until-psnr", "no data set", "--cameras DATA"));
     };
@@ -27,23 +26,15 @@ pub(super) fn run(args: &BenchArgs, global: &Global, wanted: f64) -> Result<()> 
     let (timed, _) = session.run(&config, Some(wanted), EVALUATIONS, &|| bar.inc(1))?;
     bar.finish_and_clear();
     gpu_session::report_validation(&gpu);
-    let record = json!({
-        "kind": "until_psnr",
-        "program": { "name": "spgs", "version": env!("CARGO_PKG_VERSION"), "commit": measure::commit() },
-        "command": std::env::args().collect::<Vec<_>>().join(" "),
-        "device": gpu.info(),
+    let numbers = json!({
         "data": path,
         "views": session.describe(),
         "iterations": config.iterations,
         "wanted_psnr": wanted,
         "run": timed,
     });
-    if let Some(file) = &args.json {
-        write_text(file, &(output::to_json(&record)? + "\n"))?;
-    }
-    if let Some(file) = &args.report {
-        write_text(file, &html(&record, &timed, wanted)?)?;
-    }
+    let record = provenance::record(Some("until_psnr"), &gpu, numbers);
+    args.results.write(&record, || html(&record, &timed, wanted))?;
     if !global.quiet {
         output::line(&format!("device  {}", gpu_session::describe(&gpu)));
         output::line(&format!("data    {}: {}", path.display(), session.describe()));
@@ -84,14 +75,14 @@ fn table(timed: &Timed) -> Table {
 }
 
 fn html(record: &Value, timed: &Timed, wanted: f64) -> Result<String> {
-    let mut page = Page::new("spgs bench --train --until-psnr");
+    let mut page = Page::new("spgs bench train --until-psnr");
     page.provenance(record);
     page.facts(&[
-        ("Data", crate::report::page::field(record, "/data")),
-        ("Views", crate::report::page::field(record, "/views")),
+        ("Data", field(record, "/data")),
+        ("Views", field(record, "/views")),
         ("Result", verdict(timed, wanted)),
     ]);
-    let of = |f: fn(&super::session::Milestone) -> f64| timed.milestones.iter().map(|m| (m.seconds, f(m))).collect();
+    let of = |f: fn(&Milestone) -> f64| timed.milestones.iter().map(|m| (m.seconds, f(m))).collect();
     page.chart(
         &Chart::new("PSNR on held-out views", Axis::linear("training time, s"), Axis::linear("PSNR, dB"))
             .series(Series::new("PSNR", Mark::LineAndPoints, of(|m| m.psnr))),

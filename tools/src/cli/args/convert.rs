@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{MotionArg, finite};
+use super::options::{MotionArg, finite};
 
 /// `spgs convert`.
 #[derive(Debug, Args)]

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{Format, ViewArgs, finite, near, seconds};
+use super::options::{Format, LookArgs, QualityArgs, SizeArgs, finite, near, seconds};
 
 /// `spgs render`.
 #[derive(Debug, Args)]
@@ -68,9 +68,15 @@ pub struct RenderArgs {
     /// Nothing nearer to the camera is drawn, world units [default: 0.2; without cameras at most a tenth of the scene's radius]
     #[arg(long, value_name = "Z", value_parser = near)]
     pub near: Option<f32>,
-    /// How the view is drawn
+    /// Size of the pictures
     #[command(flatten)]
-    pub view: ViewArgs,
+    pub size: SizeArgs,
+    /// How the views are drawn
+    #[command(flatten)]
+    pub look: LookArgs,
+    /// What may be given up for speed
+    #[command(flatten)]
+    pub quality: QualityArgs,
     /// Print a summary as JSON
     #[arg(long)]
     pub json: bool,

@@ -10,7 +10,8 @@ use engine::train::bake::{self, Views};
 use indicatif::ProgressBar;
 use serde::Serialize;
 
-use super::{Moments, views};
+use super::moment::Moments;
+use super::views;
 use crate::cli::{camera, progress};
 use between::Between;
 

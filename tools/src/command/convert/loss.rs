@@ -9,7 +9,9 @@ use engine::render::{RenderOptions, Renderer};
 use engine::scene::{MotionSource, Scene};
 use serde::Serialize;
 
-use super::{Moments, Written, is_moving, views};
+use super::moment::{Moments, is_moving};
+use super::targets::Written;
+use super::views;
 use crate::cli::gpu_session;
 
 /// Size of the views, pixels.

@@ -51,3 +51,8 @@ impl<'a> Moments<'a> {
         }
     }
 }
+
+/// Whether a scene moves by itself.
+pub(super) fn is_moving(scene: &Scene) -> bool {
+    scene.field.is_some() || scene.motion_source(MotionSource::Auto).is_ok_and(|s| s.is_some())
+}

@@ -4,7 +4,9 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::{Baked, Loss};
+use super::bake::Baked;
+use super::loss::Loss;
+use super::targets::Written;
 
 /// What was done.
 #[derive(Debug, Serialize)]
@@ -25,17 +27,6 @@ pub struct Summary {
     pub bake: Option<Baked>,
     /// How far renders of the files are from renders of the model.
     pub loss: Option<Loss>,
-}
-
-/// A file written.
-#[derive(Debug, Serialize)]
-pub struct Written {
-    /// Its name.
-    pub file: PathBuf,
-    /// Its size.
-    pub bytes: u64,
-    /// The time that it shows; absent for the whole model.
-    pub time: Option<f64>,
 }
 
 impl Summary {

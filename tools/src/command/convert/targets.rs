@@ -5,6 +5,18 @@ use std::path::{Path, PathBuf};
 
 use engine::error::{Error, Result};
 use engine::file::durable;
+use serde::Serialize;
+
+/// A file written.
+#[derive(Debug, Serialize)]
+pub struct Written {
+    /// Its name.
+    pub file: PathBuf,
+    /// Its size.
+    pub bytes: u64,
+    /// The time that it shows; absent for the whole model.
+    pub time: Option<f64>,
+}
 
 /// The names of the files. What was newly made goes when this is dropped, unless it is [kept](Self::keep).
 #[derive(Debug)]

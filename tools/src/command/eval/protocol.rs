@@ -1,33 +1,32 @@
 //! How the paper measures on each of its data sets, and how a run differs from that.
 
-use engine::data::DatasetKind;
 use engine::metrics::lpips::Network;
 use serde::Serialize;
 
 use crate::cli::args::SplitArg;
-use crate::report::paper::Benchmark;
+use crate::report::benchmark::Benchmark;
 
 /// The paper's protocol for a data set.
 #[derive(Debug, Clone, Serialize)]
-pub struct Protocol {
+pub(super) struct Protocol {
     /// Data set.
-    pub benchmark: Benchmark,
+    pub(super) benchmark: Benchmark,
     /// Colour behind the scene.
-    pub background: [f32; 3],
+    pub(super) background: [f32; 3],
     /// Picture size, if the paper states it.
-    pub size: Option<[u32; 2]>,
+    pub(super) size: Option<[u32; 2]>,
     /// LPIPS network of the table per scene, if the paper or its code states it.
-    pub lpips: Option<Network>,
+    pub(super) lpips: Option<Network>,
     /// The similarity of the table per scene.
-    pub similarity: &'static str,
+    pub(super) similarity: &'static str,
     /// Which views are test views.
-    pub split: &'static str,
+    pub(super) split: &'static str,
     /// What to know when comparing with the table.
-    pub remarks: Vec<&'static str>,
+    pub(super) remarks: Vec<&'static str>,
 }
 
 /// The protocol of a data set.
-pub fn of(benchmark: Benchmark) -> Protocol {
+pub(super) fn of(benchmark: Benchmark) -> Protocol {
     let protocol = |size, lpips, split, remarks| Protocol {
         benchmark,
         background: [0.0; 3],
@@ -77,20 +76,9 @@ pub fn of(benchmark: Benchmark) -> Protocol {
     }
 }
 
-/// The protocol that goes with a data set's format.
-pub fn by_format(kind: DatasetKind) -> Option<Benchmark> {
-    match kind {
-        DatasetKind::Blender => Some(Benchmark::DNerf),
-        DatasetKind::Nerfies => Some(Benchmark::HyperNerf),
-        DatasetKind::NerfDs => Some(Benchmark::NerfDs),
-        DatasetKind::Nvidia => Some(Benchmark::Nvidia),
-        _ => None,
-    }
-}
-
 impl Protocol {
     /// What of a run is not as in the paper; one line each.
-    pub fn deviations(&self, split: SplitArg, size: [u32; 2], background: [f32; 3]) -> Vec<String> {
+    pub(super) fn deviations(&self, split: SplitArg, size: [u32; 2], background: [f32; 3]) -> Vec<String> {
         let mut lines = Vec::new();
         if split != SplitArg::Test {
             lines.push(format!("split {}; the paper has the test split", split.name()));

@@ -4,8 +4,9 @@ use engine::error::Result;
 use engine::metrics::flip;
 use serde_json::Value;
 
+use super::evaluation::{Evaluation, our_row, paper_rows, paper_title};
 use super::session::{Session, ViewResult};
-use super::{Evaluation, Setting, our_row, paper_rows, paper_title};
+use super::setting::Setting;
 use crate::report::page::{Align, Axis, Chart, Page, Picture, Series, Standing, Table};
 use crate::report::scores::{AllScores, cell};
 use crate::report::{error_image, paper};

@@ -13,7 +13,7 @@ use engine::render::Renderer;
 use engine::scene::Scene;
 use serde::Serialize;
 
-use super::Setting;
+use super::setting::Setting;
 use crate::report::scores::{AllScores, Scorer};
 
 /// Decoded photos that are kept, bytes.

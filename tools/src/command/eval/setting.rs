@@ -10,6 +10,7 @@ use engine::train::config::Config;
 
 use super::protocol::{self, Protocol};
 use crate::cli::args::{EvalArgs, SplitArg, motion_source};
+use crate::report::benchmark::Benchmark;
 use crate::report::paper;
 
 /// Everything that is decided before the first picture.
@@ -37,7 +38,7 @@ impl Setting {
         let as_trained = trained.map(|c| c.data).unwrap_or_default();
         let options = DatasetOptions { downscale: args.downscale.or(as_trained.downscale), ..as_trained };
         let data = dataset::load(&args.data, &options)?;
-        let protocol = args.protocol.or_else(|| protocol::by_format(data.kind)).map(protocol::of);
+        let protocol = args.protocol.or_else(|| Benchmark::of_format(data.kind)).map(protocol::of);
         let background = args.background.or(trained.map(|c| c.background)).unwrap_or([0.0; 3]);
         let near = trained.map_or(RenderOptions::default().near, |c| c.near);
         let render = RenderOptions { background, near, motion: motion_source(args.motion), ..RenderOptions::default() };

@@ -123,7 +123,7 @@ fn start(args: &RenderArgs, set: Option<&CameraSet>, scene: &Scene) -> Result<Ca
         (Some(set), [index]) => model::camera(set, *index).cloned(),
         (Some(_), many) => Err(Error::usage("--frame with --path", format!("{} frames", many.len()), "one")),
         (None, []) => {
-            let size = match [args.view.width, args.view.height] {
+            let size = match args.size.asked() {
                 [Some(width), Some(height)] => [width, height],
                 [Some(width), None] => [width, (width * 3).div_ceil(4)],
                 [None, Some(height)] => [(height * 4).div_ceil(3).min(engine::data::MAX_IMAGE_SIDE), height],

@@ -6,8 +6,9 @@ use engine::scene::Gaussians;
 use engine::train::config::{Config, Preset};
 use engine::train::start;
 
-use crate::cli::args::{PresetArg, TrainArgs};
+use crate::cli::args::TrainArgs;
 use crate::cli::model;
+use crate::report::benchmark::Benchmark;
 
 /// The configuration of a new run.
 ///
@@ -15,11 +16,8 @@ use crate::cli::model;
 /// Those of reading and checking it.
 pub(super) fn config(args: &TrainArgs, kind: Option<DatasetKind>) -> Result<Config> {
     let preset = match (args.preset, kind) {
-        (Some(PresetArg::Dnerf), _) => Preset::Dnerf,
-        (Some(PresetArg::Hypernerf), _) => Preset::Hypernerf,
-        (Some(PresetArg::Nerfds), _) => Preset::Nerfds,
-        (Some(PresetArg::Nvidia), _) => Preset::Nvidia,
-        (None, Some(kind)) => preset_of(kind),
+        (Some(benchmark), _) => benchmark.preset(),
+        (None, Some(kind)) => Benchmark::preset_of_format(kind),
         (None, None) => Preset::default(),
     };
     let config = match &args.config {
@@ -56,18 +54,4 @@ pub(super) fn first_gaussians(args: &TrainArgs, config: &Config, data: &Dataset)
         return Ok((gaussians, line));
     }
     Ok(start::first(config, data.points.as_ref()))
-}
-
-/// The paper's settings for a format: D-NeRF's for synthetic scenes, HyperNeRF's for captures.
-pub(crate) fn preset_of(kind: DatasetKind) -> Preset {
-    match kind {
-        DatasetKind::Blender => Preset::Dnerf,
-        DatasetKind::NerfDs => Preset::Nerfds,
-        DatasetKind::Nvidia => Preset::Nvidia,
-        DatasetKind::Nerfstudio
-        | DatasetKind::Nerfies
-        | DatasetKind::Llff
-        | DatasetKind::NonrigidNerf
-        | DatasetKind::Colmap => Preset::Hypernerf,
-    }
 }

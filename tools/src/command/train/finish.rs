@@ -13,7 +13,8 @@ use serde_json::json;
 use super::report::{self, Pair};
 use super::{Run, options};
 use crate::cli::{gpu_session, model, output};
-use crate::command::render::create_folder;
+use crate::report::files::create_folder;
+use crate::report::provenance;
 
 /// Views that the report shows.
 const SHOWN: usize = 6;
@@ -99,7 +100,7 @@ impl Run<'_> {
         });
         let info = self.gpu.info();
         let provenance = json!({
-            "program": concat!("spgs ", env!("CARGO_PKG_VERSION")), "commit": crate::report::measure::commit(),
+            "program": concat!("spgs ", env!("CARGO_PKG_VERSION")), "commit": provenance::commit(),
             "device": info.name, "driver": info.driver, "iterations": self.trainer.iteration(),
             "seconds": self.log.seconds(), "export": decisions,
         });

@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 use engine::error::{Error, Result};
 use engine::file::durable::write_atomic;
 
-use super::statistics::COLUMNS;
-use super::{GOLDEN, Row, Statistics, Target, limits};
+use super::limits;
+use super::statistics::{COLUMNS, Row, Statistics};
+use super::target::{GOLDEN, Target};
 
 /// A value may be this share larger than the golden one, or this much.
 const SHARE: f64 = 0.1;

@@ -1,6 +1,7 @@
 //! What is never right, and the exceptions with their reasons.
 
-use super::{Row, Target};
+use super::statistics::Row;
+use super::target::Target;
 
 /// A kernel that may have fewer subgroups in flight than the floor.
 #[derive(Debug, Clone, Copy)]

@@ -7,7 +7,8 @@ use engine::error::{Error, Result};
 use engine::gpu::Gpu;
 use serde_json::{Value, json};
 
-use super::{Row, Statistics, Target};
+use super::statistics::{Row, Statistics};
+use super::target::Target;
 
 /// How targets are run.
 #[derive(Debug, Clone, Copy)]

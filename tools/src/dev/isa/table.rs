@@ -2,8 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::Row;
-use super::statistics::COLUMNS;
+use super::statistics::{COLUMNS, Row};
 
 /// One line per pipeline; `widest`: only the one of each kernel with the fewest subgroups in flight, then the highest cost.
 pub fn text(rows: &[Row], widest: bool) -> String {

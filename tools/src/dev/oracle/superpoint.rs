@@ -9,15 +9,13 @@
 mod case;
 mod device;
 mod reference;
+mod results;
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use engine::Result;
 use engine::gpu::Gpu;
-use engine::reference::gradient::property::PropertyGradient;
-use engine::scene::DeformNetwork;
-use engine::train::property_loss::PropertyLoss;
 use serde::Serialize;
 
 use crate::dev::oracle::case::relative_l2;
@@ -105,29 +103,6 @@ impl SuperpointCheck {
     }
 }
 
-/// Gradients of one loss: flat arrays in the file's order.
-#[derive(Debug, Clone, Default)]
-struct Gradients {
-    mean: Option<Vec<f64>>,
-    rotation: Option<Vec<f64>>,
-    logit: Option<Vec<f64>>,
-    /// By tensor name, as `deform_linear.0.weight`.
-    network: BTreeMap<String, Vec<f64>>,
-}
-
-/// What one implementation computes.
-#[derive(Debug, Clone, Default)]
-struct Results {
-    outputs: BTreeMap<&'static str, Vec<f64>>,
-    losses: BTreeMap<String, f64>,
-    /// By `motion`, `code`, `paper`.
-    gradients: BTreeMap<&'static str, Gradients>,
-}
-
-/// The forms of the property losses with their weights in the file.
-const FORMS: [(&str, PropertyLoss, [f32; 3]); 2] =
-    [("code", PropertyLoss::Code, [1e-3, 100.0, 100.0]), ("paper", PropertyLoss::Paper, [1e-3, 1.0, 1.0])];
-
 /// Checks one file. `gpu` `None`: the f64 reference only.
 pub fn check(path: &Path, gpu: Option<&Gpu>) -> Result<SuperpointCheck> {
     let mut case = Case::load(path)?;
@@ -194,27 +169,4 @@ impl Case {
             share_of_layer: share.filter(|s| *s < CANCELLED),
         })
     }
-}
-
-/// Tensors of a network-shaped gradient by name.
-fn tensors(network: &DeformNetwork) -> BTreeMap<String, Vec<f64>> {
-    let linear = network.linear.iter().enumerate().map(|(i, l)| (format!("linear.{i}"), l));
-    let heads = [("translation".to_owned(), &network.translation), ("rotation".to_owned(), &network.rotation)];
-    let widen = |v: &[f32]| v.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
-    linear
-        .chain(heads)
-        .flat_map(|(name, l)| {
-            [(format!("deform_{name}.weight"), widen(&l.weight)), (format!("deform_{name}.bias"), widen(&l.bias))]
-        })
-        .collect()
-}
-
-/// The losses' names in the file.
-fn loss_names(form: &str) -> [String; 3] {
-    ["position", "rotation", "translation"].map(|p| format!("{form}_loss_{p}"))
-}
-
-/// Flat gradient of the means: none in the code's form, which is nothing everywhere.
-fn flat_mean(g: &PropertyGradient) -> Vec<f64> {
-    g.mean.iter().flat_map(|v| v.to_array()).collect()
 }

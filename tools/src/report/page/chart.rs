@@ -9,7 +9,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use self::scale::Scale;
-use super::escape;
+use super::encode::escape;
 
 /// Width and height of a chart, pixels.
 const SIZE: (u32, u32) = (960, 420);

@@ -4,6 +4,11 @@ use engine::error::Result;
 use engine::file::picture::{self, Alpha};
 use engine::image::Image;
 
+/// Text that is safe inside HTML.
+pub(super) fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
 /// An image as 8-bit PNG: values clamped to [0, 1], as stored.
 ///
 /// # Errors

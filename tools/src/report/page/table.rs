@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::escape;
+use super::encode::escape;
 
 /// How a column is set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

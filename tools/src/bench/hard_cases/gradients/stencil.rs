@@ -8,7 +8,7 @@ use engine::scene::Camera;
 use engine::scene::synthetic::Random;
 use glam::{DVec2, DVec3};
 
-use crate::bench::hard_cases::{Check, Outcome};
+use crate::bench::hard_cases::case::{Check, Outcome};
 
 const GAUSSIANS: usize = 10;
 const SUPERPOINTS: usize = 3;

@@ -7,7 +7,7 @@ use engine::train::bake::Views;
 use glam::DVec3;
 use indicatif::ProgressBar;
 
-use super::Moments;
+use crate::command::convert::moment::Moments;
 
 /// Times that are looked at.
 const CHECKED_TIMES: usize = 16;

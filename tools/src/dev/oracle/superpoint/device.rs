@@ -12,7 +12,8 @@ use engine::train::status;
 use engine::train::step::Step;
 
 use super::case::Case;
-use super::{FORMS, Gradients, Results, loss_names, reference, tensors};
+use super::reference;
+use super::results::{FORMS, Gradients, Results, loss_names, tensors};
 
 /// One step on the device: buffers, network F, and the pose gradient per Gaussian that rendering would give.
 struct Device<'a> {

@@ -9,7 +9,7 @@ use engine::reference::{Pose, network_poses};
 use glam::DVec3;
 
 use super::case::Case;
-use super::{FORMS, Gradients, Results, flat_mean, loss_names};
+use super::results::{FORMS, Gradients, Results, flat_mean, loss_names};
 
 fn promote(v: &[f32; 3]) -> DVec3 {
     DVec3::from_array(v.map(f64::from))

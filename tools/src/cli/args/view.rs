@@ -3,9 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use engine::render::Quality;
 
-use super::{MotionArg, color, finite, knobs, near, preset};
+use super::options::{LookArgs, QualityArgs, finite, near};
 
 /// `spgs view`.
 #[derive(Debug, Clone, Args)]
@@ -34,18 +33,12 @@ pub struct ViewerArgs {
     /// Time stands still at first
     #[arg(long)]
     pub pause: bool,
-    /// Colour behind the scene
-    #[arg(long, value_name = "R,G,B", default_value = "0,0,0", allow_hyphen_values = true, value_parser = color)]
-    pub background: [f32; 3],
-    /// Where the motion comes from [default: the key-time table where the model has one]
-    #[arg(long, value_enum)]
-    pub motion: Option<MotionArg>,
-    /// What may be given up for speed: exact; high: nothing that is visible; fast: a few levels of 255 in places
-    #[arg(long, value_name = "exact|high|fast", default_value = "high", value_parser = preset)]
-    pub quality: Quality,
-    /// Single knobs on top of --quality, knob=value,… (see `spgs render --help`)
-    #[arg(long, value_name = "KNOB=VALUE,…", value_parser = knobs)]
-    pub set: Option<String>,
+    /// How the scene is drawn
+    #[command(flatten)]
+    pub look: LookArgs,
+    /// What may be given up for speed
+    #[command(flatten)]
+    pub quality: QualityArgs,
     /// Folder for saved pictures and recorded camera paths
     #[arg(long, value_name = "DIR", default_value = "out/view")]
     pub out: PathBuf,
@@ -64,16 +57,6 @@ pub struct ViewerArgs {
     /// Test seam: the device is reported lost at the N-th submission; given again, the one after it too
     #[arg(long, value_name = "N", hide = true)]
     pub lose_device_at: Vec<u64>,
-}
-
-impl ViewerArgs {
-    /// `--quality` with the knobs of `--set`.
-    pub fn quality(&self) -> Quality {
-        let mut quality = self.quality;
-        // The parser has taken the list, so nothing is left to refuse.
-        let _ = quality.set_all(self.set.as_deref().unwrap_or_default());
-        quality
-    }
 }
 
 /// Parses `WxH`.
