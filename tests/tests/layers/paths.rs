@@ -1,5 +1,5 @@
-//! Which file of a crate names which: every path of a source file, through `use`, `crate::`, `self::`, `super::` or the name of a
-//! child module, resolved to the file that it leads to.
+//! Which file of a crate names which: every path of a source file, through `use`, `crate::`, `self::`, `super::`, the name of a
+//! child module or its declaration, resolved to the file that it leads to.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -12,7 +12,7 @@ pub(crate) type Module = Vec<String>;
 /// The modules that a module imports from.
 pub(crate) type Imports = BTreeMap<Module, BTreeSet<Module>>;
 
-/// The imports of every file below a folder; what only tests import does not count.
+/// The imports of every file below a folder but those of its programs.
 pub(crate) fn imports(source: &Path) -> Imports {
     let read = |f: &std::path::PathBuf| (module_path(source, f), std::fs::read_to_string(f).unwrap());
     of(&files(source, "rs").iter().filter(|f| !f.starts_with(source.join("bin"))).map(read).collect())
@@ -26,7 +26,6 @@ pub(crate) fn of(sources: &BTreeMap<Module, String>) -> Imports {
 
 /// The files that a file names.
 fn targets(own: &Module, t: &[String], modules: &BTreeSet<Module>) -> BTreeSet<Module> {
-    let t = without_tests(t);
     let is = |i: usize, s: &str| t.get(i).is_some_and(|x| x == s);
     let (mut found, mut here, mut inline, mut depth, mut i) =
         (BTreeSet::new(), own.clone(), Vec::new(), 0_usize, 0_usize);
@@ -47,7 +46,8 @@ fn targets(own: &Module, t: &[String], modules: &BTreeSet<Module>) -> BTreeSet<M
                 }
                 depth = depth.saturating_sub(1);
             }
-            "use" => i = tree(&t, i + 1, &mut Vec::new(), &mut paths),
+            "mod" if is(i + 2, ";") => paths.push(vec![t[i + 1].clone()]),
+            "use" => i = tree(t, i + 1, &mut Vec::new(), &mut paths),
             word if is(i + 1, "::") && is_name(word) && !(i > 0 && is(i - 1, "::")) => {
                 let mut path = vec![word.to_owned()];
                 while is(i + 1, "::") && t.get(i + 2).is_some_and(|w| is_name(w)) {
@@ -66,31 +66,6 @@ fn targets(own: &Module, t: &[String], modules: &BTreeSet<Module>) -> BTreeSet<M
 
 fn is_name(word: &str) -> bool {
     word.starts_with(|c: char| c.is_alphabetic() || c == '_')
-}
-
-/// Tokens without the items under `#[cfg(test)]`.
-fn without_tests(t: &[String]) -> Vec<String> {
-    let (mut out, mut i) = (Vec::with_capacity(t.len()), 0);
-    while i < t.len() {
-        if t[i..].iter().take(7).map(String::as_str).eq(["#", "[", "cfg", "(", "test", ")", "]"]) {
-            let mut depth = 0_usize;
-            for token in &t[i..] {
-                i += 1;
-                match token.as_str() {
-                    "{" => depth += 1,
-                    "}" => depth -= 1,
-                    _ => {}
-                }
-                if depth == 0 && (token == "}" || token == ";") {
-                    break;
-                }
-            }
-        } else {
-            out.push(t[i].clone());
-            i += 1;
-        }
-    }
-    out
 }
 
 /// The paths of a `use` tree at `i`; where it ends.

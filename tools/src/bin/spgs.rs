@@ -2,8 +2,8 @@
 
 use std::process::ExitCode;
 
-use tools::cli::args::{Cli, modes};
-use tools::cli::output;
+use tools::cli::args::Cli;
+use tools::cli::{modes, output};
 use tools::command;
 
 fn main() -> ExitCode {

@@ -9,7 +9,6 @@ mod demo;
 mod devices;
 mod eval;
 mod inspect;
-pub mod modes;
 mod options;
 mod render;
 mod train;

@@ -5,5 +5,6 @@ pub mod camera;
 pub mod gpu_session;
 pub(crate) mod interrupt;
 pub mod model;
+pub mod modes;
 pub mod output;
 pub mod progress;

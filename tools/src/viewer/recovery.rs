@@ -8,10 +8,10 @@ use engine::error::{Error, Result};
 use engine::scene::Scene;
 use winit::window::Window;
 
-use super::Viewer;
 use super::gui::Gui;
 use super::latency::Latency;
 use super::load::Opened;
+use super::program::Viewer;
 use super::record::Recording;
 
 /// How often, and after which pauses, another device is asked for: a driver takes a moment to be back.

@@ -11,7 +11,7 @@ use engine::train::export::{Exported, export};
 use serde_json::json;
 
 use super::report::{self, Pair};
-use super::{Run, options};
+use super::run::{Run, options};
 use crate::cli::{gpu_session, model, output};
 use crate::report::files::create_folder;
 use crate::report::provenance;

@@ -5,7 +5,11 @@ use std::path::{Path, PathBuf};
 use engine::error::{Error, Result};
 use serde_json::json;
 
-use super::{Collected, Run, Target, check, collect, target, targets, text, write};
+use super::child::child;
+use super::compare::{check, write};
+use super::run::{Collected, Run, collect};
+use super::table::text;
+use super::target::{Target, target, targets};
 use crate::cli::output;
 
 /// Options of `spgs-dev isa`.
@@ -40,7 +44,7 @@ pub struct Options {
 /// `Usage` for an unknown target or one whose driver is not there; those of the drivers and golden files.
 pub fn run(root: &Path, options: &Options) -> Result<bool> {
     if let Some(size) = options.child {
-        super::child(size)?.iter().for_each(|line| output::line(line));
+        child(size)?.iter().for_each(|line| output::line(line));
         return Ok(true);
     }
     let chosen: Vec<&Target> = match options.targets.as_slice() {

@@ -3,7 +3,7 @@
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory as _};
 
-use super::Cli;
+use super::args::Cli;
 
 /// What were options once, with the words that are now in their place.
 const OLDER: [(&str, &str); 6] = [
