@@ -1,4 +1,4 @@
-//! The table of `spgs bench --hard-cases` as a test: every bound of every case holds.
+//! The table of `spgs bench hard-cases` as a test: every bound of every case holds.
 
 use tools::bench::hard_cases::{Bound, Context, GROUPS, cases};
 

@@ -161,7 +161,7 @@ pub(super) fn text(found: &Found) -> Result<String> {
 
 /// The page.
 pub(super) fn html(record: &Value, found: &Found) -> Result<String> {
-    let mut page = Page::new("spgs bench --paper");
+    let mut page = Page::new("spgs bench paper");
     page.provenance(record);
     let of = |pointer: &str| crate::report::page::field(record, pointer);
     page.facts(&[

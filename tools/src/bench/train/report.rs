@@ -69,7 +69,7 @@ fn facts(m: &TrainMeasurement) -> Vec<(&'static str, String)> {
 
 /// A page without references to anything outside.
 pub(super) fn html(record: &Value, cases: &[(Value, TrainMeasurement)]) -> String {
-    let mut page = Page::new(&format!("spgs bench --train: {}", page::field(record, "/device/name")));
+    let mut page = Page::new(&format!("spgs bench train: {}", page::field(record, "/device/name")));
     page.provenance(record);
     if cases.len() > 1 {
         page.table(&sweep_table(cases));
