@@ -1,7 +1,7 @@
 //! Parts of the command-line programs `spgs` and `spgs-dev`.
 //!
-//! Folders, lowest first; each imports only from those below it, and no file imports, on whatever way, itself
-//! (`tests/tests/layers.rs` holds both):
+//! Folders, lowest first. Each imports only from those below it, and no files import each other in a circle;
+//! `tests/tests/layers` fails where one does:
 //!
 //! 1. [`report`]: what was measured, as text, JSON, tables, plots and pages; the paper's figures beside it
 //! 2. [`cli`]: arguments, terminal, progress, interrupts, and opening what the command line names

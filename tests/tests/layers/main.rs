@@ -1,5 +1,5 @@
-//! The architecture as a test: imports of the engine's modules only point downwards, `ash` and `unsafe` stay in the GPU
-//! module, and the names of shaders, SPIR-V and Rust agree.
+//! The architecture as a test: imports of the engine's modules and of the tools' folders only point downwards, `ash` and
+//! `unsafe` stay in the GPU module, and the names of shaders, SPIR-V and Rust agree.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod paths;

@@ -47,7 +47,8 @@ fn targets(own: &Module, t: &[String], modules: &BTreeSet<Module>) -> BTreeSet<M
                 depth = depth.saturating_sub(1);
             }
             "mod" if is(i + 2, ";") => paths.push(vec![t[i + 1].clone()]),
-            "use" => i = tree(t, i + 1, &mut Vec::new(), &mut paths),
+            // Not the bounds of `impl Trait + use<'a>`.
+            "use" if !is(i + 1, "<") => i = tree(t, i + 1, &mut Vec::new(), &mut paths),
             word if is(i + 1, "::") && is_name(word) && !(i > 0 && is(i - 1, "::")) => {
                 let mut path = vec![word.to_owned()];
                 while is(i + 1, "::") && t.get(i + 2).is_some_and(|w| is_name(w)) {
@@ -75,7 +76,7 @@ fn tree(t: &[String], mut i: usize, before: &mut Module, paths: &mut Vec<Module>
         match token.as_str() {
             "{" => {
                 i += 1;
-                while t.get(i).is_some_and(|x| x != "}") {
+                while t.get(i).is_some_and(|x| x != "}" && x != ";") {
                     i = tree(t, i, before, paths);
                     i += usize::from(t.get(i).is_some_and(|x| x == ","));
                 }
