@@ -8,7 +8,11 @@ use super::options::{LookArgs, QualityArgs, ResultArgs, SizeArgs, finite, second
 
 /// `spgs bench`.
 #[derive(Debug, Args)]
-#[command(subcommand_help_heading = "Modes", subcommand_value_name = "MODE")]
+#[command(
+    subcommand_help_heading = "Modes",
+    disable_help_subcommand = true,
+    override_usage = "spgs bench [MODE] [OPTIONS] [MODEL]"
+)]
 pub struct BenchArgs {
     /// What is measured; frames without a word.
     #[command(subcommand)]
