@@ -5,7 +5,7 @@
 //!
 //! 1. [`report`]: what was measured, as text, JSON, tables, plots and pages; the paper's figures beside it
 //! 2. [`cli`]: arguments, terminal, progress, interrupts, and opening what the command line names
-//! 3. [`bench`]: everything of `spgs bench`; [`viewer`]: the window of `spgs view`
+//! 3. [`mod@bench`]: everything of `spgs bench`; [`viewer`]: the window of `spgs view`
 //! 4. [`command`]: the subcommands of `spgs`, one file or folder each; [`dev`]: everything of `spgs-dev`
 
 pub mod bench;

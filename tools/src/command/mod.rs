@@ -1,4 +1,4 @@
-//! The subcommands of `spgs`, one file or folder each; `spgs bench` has a folder of its own, [`crate::bench`], and the window
+//! The subcommands of `spgs`, one file or folder each; `spgs bench` has a folder of its own, [`mod@crate::bench`], and the window
 //! of `spgs view` too.
 
 pub mod compare;

@@ -2,7 +2,7 @@
 //! users need no shader compiler and CI can prove that what is committed is fresh.
 //!
 //! SPIR-V 1.5 for Vulkan 1.2, not optimised (drivers do that) and without debug information: the dialect that naga reads.
-//! Either way the kernels' flow is checked: see [`crate::uniform_flow`].
+//! Either way the kernels' flow is checked: see [`crate::dev::uniform_flow`].
 //!
 //! Shaderc is called through its own program `glslc`: Debian's `libshaderc` cannot be linked (undefined glslang symbols).
 
