@@ -1,6 +1,6 @@
-//! The table of `spgs bench --hard-cases` as a test: every bound of every case holds.
+//! The table of `spgs bench hard-cases` as a test: every bound of every case holds.
 
-use tools::hard_cases::{Bound, Context, GROUPS, cases};
+use tools::bench::hard_cases::{Bound, Context, GROUPS, cases};
 
 #[test]
 fn every_hard_case_holds() {

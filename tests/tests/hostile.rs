@@ -8,7 +8,7 @@ use engine::scene::synthetic::{Random, random_scene};
 use engine::scene::{Camera, Rejected, Scene};
 use glam::DVec3;
 use tests_harness::compare::compare;
-use tools::hard_cases::poison::{POISON, camera, poison, slots};
+use tools::bench::hard_cases::poison::{POISON, camera, poison, slots};
 
 const SIZES: [[u32; 2]; 12] = [
     [1, 1],

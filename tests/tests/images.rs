@@ -82,9 +82,9 @@ fn oracle_files() {
         if !path.file_name().unwrap().to_string_lossy().starts_with("gaussians") {
             continue;
         }
-        let case = tools::oracle::load(&path).unwrap();
-        let truth = tools::oracle::reference_difference(&case).unwrap();
-        let (scene, view, background, near) = tools::oracle::as_scene(&case);
+        let case = tools::dev::oracle::case::load(&path).unwrap();
+        let truth = tools::dev::oracle::case::reference_difference(&case).unwrap();
+        let (scene, view, background, near) = tools::dev::oracle::case::as_scene(&case);
         let options = RenderOptions { background, near, ..RenderOptions::default() };
         let image = Renderer::new(&gpu, &scene, &options).unwrap().render(&view, 0.0).unwrap();
         let rgb = image.rgba.chunks_exact(4).flat_map(|p| [f64::from(p[0]), f64::from(p[1]), f64::from(p[2])]);

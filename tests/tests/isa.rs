@@ -7,7 +7,7 @@ use std::path::Path;
 
 use engine::gpu::subgroup_size::{AMD, CHOICES};
 use engine::gpu::{Kernel, Statistic};
-use tools::isa::{self, Row, Statistics, Target};
+use tools::dev::isa::{self, Row, Statistics, Target};
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap()

@@ -273,8 +273,8 @@ fn runs_are_bit_identical_and_equal_the_parts() {
 fn independent_automatic_differentiation_agrees() {
     let Some(path) = tests_harness::data("oracle/loss_61x47.npz") else { return };
     let gpu = tests_harness::gpu();
-    assert!(tools::oracle_loss::is_loss_file(&path).unwrap());
-    let check = tools::oracle_loss::check(&path, Some(&gpu)).unwrap();
+    assert!(tools::dev::oracle::loss::is_loss_file(&path).unwrap());
+    let check = tools::dev::oracle::loss::check(&path, Some(&gpu)).unwrap();
     println!("{}", check.describe());
     assert!(check.passes(), "{}", check.describe());
 }

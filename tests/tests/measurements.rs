@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use tools::measurements;
+use tools::dev::measurements;
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap()
@@ -36,7 +36,7 @@ fn the_list_of_commands_is_accepted_by_the_command_line() {
     assert!(last.contains("spgs-dev -- measurements"));
     for command in recorded {
         let words = command.split_whitespace();
-        if let Err(error) = tools::args::Cli::try_parse_from(words) {
+        if let Err(error) = tools::cli::args::Cli::try_parse_from(words) {
             panic!("{command}: {error}");
         }
     }

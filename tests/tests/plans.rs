@@ -3,18 +3,18 @@
 
 use std::path::Path;
 
-use tools::plan_task;
+use tools::dev::plan;
 
 #[test]
 fn every_plan_is_the_golden_one() {
     let gpu = tests_harness::gpu();
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-    for mut plan in plan_task::plans(&gpu).unwrap() {
+    for mut plan in plan::plans(&gpu).unwrap() {
         println!("{}: {} dispatches, {} barriers", plan.name, plan.dispatches, plan.barriers);
-        let difference = plan_task::difference(root, &plan).unwrap();
+        let difference = plan::difference(root, &plan).unwrap();
         assert!(difference.is_none(), "{}", difference.unwrap());
         assert!(plan.dispatches <= plan.budget, "{}: {} dispatches", plan.name, plan.dispatches);
         plan.text = plan.text.replacen("compact", "compacted", 1);
-        assert!(plan_task::difference(root, &plan).unwrap().is_some(), "a changed plan was not noticed");
+        assert!(plan::difference(root, &plan).unwrap().is_some(), "a changed plan was not noticed");
     }
 }

@@ -22,7 +22,7 @@ use engine::scene::{Camera, Scene};
 use glam::DVec3;
 use tests_harness::render_case::{RenderInput, test_camera};
 use tests_harness::{KernelCase, TestGpu};
-use tools::args::{Cli, Command as Subcommand};
+use tools::cli::args::Cli;
 
 const COUNT: usize = 700;
 
@@ -348,13 +348,9 @@ const ARGUMENTS: &str = "SPGS_TEST_ARGUMENTS";
 #[test]
 fn spgs_process() {
     let Ok(arguments) = std::env::var(ARGUMENTS) else { return };
-    let code = tools::output::run_main("spgs", move || {
+    let code = tools::cli::output::run_main("spgs", move || {
         let cli = Cli::try_parse_from(std::iter::once("spgs").chain(arguments.lines())).unwrap();
-        match &cli.command {
-            Subcommand::Bench(args) => tools::bench::run(args, &cli.global)?,
-            other => panic!("no test uses {other:?}"),
-        }
-        Ok(std::process::ExitCode::SUCCESS)
+        tools::command::run(&cli)
     });
     std::process::exit((0..=9).find(|&k| code == std::process::ExitCode::from(k)).unwrap_or(1).into());
 }
@@ -377,7 +373,7 @@ fn a_sweep_writes_every_knob_and_a_page_that_loads_nothing() {
     let (json, html) = (folder.path().join("s.json"), folder.path().join("s.html"));
     let [json, html] = [json.to_str().unwrap(), html.to_str().unwrap()];
     let size = ["--synthetic", "800", "--superpoints", "5", "--width", "64", "--height", "48", "--frames", "2"];
-    let mut arguments = vec!["bench", "--sweep", "--warmup", "1", "--json", json, "--report", html];
+    let mut arguments = vec!["bench", "sweep", "--warmup", "1", "--json", json, "--report", html];
     arguments.extend(size);
     let (code, text) = spgs(&arguments);
     assert_eq!(code, 0, "{text}");
@@ -411,11 +407,11 @@ fn mistakes_are_one_line_and_leave_nothing() {
     let json = folder.path().join("missing/s.json");
     let (code, text) = spgs(&[
         "bench",
+        "sweep",
         "--synthetic",
         "10",
         "--superpoints",
         "0",
-        "--sweep",
         "--width",
         "16",
         "--frames",
@@ -425,7 +421,7 @@ fn mistakes_are_one_line_and_leave_nothing() {
     ]);
     assert_eq!(code, 2, "{text}");
     assert!(text.contains("a folder that does not exist"), "{text}");
-    let (code, text) = spgs(&["bench", "--train", "--sweep", "--width", "16"]);
+    let (code, text) = spgs(&["bench", "train", "--sweep", "--width", "16"]);
     assert_eq!(code, 2, "{text}");
     for bad in [["--quality", "best"], ["--set", "depth_bits=40"], ["--set", "blur=1"]] {
         assert!(Cli::try_parse_from(["spgs", "bench", bad[0], bad[1]]).is_err());

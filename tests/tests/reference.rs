@@ -9,7 +9,7 @@ use engine::scene::Camera;
 use engine::scene::synthetic::random_gaussians;
 use npyz::WriterBuilder;
 
-use tools::oracle;
+use tools::dev::oracle;
 
 /// Files of the oracle folder whose name starts with `prefix`; `None`, said loudly, when `SPGS_DATA` is not set.
 fn oracle_files(prefix: &str) -> Option<Vec<PathBuf>> {
@@ -28,8 +28,8 @@ fn oracle_files(prefix: &str) -> Option<Vec<PathBuf>> {
 #[test]
 fn images_agree_with_the_oracle() {
     for path in oracle_files("gaussians").unwrap_or_default() {
-        let case = oracle::load(&path).unwrap();
-        let difference = oracle::reference_difference(&case).unwrap();
+        let case = oracle::case::load(&path).unwrap();
+        let difference = oracle::case::reference_difference(&case).unwrap();
         println!("{}: {difference:?}", path.display());
         assert!(difference.max <= 1.0e-12, "{}: {difference:?}", path.display());
     }
@@ -38,9 +38,9 @@ fn images_agree_with_the_oracle() {
 #[test]
 fn network_and_motion_agree_with_the_oracle() {
     for path in oracle_files("superpoint").unwrap_or_default() {
-        assert!(oracle::is_superpoint_file(&path).unwrap());
-        let case = oracle::load_superpoint(&path).unwrap();
-        let d = oracle::superpoint_difference(&case).unwrap();
+        assert!(oracle::case::is_superpoint_file(&path).unwrap());
+        let case = oracle::case::load_superpoint(&path).unwrap();
+        let d = oracle::case::superpoint_difference(&case).unwrap();
         println!("{}: {d:?}", path.display());
         for error in [d.pose_rotation, d.pose_translation, d.mean, d.rotation] {
             assert!(error <= 1.0e-12, "{}: {d:?}", path.display());
@@ -93,7 +93,7 @@ fn own_case() -> Vec<(&'static str, Vec<u64>, Vec<f64>)> {
     let matrix = glam::DMat4::from_cols_array(&view).transpose();
     let camera = Camera::from_world_to_camera(matrix, [30.0, 31.0, 9.5, 6.0], [20, 12]);
     let background = [0.2, 0.4, 0.6];
-    let options = ReferenceOptions { near: oracle::NEAR, background, ..ReferenceOptions::default() };
+    let options = ReferenceOptions { near: oracle::case::NEAR, background, ..ReferenceOptions::default() };
     let image = render_gaussians(&exact, &camera, &options).unwrap();
     assert!(image.alpha.iter().any(|&a| a > 0.5));
     vec![
@@ -116,23 +116,23 @@ fn a_file_of_our_own_reads_back() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("case.npz");
     write_npz(&path, SIZES, &own_case());
-    assert!(!oracle::is_superpoint_file(&path).unwrap());
-    let case = oracle::load(&path).unwrap();
+    assert!(!oracle::case::is_superpoint_file(&path).unwrap());
+    let case = oracle::case::load(&path).unwrap();
     // Only the camera position, which is recovered from the matrix, is rounded.
-    assert!(oracle::reference_difference(&case).unwrap().max < 1.0e-13);
-    let (scene, camera, background, near) = oracle::as_scene(&case);
+    assert!(oracle::case::reference_difference(&case).unwrap().max < 1.0e-13);
+    let (scene, camera, background, near) = oracle::case::as_scene(&case);
     assert_eq!((scene.gaussians, near), (random_gaussians(40, 1, 1), 0.01));
     assert_eq!((camera.width, camera.height, background), (20, 12, [0.2, 0.4, 0.6]));
     let mut other = case;
     other.image[7] += 0.5;
-    assert!((oracle::reference_difference(&other).unwrap().max - 0.5).abs() < 1.0e-12);
+    assert!((oracle::case::reference_difference(&other).unwrap().max - 0.5).abs() < 1.0e-12);
 }
 
 #[test]
 fn damaged_files_are_named_not_believed() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("case.npz");
-    let refused_at = |expected: &str| match oracle::load(&path) {
+    let refused_at = |expected: &str| match oracle::case::load(&path) {
         Err(Error::Corrupt { at, .. }) => assert_eq!(at, expected),
         other => panic!("{expected}: {other:?}"),
     };
@@ -154,8 +154,8 @@ fn damaged_files_are_named_not_believed() {
     let bytes = std::fs::read(&path).unwrap();
     for length in (0..bytes.len()).step_by(97) {
         std::fs::write(&path, &bytes[..length]).unwrap();
-        assert!(matches!(oracle::load(&path), Err(Error::Corrupt { .. })), "{length} of {} bytes", bytes.len());
+        assert!(matches!(oracle::case::load(&path), Err(Error::Corrupt { .. })), "{length} of {} bytes", bytes.len());
     }
     std::fs::remove_file(&path).unwrap();
-    assert!(matches!(oracle::load(&path), Err(Error::Io { .. })));
+    assert!(matches!(oracle::case::load(&path), Err(Error::Io { .. })));
 }

@@ -8,7 +8,7 @@ use engine::scene::{Camera, Scene};
 use engine::train::gradient::{GradientOptions, SceneGradients, scene_gradients};
 use tests_harness::gradient::assert_gradients_close;
 use tests_harness::render_case::{Random, RenderInput, test_camera};
-use tools::hard_cases::poison::{POISON, camera, poison, slots};
+use tools::bench::hard_cases::poison::{POISON, camera, poison, slots};
 
 const BACKGROUND: [f32; 3] = [0.3, 0.1, 0.6];
 /// Between the keys at 0 and 1.

@@ -10,7 +10,7 @@ use engine::gpu::reconvergence::Reconvergence;
 use engine::gpu::spirv;
 use rspirv::dr::Operand;
 use rspirv::spirv::{Capability, ExecutionMode};
-use tools::spirv_task;
+use tools::dev::spirv as task;
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
@@ -155,11 +155,11 @@ fn assert_valid(name: &str, words: &[u32]) {
 
 #[test]
 fn the_cache_is_fresh() {
-    let outcome = spirv_task::check(&root()).unwrap();
+    let outcome = task::check(&root()).unwrap();
     assert!(!outcome.stale, "{}", outcome.lines.join("\n"));
-    let manifest = spirv_task::read_manifest(&root().join("spirv_cache/manifest.json")).unwrap();
+    let manifest = task::read_manifest(&root().join("spirv_cache/manifest.json")).unwrap();
     for kernel in engine::kernels() {
         let entry = &manifest.kernels[kernel.name];
-        assert_eq!(entry.spirv_sha256, spirv_task::sha256(kernel.spirv), "{}: what is embedded", kernel.name);
+        assert_eq!(entry.spirv_sha256, task::sha256(kernel.spirv), "{}: what is embedded", kernel.name);
     }
 }

@@ -6,7 +6,7 @@ use std::io::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use tools::uniform_flow::violations;
+use tools::dev::uniform_flow::violations;
 
 /// What all planted shaders begin with.
 const HEAD: &str = "#version 460

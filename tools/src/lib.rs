@@ -1,45 +1,18 @@
 //! Parts of the command-line programs `spgs` and `spgs-dev`.
+//!
+//! Folders, lowest first. Each imports only from those below it, and no files import each other in a circle;
+//! `tests/tests/layers` fails where one does:
+//!
+//! 0. [`manual`]: the pages that `spgs help TOPIC` prints
+//! 1. [`report`]: what was measured, as text, JSON, tables, plots and pages; the paper's figures beside it
+//! 2. [`cli`]: arguments, terminal, progress, interrupts, and opening what the command line names
+//! 3. [`mod@bench`]: everything of `spgs bench`; [`viewer`]: the window of `spgs view`
+//! 4. [`command`]: the subcommands of `spgs`, one file or folder each; [`dev`]: everything of `spgs-dev`
 
-pub mod args;
 pub mod bench;
-pub mod bench_ablation;
-pub mod bench_paper;
-pub mod bench_train;
-pub mod compare;
-pub mod convert;
-pub mod dataset;
-pub mod demo;
-pub mod devices;
-pub mod error_image;
-pub mod eval;
-pub mod gpu_session;
-pub mod hard_cases;
-pub mod help;
-pub mod inspect;
-mod interrupt;
-pub mod isa;
-pub mod kernel_docs;
+pub mod cli;
+pub mod command;
+pub mod dev;
 pub mod manual;
-pub mod measure;
-pub mod measurements;
-pub mod model;
-pub mod oracle;
-pub mod oracle_loss;
-pub mod oracle_superpoint;
-pub mod oracle_task;
-pub mod output;
-pub mod page;
-pub mod paper;
-pub mod pictures;
-pub mod plan_task;
-mod process;
-pub mod progress;
-pub mod render;
 pub mod report;
-pub mod scores;
-pub mod spirv_task;
-pub mod sweep;
-pub mod train;
-pub mod uniform_flow;
-pub mod view;
 pub mod viewer;

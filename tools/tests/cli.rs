@@ -72,6 +72,23 @@ fn usage_mistakes_are_code_2() {
     assert!(mistake(&["render", "m", "--cameras", "c", "--out", "o", "--time", "inf"], 2).contains("--time"));
     assert!(mistake(&["render", "m", "--cameras", "c", "--out", "o", "--format", "gif"], 2).contains("gif"));
     assert!(mistake(&["bench", "m.ply", "--synthetic", "5"], 2).contains("--synthetic"));
+    assert!(mistake(&["bench", "frame", "--nonsense"], 2).ends_with("see spgs bench frame --help"));
+}
+
+#[test]
+fn the_modes_of_bench_say_how_they_are_called_now() {
+    for (old, new) in [
+        (&["bench", "--train", "--synthetic", "10"][..], "`spgs bench train`"),
+        (&["bench", "--paper"], "`spgs bench paper`"),
+        (&["bench", "--ablation", "DATA"], "`spgs bench ablation DATA`"),
+        (&["bench", "--hard-cases"], "`spgs bench hard-cases`"),
+    ] {
+        assert!(mistake(old, 2).contains(new), "{}", mistake(old, 2));
+    }
+    assert!(mistake(&["bench", "--synthetic", "5", "sweep"], 2).contains("--synthetic in front of `sweep`"));
+    for mode in ["frame", "train", "sweep", "paper", "ablation", "hard-cases"] {
+        assert!(ok(&["bench", "--help"]).contains(mode) && ok(&["bench", mode, "--help"]).contains("--json"), "{mode}");
+    }
 }
 
 #[test]
@@ -216,7 +233,7 @@ fn demo_and_bench_report_what_they_measured() {
 fn bench_measures_training_of_a_synthetic_scene_and_of_photos() {
     let folder = tempfile::tempdir().unwrap();
     let (json, page) = (folder.path().join("train.json"), folder.path().join("train.html"));
-    let scene = ["bench", "--train", "--synthetic", "600", "--superpoints", "5", "--width", "40", "--height", "32"];
+    let scene = ["bench", "train", "--synthetic", "600", "--superpoints", "5", "--width", "40", "--height", "32"];
     let files = ["--frames", "2", "--warmup", "1", "--json", text(&json), "--report", text(&page)];
     let printed = ok(&[&scene[..], &files[..]].concat());
     assert!(printed.contains("blend_backward") && printed.contains("times)"), "{printed}");
@@ -241,7 +258,7 @@ fn bench_measures_training_of_a_synthetic_scene_and_of_photos() {
         "a self-contained page"
     );
 
-    assert!(mistake(&["bench", "--sweep", "--quality", "fast"], 2).contains("--quality"));
-    assert!(mistake(&["bench", "--train", "model.ply"], 2).contains("--cameras"));
-    assert!(mistake(&["bench", "--train", "--check"], 2).contains("--check"));
+    assert!(mistake(&["bench", "sweep", "--quality", "fast"], 2).contains("--quality"));
+    assert!(mistake(&["bench", "train", "model.ply"], 2).contains("--cameras"));
+    assert!(mistake(&["bench", "train", "--check"], 2).contains("--check"));
 }

@@ -10,20 +10,12 @@ use super::device::{Gpu, vk_error};
 use super::kernel::Kernel;
 use super::memory::{Buffer, Memory};
 use super::sequence::{Encoding, Sequence};
+use super::timestamps::Timing;
 use crate::error::{Error, Result};
 
 /// A submission, in order; wait for it with [`Gpu::wait`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct Submission(pub(super) u64);
-
-/// Device time of one operation.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
-pub struct Timing {
-    /// Label of the operation.
-    pub label: String,
-    /// Microseconds.
-    pub us: f64,
-}
 
 /// A recorded command buffer with everything that it uses.
 pub struct Commands {

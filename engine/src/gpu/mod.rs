@@ -18,6 +18,7 @@ mod instance;
 pub mod kernel;
 mod memory;
 pub mod mmap;
+mod operation;
 mod options;
 #[cfg(feature = "window")]
 pub mod painter;
@@ -44,7 +45,7 @@ mod trust;
 
 pub use cache_folder::cache_folder;
 pub use capability::{Capabilities, DeviceInfo};
-pub use commands::{Commands, Submission, Timing};
+pub use commands::{Commands, Submission};
 pub(crate) use device::cache_path;
 pub use device::{Gpu, devices};
 pub use host::{HostCommandBuffer, HostDevice, HostImage, ImageUse, QueueLock};
@@ -56,4 +57,5 @@ pub use sequence::Sequence;
 pub use statistics::{CompiledKernel, Statistic};
 #[cfg(feature = "window")]
 pub use surface::{Surface, WindowHandle};
+pub use timestamps::Timing;
 pub use trust::Suite;

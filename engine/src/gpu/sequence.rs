@@ -7,13 +7,12 @@ use std::sync::Arc;
 use ash::vk;
 
 use super::access::{Barrier, Stages};
-use super::commands::Timing;
 use super::device::{Gpu, Shared, Sync2, vk_error};
 use super::host::{HostCommandBuffer, HostImage};
 use super::memory::{Buffer, Slice};
+use super::operation::{Grid, Operation, Work};
 use super::pipeline::Pipeline;
-use super::recorder::{Grid, Operation, Work};
-use super::timestamps::ticks_between;
+use super::timestamps::{Timing, ticks_between};
 use crate::error::{Error, Result};
 
 /// Images that one sequence can write.

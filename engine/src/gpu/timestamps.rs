@@ -1,4 +1,13 @@
-//! Time between two timestamps of a queue.
+//! Times of operations, from the timestamps of a queue.
+
+/// Device time of one operation.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Timing {
+    /// Label of the operation.
+    pub label: String,
+    /// Microseconds.
+    pub us: f64,
+}
 
 /// Ticks from `from` to `to`, of which only the lowest `valid_bits` count: the rest may hold anything, and the counter begins
 /// anew behind them. Exact when less than one turn of the counter lies between (36 bits at 1 ns: 68 s).

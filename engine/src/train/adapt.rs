@@ -3,7 +3,7 @@
 use super::association::Rows;
 use super::blend_backward::ROW_WORDS;
 use super::deform_project_backward::parameter_planes;
-use super::density::{Density, DensityBuffers, DensityOptions, NewRows, RowArray, reset_opacity};
+use super::density::{Density, DensityBuffers, DensityChange, DensityOptions, NewRows, RowArray, reset_opacity};
 use super::trainer::Trainer;
 use crate::data::dataset::View;
 use crate::error::{Error, Result};
@@ -23,25 +23,6 @@ const INSTANCE_BYTES: u64 = 72;
 const PIXEL_BYTES: u64 = 96;
 /// Bytes of network G per Gaussian: offset and its gradient, activations of the chunk it is in.
 const NONRIGID_BYTES: u64 = 256;
-
-/// What density control did after an iteration.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
-pub struct DensityChange {
-    /// N before.
-    pub before: u32,
-    /// N after.
-    pub after: u32,
-    /// Copied.
-    pub cloned: u32,
-    /// Replaced by two.
-    pub split: u32,
-    /// Removed.
-    pub pruned: u32,
-    /// Would have grown, but for the budget.
-    pub refused: u32,
-    /// Opacities were reset.
-    pub opacity_reset: bool,
-}
 
 impl Trainer {
     /// Clone, split, prune and reset after `iteration`, as the schedule says.

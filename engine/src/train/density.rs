@@ -54,6 +54,25 @@ pub const KIND_CHILD_0: u32 = 2;
 /// Gaussians per workgroup of the density kernels, and per block sum.
 pub const DENSITY_BLOCK: u32 = 256;
 
+/// What density control did after an iteration.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct DensityChange {
+    /// N before.
+    pub before: u32,
+    /// N after.
+    pub after: u32,
+    /// Copied.
+    pub cloned: u32,
+    /// Replaced by two.
+    pub split: u32,
+    /// Removed.
+    pub pruned: u32,
+    /// Would have grown, but for the budget.
+    pub refused: u32,
+    /// Opacities were reset.
+    pub opacity_reset: bool,
+}
+
 /// New rows of an action; twin of `rows_of_action`.
 fn rows_of_action(action: u32) -> u32 {
     action.min(2)

@@ -3,10 +3,10 @@
 mod record;
 mod restore;
 
-use super::adapt::DensityChange;
 use super::association::{AssociationInit, AssociationOptions, SuperpointState};
 use super::blend_backward::{Accumulation, ROW_WORDS};
 use super::config::{Config, Form};
+use super::density::DensityChange;
 use super::network_f::NetworkF;
 use super::network_g::NetworkG;
 use super::parameters::{ParameterState, Parameters};

@@ -8,7 +8,7 @@ use engine::file::picture::{self, Alpha};
 use engine::image::Image;
 use serde_json::Value;
 use tests_harness::render_case::Random;
-use tools::args::{Cli, Command as Subcommand};
+use tools::cli::args::Cli;
 
 /// Environment variable that makes a test process a `spgs` process: its arguments, one per line.
 const ARGUMENTS: &str = "SPGS_TEST_ARGUMENTS";
@@ -20,14 +20,9 @@ const MARK: &str = "=== spgs ===";
 fn spgs_process() {
     let Ok(arguments) = std::env::var(ARGUMENTS) else { return };
     println!("{MARK}");
-    let code = tools::output::run_main("spgs", move || {
+    let code = tools::cli::output::run_main("spgs", move || {
         let cli = Cli::try_parse_from(std::iter::once("spgs").chain(arguments.lines())).unwrap();
-        match &cli.command {
-            Subcommand::Compare(args) => tools::compare::run(args, &cli.global)?,
-            Subcommand::Eval(args) => tools::eval::run(args, &cli.global)?,
-            other => panic!("no test uses {other:?}"),
-        }
-        Ok(std::process::ExitCode::SUCCESS)
+        tools::command::run(&cli)
     });
     std::process::exit((0..=9).find(|&k| code == std::process::ExitCode::from(k)).unwrap_or(1).into());
 }

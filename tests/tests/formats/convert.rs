@@ -7,8 +7,8 @@ use engine::file;
 use engine::reference::freeze;
 use engine::scene::MotionSource;
 use engine::scene::synthetic::moving_scene;
-use tools::args::{Cli, Command};
-use tools::convert::Summary;
+use tools::cli::args::{Cli, Command};
+use tools::command::convert::Summary;
 
 pub(crate) fn convert(args: &[&str]) -> engine::Result<()> {
     summary(args).map(|_| ())
@@ -17,7 +17,7 @@ pub(crate) fn convert(args: &[&str]) -> engine::Result<()> {
 pub(crate) fn summary(args: &[&str]) -> engine::Result<Summary> {
     let cli = Cli::try_parse_from(["spgs", "--quiet", "convert"].iter().chain(args)).unwrap();
     match &cli.command {
-        Command::Convert(args) => tools::convert::convert(args, &cli.global),
+        Command::Convert(args) => tools::command::convert::convert(args, &cli.global),
         _ => unreachable!("the subcommand is convert"),
     }
 }

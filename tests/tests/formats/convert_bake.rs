@@ -4,7 +4,7 @@ use engine::file;
 use engine::reference::freeze;
 use engine::scene::synthetic::moving_scene;
 use engine::scene::{MotionSource, Scene};
-use tools::convert::Summary;
+use tools::command::convert::Summary;
 
 use crate::convert::{summary, text};
 

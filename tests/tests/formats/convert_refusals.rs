@@ -124,8 +124,8 @@ fn what_is_missing_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let inspect = |path: &Path| {
-        let args = tools::args::InspectArgs { file: path.to_path_buf(), json: false };
-        tools::inspect::run(&args).unwrap_err().to_string()
+        let args = tools::cli::args::InspectArgs { file: path.to_path_buf(), json: false };
+        tools::command::inspect::run(&args).unwrap_err().to_string()
     };
     std::fs::create_dir(at("empty")).unwrap();
     let message = inspect(&at("empty"));

@@ -235,7 +235,7 @@ fn the_sparse_association_is_the_dense_one() {
 fn outside_truth_of_superpoints_is_met() {
     let Some(path) = tests_harness::data("oracle/superpoint_400_20.npz") else { return };
     let gpu = gpu();
-    let check = tools::oracle_superpoint::check(&path, Some(&gpu)).unwrap();
+    let check = tools::dev::oracle::superpoint::check(&path, Some(&gpu)).unwrap();
     for (name, e) in check.outputs.iter().chain(&check.losses).chain(&check.gradients) {
         println!(
             "{name:44} reference {:.1e} gpu {:.1e} f32 {}",

@@ -14,7 +14,7 @@ use engine::train::start;
 use engine::train::trainer::{Trainer, TrainingData};
 use serde_json::Value;
 pub use tests_harness::posed::{Posed, PosedOptions};
-use tools::args::{Cli, Command as Subcommand};
+use tools::cli::args::Cli;
 
 /// A short run of every part of the method: superpoints from iteration 20, density control every 10 iterations. Network F
 /// is small; what is about time or quality gives it the paper's size.
@@ -158,14 +158,9 @@ const ARGUMENTS: &str = "SPGS_TEST_ARGUMENTS";
 #[test]
 fn spgs_process() {
     let Ok(arguments) = std::env::var(ARGUMENTS) else { return };
-    let code = tools::output::run_main("spgs", move || {
+    let code = tools::cli::output::run_main("spgs", move || {
         let cli = Cli::try_parse_from(std::iter::once("spgs").chain(arguments.lines())).unwrap();
-        match &cli.command {
-            Subcommand::Train(args) => tools::train::run(args, &cli.global)?,
-            Subcommand::Render(args) => tools::render::run(args, &cli.global)?,
-            other => panic!("no test uses {other:?}"),
-        }
-        Ok(std::process::ExitCode::SUCCESS)
+        tools::command::run(&cli)
     });
     std::process::exit((0..=9).find(|&k| code == std::process::ExitCode::from(k)).unwrap_or(1).into());
 }

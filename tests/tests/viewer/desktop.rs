@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use clap::Parser as _;
-use tools::args::{Cli, Command as Subcommand};
+use tools::cli::args::Cli;
 
 const ARGUMENTS: &str = "SPGS_VIEWER_TEST_ARGUMENTS";
 /// Longest that anything may take: validation layers on a busy machine are slow.
@@ -17,14 +17,9 @@ const PATIENCE: Duration = Duration::from_secs(120);
 fn spgs_process() {
     let Ok(arguments) = std::env::var(ARGUMENTS) else { return };
     tools::viewer::ALLOCATIONS.set(allocations).unwrap();
-    let code = tools::output::run_main("spgs", move || {
+    let code = tools::cli::output::run_main("spgs", move || {
         let cli = Cli::try_parse_from(std::iter::once("spgs").chain(arguments.lines())).unwrap();
-        match &cli.command {
-            Subcommand::View(args) => tools::viewer::run(args, &cli.global)?,
-            Subcommand::Render(args) => tools::render::run(args, &cli.global)?,
-            other => panic!("no test uses {other:?}"),
-        }
-        Ok(std::process::ExitCode::SUCCESS)
+        tools::command::run(&cli)
     });
     std::process::exit((0..=9).find(|&k| code == std::process::ExitCode::from(k)).unwrap_or(1).into());
 }

@@ -87,7 +87,7 @@ const ERROR: [u8; 3] = [248, 113, 113];
 fn cameras_around(folder: &Path) -> std::path::PathBuf {
     let scene = synthetic::moving_scene(2000, 12, 9, 3, false);
     let path = folder.join("transforms.json");
-    camera_file::write(&path, &tools::view::orbit(&scene, SIZE, 4)).unwrap();
+    camera_file::write(&path, &tools::cli::camera::orbit(&scene, SIZE, 4)).unwrap();
     path
 }
 

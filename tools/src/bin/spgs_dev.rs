@@ -6,7 +6,9 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use engine::error::{Error, Result};
 use engine::gpu::{Gpu, GpuOptions};
-use tools::{isa, kernel_docs, measurements, oracle_task, output, pictures, plan_task, spirv_task};
+use tools::cli::output;
+use tools::dev::oracle::check;
+use tools::dev::{isa, kernel_docs, measurements, pictures, plan, spirv};
 
 /// The project's own tasks: shaders, barrier plan, checks against the oracle.
 #[derive(Parser)]
@@ -64,7 +66,7 @@ enum Task {
 }
 
 fn main() -> ExitCode {
-    match output::parse::<Cli>("spgs-dev") {
+    match output::parse::<Cli>("spgs-dev", |_, _| None) {
         Ok(cli) => output::run_main("spgs-dev", move || run(&cli)),
         Err(code) => code,
     }
@@ -110,12 +112,12 @@ fn run(cli: &Cli) -> Result<ExitCode> {
 }
 
 fn spirv(cli: &Cli, check: bool) -> Result<ExitCode> {
-    let outcome = if check { spirv_task::check(&cli.root)? } else { spirv_task::write(&cli.root)? };
+    let outcome = if check { spirv::check(&cli.root)? } else { spirv::write(&cli.root)? };
     for line in &outcome.lines {
         output::line(line);
     }
     let verdict = if outcome.stale { "stale" } else { "fresh" };
-    let uneven = spirv_task::check_flow(&cli.root)?;
+    let uneven = spirv::check_flow(&cli.root)?;
     for line in &uneven {
         output::line(line);
     }
@@ -126,13 +128,13 @@ fn spirv(cli: &Cli, check: bool) -> Result<ExitCode> {
 
 fn plan(cli: &Cli, check: bool, write: bool) -> Result<ExitCode> {
     let mut same = true;
-    for plan in plan_task::plans(&Gpu::open(&GpuOptions::default())?)? {
+    for plan in plan::plans(&Gpu::open(&GpuOptions::default())?)? {
         output::line(&format!("== {}: {} dispatches, {} barriers", plan.name, plan.dispatches, plan.barriers));
         output::line(&plan.text);
         if write {
-            plan_task::write(&cli.root, &plan)?;
+            plan::write(&cli.root, &plan)?;
         }
-        if check && let Some(text) = plan_task::difference(&cli.root, &plan)? {
+        if check && let Some(text) = plan::difference(&cli.root, &plan)? {
             output::error_line(&format!("spgs-dev: {text}"));
             same = false;
         }
@@ -144,7 +146,7 @@ fn oracle_check(files: &[PathBuf], json: bool) -> Result<ExitCode> {
     let gpu = Gpu::open(&GpuOptions::default())?;
     let (mut checked, mut passed) = (0, true);
     for file in files {
-        let Some(check) = oracle_task::check(&gpu, file)? else {
+        let Some(check) = check::check(&gpu, file)? else {
             log::warn!(
                 "{}: holds neither an image with its Gaussians nor superpoints nor an image loss; skipped",
                 file.display()

@@ -6,8 +6,8 @@ use engine::error::Result;
 use engine::file::picture::{self, Alpha};
 use engine::image::Image;
 
-use super::Viewer;
 use super::gui::Gui;
+use super::program::Viewer;
 use super::record::{Recording, free_name};
 use super::state::{Request, Selection, Show, State};
 

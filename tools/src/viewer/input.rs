@@ -242,25 +242,13 @@ fn cycle_up(state: &mut State) {
     state.say(format!("up is {name}"), false);
 }
 
-/// The state of a window that was just opened.
-#[cfg(test)]
-pub(super) fn test_state() -> State {
-    use clap::Parser as _;
-    let cli = crate::args::Cli::try_parse_from(["spgs", "view", "--size", "640x480"]);
-    let args = match cli.map(|c| c.command) {
-        Ok(crate::args::Command::View(args)) => args,
-        other => unreachable!("{other:?}"),
-    };
-    super::first_state(&args).unwrap_or_else(|e| unreachable!("{e}"))
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
     use egui::{Event, MouseWheelUnit, PointerButton, Pos2, RawInput, Rect, pos2, vec2};
 
-    use super::test_state as state;
     use super::*;
+    use crate::viewer::first::test_state as state;
 
     /// One frame of an interface that is only the scene.
     fn frame(context: &egui::Context, state: &mut State, modifiers: Modifiers, events: Vec<Event>) -> Thrust {

@@ -186,7 +186,7 @@ mod tests {
     /// A latency with one frame presented, and what it showed.
     fn started() -> (Latency, Visible) {
         let mut latency = Latency::default();
-        let first = Visible::of(&super::super::input::test_state(), Thrust::default());
+        let first = Visible::of(&super::super::first::test_state(), Thrust::default());
         latency.presented(first.clone(), Submission::default());
         (latency, first)
     }

@@ -10,7 +10,7 @@ use engine::scene::{Scene, Superpoints};
 use engine::train::checkpoint::Checkpoint;
 use winit::event_loop::EventLoopProxy;
 
-use crate::model;
+use crate::cli::model;
 
 /// How often a folder is looked at.
 const WATCH_EVERY: Duration = Duration::from_secs(1);

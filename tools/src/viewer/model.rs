@@ -11,7 +11,7 @@ use engine::scene::{Gaussians, MotionSource, Scene};
 use glam::DVec3;
 
 use super::state::{Selection, Settings, Show};
-use crate::view;
+use crate::cli::camera;
 
 /// Golden ratio, for hues that differ as much as they can.
 const GOLDEN: f32 = 0.618_034;
@@ -51,14 +51,14 @@ enum Tint {
 
 impl Model {
     pub(super) fn new(gpu: &Gpu, path: PathBuf, scene: Arc<Scene>, settings: &Settings) -> Result<Self> {
-        let (center, radius) = view::whole(&scene);
+        let (center, radius) = camera::whole(&scene);
         let motion = motion_of(&scene, settings);
         let plain = Renderer::new(gpu, &scene, &options(settings, motion, &scene))?;
         let mut model = Self {
             path,
             center,
             radius,
-            time_range: view::time_range(&scene),
+            time_range: camera::time_range(&scene),
             centers: Vec::new(),
             posed_at: None,
             paths: Vec::new(),
@@ -216,7 +216,7 @@ fn motion_of(scene: &Scene, settings: &Settings) -> MotionSource {
 fn options(settings: &Settings, motion: MotionSource, scene: &Scene) -> RenderOptions {
     RenderOptions {
         background: settings.background,
-        near: settings.near.unwrap_or_else(|| view::near(scene)),
+        near: settings.near.unwrap_or_else(|| camera::near(scene)),
         motion,
         quality: built_quality(settings),
         profile: true,

@@ -10,9 +10,6 @@ use super::statistics::{HISTORY, STAGES};
 use super::theme::{self, ACCENT, BAD, FAINT, STAGE_COLORS};
 use super::timeline::Timeline;
 
-/// Windows narrower than this start without the panel, points.
-pub(super) const PANEL_FROM: f32 = 900.0;
-
 /// What the panel tells beside the state.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Info {

@@ -45,7 +45,7 @@ impl Recording {
 
 /// `STEM-1.EXTENSION`, or the next number that is free.
 pub(super) fn free_name(folder: &Path, stem: &str, extension: &str) -> Result<PathBuf> {
-    crate::render::create_folder(folder)?;
+    crate::report::files::create_folder(folder)?;
     let name = |n: u32| folder.join(format!("{stem}-{n}.{extension}"));
     (1..100_000)
         .map(name)

@@ -146,7 +146,7 @@ impl State {
         let focal = 0.5 * self.window_height / (0.5 * self.navigator.pose.fov_y).tan();
         let [cx, cy] = self.view_center;
         let angle = (cx.min(cy).max(1.0) / focal).atan();
-        self.navigator.framing(self.extent.0, crate::view::MARGIN * self.extent.1, angle)
+        self.navigator.framing(self.extent.0, crate::cli::camera::MARGIN * self.extent.1, angle)
     }
 
     /// Shows a line for a while.

@@ -2,6 +2,8 @@
 
 use egui::{Color32, CornerRadius, FontFamily, FontId, Margin, Stroke, TextStyle, vec2};
 
+/// Windows narrower than this start without the panel, points.
+pub(super) const PANEL_FROM: f32 = 900.0;
 /// Colours of the stages of a frame, in their order.
 pub(super) const STAGE_COLORS: [Color32; 6] = [
     Color32::from_rgb(86, 156, 214),

@@ -10,7 +10,7 @@ use super::{POISON, words_of};
 use crate::error::{Error, Result};
 use crate::gpu::device::lock;
 use crate::gpu::kernel::{Access, Kernel, TwinCall};
-use crate::gpu::recorder::Grid;
+use crate::gpu::operation::Grid;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
 
 /// Bytes of a buffer that copies are kept in; a longer copy gets one of its own.

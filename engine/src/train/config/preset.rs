@@ -15,10 +15,12 @@ use super::{
 pub enum Preset {
     /// Synthetic scenes with exact cameras and times (paper, appendix: D-NeRF).
     #[default]
+    #[serde(alias = "d-nerf")]
     Dnerf,
     /// Hand-held captures (paper, appendix: HyperNeRF).
     Hypernerf,
     /// Specular objects (NeRF-DS); trained as D-NeRF in the code's scripts.
+    #[serde(alias = "nerf-ds")]
     Nerfds,
     /// Twelve cameras, twelve times (NVIDIA Dynamic Scene).
     Nvidia,

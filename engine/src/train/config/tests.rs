@@ -16,6 +16,9 @@ fn every_preset_is_valid_and_survives_toml() {
 
 #[test]
 fn a_file_changes_only_what_it_names() {
+    for (spelled, preset) in [("d-nerf", Preset::Dnerf), ("nerf-ds", Preset::Nerfds), ("nerfds", Preset::Nerfds)] {
+        assert_eq!(parse(&format!("preset = \"{spelled}\"")).unwrap(), preset.config(), "{spelled}");
+    }
     let c = parse("preset = \"hypernerf\"\nseed = 7\n[density]\nuntil = 10000\n").unwrap();
     let expected = Config { seed: 7, ..Preset::Hypernerf.config() };
     assert_eq!(c.density.until, 10_000);

@@ -1,0 +1,88 @@
+//! `spgs bench frame`: frame and kernel times of a model or of a synthetic scene.
+
+use engine::error::Result;
+use engine::gpu::Gpu;
+use engine::image::{Difference, difference};
+use engine::reference::{self, ReferenceOptions};
+use engine::render::{RenderOptions, Renderer};
+use engine::scene::{Camera, Scene};
+use serde_json::json;
+
+use super::scene::{self, DEFAULT_SIZE};
+use crate::cli::args::{FrameArgs, Global};
+use crate::cli::{camera, gpu_session, model, output, progress};
+use crate::report::measure::{self, PAPER_FRAMES, Plan};
+use crate::report::{provenance, summary};
+
+/// Measures and reports.
+///
+/// # Errors
+/// Those of loading and rendering; a file that cannot be written.
+pub fn run(args: &FrameArgs, global: &Global) -> Result<()> {
+    let (scene, name) = scene::load(&args.scene, args.look.motion.is_some())?;
+    let view = choose_camera(args, &scene)?;
+    let gpu = gpu_session::open_to_measure(global)?;
+    let times = args.path.time.map_or_else(|| camera::time_range(&scene), |t| [t, t]);
+    let options = RenderOptions {
+        background: args.look.background,
+        motion: args.look.motion_source(),
+        quality: args.quality.chosen().for_scene(&scene),
+        ..RenderOptions::default()
+    };
+    let (frames, warmup) = (args.frames, args.warmup);
+    let plan = Plan { camera: view, times, frames, warmup, paper_protocol: args.paper_protocol };
+    let total = 3 * u64::from(frames) + if args.paper_protocol { u64::from(PAPER_FRAMES) } else { 0 };
+    let bar = progress::bar(total, global.quiet);
+    let measured = measure::measure(&gpu, &scene, &options, &plan, &|| bar.inc(1))?;
+    bar.finish_and_clear();
+    let error = if args.check { Some(check(&gpu, &scene, &options, &plan)?) } else { None };
+    gpu_session::report_validation(&gpu);
+    let (width, height) = (plan.camera.width, plan.camera.height);
+    let numbers = json!({
+        "scene": provenance::scene(&name, &scene),
+        "view": { "name": plan.camera.name, "width": width, "height": height, "times": times },
+        "measurement": measured,
+        "error_against_f64": error,
+        "quality": options.quality,
+    });
+    let record = provenance::record(None, &gpu, numbers);
+    args.results.write(&record, || Ok(summary::html(&record, &measured)))?;
+    if !global.quiet {
+        output::line(&format!("device  {}", gpu_session::describe(&gpu)));
+        output::line(&format!("scene   {name}: {}", model::describe(&scene)));
+        output::line(&format!("view    {width}x{height} pixels, t from {} to {}", times[0], times[1]));
+        output::line(&format!("quality {}", options.quality.describe()));
+        output::line(summary::text(&measured).trim_end());
+        if let Some(e) = error {
+            output::line(&format!(
+                "error   against the f64 reference at t = {}: PSNR {:.1} dB, largest {:.2e}, 99.9 % within {:.2e}",
+                times[0], e.psnr, e.max, e.q999
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn choose_camera(args: &FrameArgs, scene: &Scene) -> Result<Camera> {
+    match &args.path.cameras {
+        Some(path) => {
+            let set = model::load_cameras(path, args.path.split.as_deref(), args.size.asked())?;
+            Ok(model::camera(&set, args.frame)?.clone())
+        }
+        None => Ok(camera::default_camera(scene, args.size.or_square(DEFAULT_SIZE))),
+    }
+}
+
+/// The error of the first measured view against the f64 reference.
+fn check(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan) -> Result<Difference> {
+    let time = plan.times[0];
+    let test = Renderer::new(gpu, scene, options)?.render(&plan.camera, time)?;
+    let reference_options = ReferenceOptions {
+        near: options.near.into(),
+        background: options.background.map(f64::from),
+        motion: options.motion,
+    };
+    let truth = reference::render(scene, &plan.camera, time, &reference_options)?;
+    let rgb = test.rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).map(f64::from);
+    Ok(difference(truth.rgb, rgb))
+}

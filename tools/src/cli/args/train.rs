@@ -1,0 +1,58 @@
+//! Arguments of `spgs train`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::report::benchmark::Benchmark;
+
+/// `spgs train`.
+#[derive(Debug, Args)]
+pub struct TrainArgs {
+    /// Data set: a folder with transforms_train.json, transforms.json, dataset.json, poses_bounds.npy, precomputed.json or a
+    /// COLMAP model (see `spgs help data`)
+    #[arg(required_unless_present = "print_config")]
+    pub data: Option<PathBuf>,
+    /// Output folder: model.safetensors, config.toml, run.jsonl, report.html, images/, checkpoints/
+    #[arg(long, value_name = "DIR", required_unless_present = "print_config")]
+    pub out: Option<PathBuf>,
+    /// Number of iterations; the schedule scales with it [default: the configuration's, 40000]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    pub iterations: Option<u64>,
+    /// The paper's values for a kind of data [default: by the data set's format]
+    #[arg(long, value_enum)]
+    pub preset: Option<Benchmark>,
+    /// File with hyper-parameters that override the preset (see --print-config)
+    #[arg(long, value_name = "F.toml")]
+    pub config: Option<PathBuf>,
+    /// Print the whole configuration as TOML and exit
+    #[arg(long)]
+    pub print_config: bool,
+    /// Continue from the newest checkpoint in DIR, with its configuration
+    #[arg(long, conflicts_with_all = ["config", "preset", "init"])]
+    pub resume: bool,
+    /// Average images down by this factor [default: the data set's rule, mostly 1]
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub downscale: Option<u32>,
+    /// Give the same bits on every run: no float atomics, fixed order of sums
+    #[arg(long)]
+    pub deterministic: bool,
+    /// Train network G (motion that is not rigid) on top of the trained model in DIR
+    #[arg(long)]
+    pub nonrigid: bool,
+    /// Start from this model (.safetensors or 3DGS .ply) [default: the data set's points, or random ones]
+    #[arg(long, value_name = "FILE")]
+    pub init: Option<PathBuf>,
+    /// Train a static scene, without superpoints
+    #[arg(long)]
+    pub no_motion: bool,
+    /// Seed of all random choices
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Open `spgs view` on DIR; it shows every new checkpoint
+    #[arg(long)]
+    pub view: bool,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+}

@@ -1,0 +1,38 @@
+//! A progress bar with remaining time, for work on many frames; nothing when quiet or when nobody looks.
+
+use std::io::IsTerminal as _;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// A bar over `total` frames on standard error.
+pub fn bar(total: u64, quiet: bool) -> ProgressBar {
+    shown(Some(total), quiet || total < 2, "{bar:40} {pos}/{len} frames, {per_sec}, {eta} left")
+}
+
+/// A count of `what` that nobody knows the end of.
+pub fn counter(what: &str, quiet: bool) -> ProgressBar {
+    shown(None, quiet, "{spinner} {pos} {msg}, {elapsed}").with_message(what.to_owned())
+}
+
+/// A bar over the settings of a sweep, with the one that is measured.
+pub fn sweep(total: u64, quiet: bool) -> ProgressBar {
+    shown(Some(total), quiet, "{bar:30} {pos}/{len}, {eta} left; {msg}")
+}
+
+/// A bar over the iterations of a training run, `done` of them already behind.
+pub fn training(total: u64, done: u64, quiet: bool) -> ProgressBar {
+    let bar = shown(Some(total), quiet, "{bar:30} {pos}/{len}, {per_sec}, {eta} left; {msg}").with_position(done);
+    bar.reset_eta();
+    bar
+}
+
+fn shown(total: Option<u64>, quiet: bool, template: &str) -> ProgressBar {
+    if quiet || !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::with_draw_target(total, ProgressDrawTarget::stderr());
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
+    }
+    bar
+}

@@ -1,0 +1,57 @@
+//! What a run is made of: configuration and first Gaussians, from arguments, files and the data set's format.
+
+use engine::data::dataset::{Dataset, DatasetKind};
+use engine::error::Result;
+use engine::scene::Gaussians;
+use engine::train::config::{Config, Preset};
+use engine::train::start;
+
+use crate::cli::args::TrainArgs;
+use crate::cli::model;
+use crate::report::benchmark::Benchmark;
+
+/// The configuration of a new run.
+///
+/// # Errors
+/// Those of reading and checking it.
+pub(super) fn config(args: &TrainArgs, kind: Option<DatasetKind>) -> Result<Config> {
+    let preset = match (args.preset, kind) {
+        (Some(benchmark), _) => benchmark.preset(),
+        (None, Some(kind)) => Benchmark::preset_of_format(kind),
+        (None, None) => Preset::default(),
+    };
+    let config = match &args.config {
+        Some(path) => Config::read(path, preset)?,
+        None => preset.config(),
+    };
+    resumed(args, &config)
+}
+
+/// A configuration with what the arguments change.
+///
+/// # Errors
+/// Those of checking it.
+pub(super) fn resumed(args: &TrainArgs, config: &Config) -> Result<Config> {
+    let mut c = config.clone();
+    let length = if args.nonrigid { &mut c.nonrigid.iterations } else { &mut c.iterations };
+    *length = args.iterations.unwrap_or(*length);
+    c.seed = args.seed.unwrap_or(c.seed);
+    c.deterministic |= args.deterministic;
+    c.motion.enabled &= !args.no_motion;
+    c.data.downscale = args.downscale.or(c.data.downscale);
+    c.check()?;
+    Ok(c)
+}
+
+/// The Gaussians that a run starts from, and where they come from in words.
+///
+/// # Errors
+/// Those of loading a model.
+pub(super) fn first_gaussians(args: &TrainArgs, config: &Config, data: &Dataset) -> Result<(Gaussians, String)> {
+    if let Some(path) = &args.init {
+        let gaussians = model::load(path)?.scene.gaussians;
+        let line = format!("{} Gaussians of {}", gaussians.len(), path.display());
+        return Ok((gaussians, line));
+    }
+    Ok(start::first(config, data.points.as_ref()))
+}

@@ -1,0 +1,113 @@
+//! The end of a run: model, evaluation of the test split, pictures, report.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use engine::error::Result;
+use engine::file::picture::{self, Alpha};
+use engine::scene::Camera;
+use engine::train::evaluate::{self, ViewScore};
+use engine::train::export::{Exported, export};
+use serde_json::json;
+
+use super::report::{self, Pair};
+use super::run::{Run, options};
+use crate::cli::{gpu_session, model, output};
+use crate::report::files::create_folder;
+use crate::report::provenance;
+
+/// Views that the report shows.
+const SHOWN: usize = 6;
+
+impl Run<'_> {
+    pub(super) fn finish(mut self, data_path: &Path, as_json: bool) -> Result<()> {
+        let cameras: Vec<Camera> =
+            self.data.train.iter().map(|v| Camera { time: v.time, ..v.camera.clone() }).collect();
+        let Exported { mut scene, decisions } = export(self.gpu, &self.trainer, &cameras)?;
+        scene.metadata = self.provenance(data_path, &decisions)?;
+        let path = self.out.join("model.safetensors");
+        engine::file::save(&path, &scene)?;
+        let (scores, pairs) = self.evaluate_all(&scene)?;
+        let [psnr, ssim] = evaluate::mean(&scores);
+        let split = if self.data.test.is_empty() { "train" } else { "test" };
+        let i = self.trainer.iteration();
+        self.log.line(i, json!({ "evaluation": { "split": split, "psnr": psnr, "ssim": ssim, "views": scores } }))?;
+        let seconds = self.log.seconds();
+        let mut facts = vec![
+            ("Data set".into(), data_path.display().to_string()),
+            ("Device".into(), gpu_session::describe(self.gpu)),
+            ("Model".into(), model::describe(&scene)),
+            (format!("PSNR, SSIM ({split} split, {} views)", scores.len()), format!("{psnr:.2} dB, {ssim:.4}")),
+            ("Iterations, time".into(), format!("{i}, {seconds:.1} s")),
+        ];
+        facts.extend(decisions.iter().map(|d| ("Export".into(), d.clone())));
+        report::write(&self.out, &facts, &pairs)?;
+        if as_json {
+            return output::json(&json!({
+                "data": data_path, "model": path, "device": self.gpu.info(), "iterations": i, "seconds": seconds,
+                "gaussians": scene.gaussians.len(), "split": split, "psnr": psnr, "ssim": ssim, "views": scores,
+                "export": decisions, "model_bytes": std::fs::metadata(&path).map_or(0, |m| m.len()),
+            }));
+        }
+        if !self.quiet {
+            decisions.iter().for_each(|d| output::line(&format!("export  {d}")));
+            output::line(&format!("{split:7} PSNR {psnr:.2} dB, SSIM {ssim:.4} over {} views", scores.len()));
+            output::line(&format!(
+                "model   {} in {} ({seconds:.1} s); curves and pictures in {}",
+                model::describe(&scene),
+                path.display(),
+                self.out.join("report.html").display()
+            ));
+        }
+        Ok(())
+    }
+
+    /// Scores every held-out view of the exported model; writes pictures of a few beside their photos.
+    fn evaluate_all(&self, scene: &engine::scene::Scene) -> Result<(Vec<ViewScore>, Vec<Pair>)> {
+        let images = self.out.join("images");
+        create_folder(&images)?;
+        let total = self.held_out.views().len();
+        let step = total.div_ceil(SHOWN).max(1);
+        let mut pairs = Vec::new();
+        let all: Vec<usize> = (0..total).collect();
+        let scores = evaluate::evaluate(
+            self.gpu,
+            scene,
+            &self.held_out,
+            &all,
+            &options(self.trainer.config()),
+            |score, rendered, truth| {
+                if score.index.is_multiple_of(step) {
+                    let names = ["rendered", "truth"].map(|kind| format!("{:05}_{kind}.png", score.index));
+                    picture::write_png(&images.join(&names[0]), rendered, Alpha::Drop)?;
+                    picture::write_png(&images.join(&names[1]), truth, Alpha::Drop)?;
+                    let [rendered, truth] = names.map(|name| format!("images/{name}"));
+                    pairs.push(Pair { name: score.name.clone(), rendered, truth, psnr: score.psnr });
+                }
+                Ok(())
+            },
+        )?;
+        Ok((scores, pairs))
+    }
+
+    /// What the model file says of where it comes from.
+    fn provenance(&self, data_path: &Path, decisions: &[String]) -> Result<BTreeMap<String, String>> {
+        let name =
+            data_path.file_name().map_or_else(|| data_path.display().to_string(), |n| n.to_string_lossy().into());
+        let data = json!({
+            "name": name, "format": self.data.kind.name(), "train": self.data.train.len(),
+            "test": self.data.test.len(), "decisions": self.data.decisions,
+        });
+        let info = self.gpu.info();
+        let provenance = json!({
+            "program": concat!("spgs ", env!("CARGO_PKG_VERSION")), "commit": provenance::commit(),
+            "device": info.name, "driver": info.driver, "iterations": self.trainer.iteration(),
+            "seconds": self.log.seconds(), "export": decisions,
+        });
+        Ok(BTreeMap::from([
+            ("training".into(), json!(self.trainer.config()).to_string()),
+            ("data".into(), data.to_string()),
+            ("provenance".into(), provenance.to_string()),
+        ]))
+    }
+}

@@ -1,0 +1,212 @@
+//! Runs of the program, small ones, that between them make every pipeline that it uses: the planners' own list of
+//! specialisations, which cannot fall behind them. Nothing is looked at: a device that computes nothing will do.
+
+use engine::error::Result;
+use engine::gpu::Gpu;
+use engine::metrics::Planes;
+use engine::metrics::lpips::{Lpips, Network, Range, Weights};
+use engine::render::display::{DisplayMode, DisplayOptions, Screen};
+use engine::render::quality::KNOBS;
+use engine::render::{
+    PixelFormat, Quality, RenderOptions, Renderer, SceneHandle, SceneOptions, View as EmbeddedView, ViewOptions,
+};
+use engine::scene::synthetic::{moving_scene, random_scene};
+use engine::scene::{Camera, MotionSource, NonrigidNetwork, Scene};
+use engine::train::config::{Config, Form};
+use engine::train::gradient::{GradientOptions, scene_gradients};
+use engine::train::trainer::Trainer;
+
+use super::fields;
+use crate::bench::train;
+use crate::cli::camera;
+
+/// Size of the pictures, pixels.
+const SIZE: [u32; 2] = [64, 48];
+/// Gaussians, superpoints and key times of the scenes.
+const COUNTS: [usize; 3] = [300, 8, 4];
+/// Gaussians whose sort needs a spine.
+const LARGE: usize = 530_000;
+
+/// A kind of run.
+pub type Recording = (&'static str, fn(&Gpu) -> Result<()>);
+
+/// All of them.
+pub const RECORDINGS: &[Recording] = &[
+    ("kernels without specialisations", plain),
+    ("frames", frames),
+    ("frames with each knob", knobs),
+    ("frames of deformation fields", field_frames),
+    ("frames with a spine", large_frames),
+    ("frames on the screen", screens),
+    ("frames in a host's images", embedded),
+    ("training", training),
+    ("training of network G", nonrigid_training),
+    ("gradients of scenes", gradients),
+    ("metrics", metrics),
+];
+
+/// What has but the subgroup size is made whether or not a run here gets to it.
+fn plain(gpu: &Gpu) -> Result<()> {
+    engine::kernels().filter(|k| k.spec.len() == 1).try_for_each(|k| gpu.compile(k, &[]))
+}
+
+fn camera(scene: &Scene) -> Camera {
+    camera::default_camera(scene, SIZE)
+}
+
+fn draw(gpu: &Gpu, scene: &Scene, options: &RenderOptions) -> Result<Renderer> {
+    let mut renderer = Renderer::new(gpu, scene, options)?;
+    renderer.draw(&camera(scene), 0.5)?;
+    Ok(renderer)
+}
+
+fn moving() -> Scene {
+    let [n, m, t] = COUNTS;
+    moving_scene(n, m, t, 1, true)
+}
+
+fn frames(gpu: &Gpu) -> Result<()> {
+    let moving = moving();
+    let nonrigid = Scene { nonrigid: Some(NonrigidNetwork::init(1)), ..moving.clone() };
+    for (_, quality) in Quality::PRESETS {
+        let options = RenderOptions { quality, ..RenderOptions::default() };
+        for degree in 0..4 {
+            draw(gpu, &random_scene(COUNTS[0], 1, degree), &options)?;
+        }
+        for scene in [&moving, &nonrigid] {
+            for motion in [MotionSource::Table, MotionSource::Network] {
+                draw(gpu, scene, &RenderOptions { motion, ..options.clone() })?;
+            }
+        }
+        draw(gpu, &moving, &RenderOptions { depth: true, ..options })?;
+    }
+    Ok(())
+}
+
+fn knobs(gpu: &Gpu) -> Result<()> {
+    let scene = moving();
+    for knob in KNOBS {
+        for value in knob.values {
+            let mut quality = Quality::EXACT;
+            quality.set(knob.name, value)?;
+            let motion = if knob.name == "network" { MotionSource::Network } else { MotionSource::Table };
+            draw(gpu, &scene, &RenderOptions { quality, motion, ..RenderOptions::default() })?;
+        }
+    }
+    Ok(())
+}
+
+fn field_frames(gpu: &Gpu) -> Result<()> {
+    for scene in fields::scenes(COUNTS[0]) {
+        draw(gpu, &scene, &RenderOptions::default())?;
+    }
+    Ok(())
+}
+
+fn large_frames(gpu: &Gpu) -> Result<()> {
+    for (_, quality) in Quality::PRESETS {
+        draw(gpu, &random_scene(LARGE, 1, 0), &RenderOptions { quality, ..RenderOptions::default() })?;
+    }
+    Ok(())
+}
+
+fn screens(gpu: &Gpu) -> Result<()> {
+    let scene = moving();
+    let mut renderer = draw(gpu, &scene, &RenderOptions { depth: true, ..RenderOptions::default() })?;
+    let mut screen = Screen::new(gpu)?;
+    for mode in [DisplayMode::Color, DisplayMode::Depth, DisplayMode::Opacity, DisplayMode::Tiles] {
+        let frame = renderer.submit(&camera(&scene), 0.0)?;
+        let options = DisplayOptions { mode, size: SIZE, bgra: false, depth_range: [0.2, 10.0], tile_range: 100.0 };
+        screen.submit(&renderer, frame, &options)?;
+    }
+    gpu.wait_idle()
+}
+
+fn embedded(gpu: &Gpu) -> Result<()> {
+    let scene = moving();
+    let formats = [PixelFormat::Rgba8, PixelFormat::Bgra8, PixelFormat::Rgba16F, PixelFormat::Rgba32F];
+    for (_, quality) in Quality::PRESETS {
+        let handle = SceneHandle::upload(gpu, &scene, &SceneOptions { quality, ..SceneOptions::default() })?;
+        for format in formats {
+            for (storage, depth) in [(false, false), (false, true), (true, false), (true, true)] {
+                if storage && format == PixelFormat::Bgra8 {
+                    continue;
+                }
+                let options = ViewOptions { format, storage, depth, ..ViewOptions::default() };
+                EmbeddedView::new(gpu, &handle, &options)?.prepare(&camera(&scene), 0.0)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Configurations whose steps differ in kernels or their constants.
+fn variants(base: &Config) -> Vec<Config> {
+    let with = |change: fn(&mut Config)| {
+        let mut config = base.clone();
+        change(&mut config);
+        config
+    };
+    let mut all = vec![
+        base.clone(),
+        with(|c| c.deterministic = true),
+        with(|c| c.loss.prop_loss = Form::Paper),
+        with(|c| c.motion.association_init = Form::Paper),
+        with(|c| c.loss.lambda_dssim = 0.0),
+        with(|c| (c.motion.neighbors, c.motion.association_slots) = (1, 1)),
+        with(|c| (c.motion.network_layers, c.motion.network_width) = (2, 32)),
+    ];
+    for degree in 0..3 {
+        all.push(Config {
+            gaussians: engine::train::config::GaussiansConfig { sh_degree: degree, ..base.gaussians.clone() },
+            ..base.clone()
+        });
+    }
+    all
+}
+
+fn training(gpu: &Gpu) -> Result<()> {
+    for superpoints in [0, COUNTS[1] as u32] {
+        let case = train::synthetic(gpu, superpoints, [0.0; 3], COUNTS[0] as u32, SIZE)?;
+        for config in variants(&case.config) {
+            let mut trainer = Trainer::new(gpu, &config, &case.data, &case.first)?;
+            trainer.step()?;
+            trainer.step()?;
+        }
+    }
+    Ok(())
+}
+
+fn nonrigid_training(gpu: &Gpu) -> Result<()> {
+    for superpoints in [0, COUNTS[1] as u32] {
+        let case = train::synthetic(gpu, superpoints, [0.0; 3], COUNTS[0] as u32, SIZE)?;
+        let mut rigid = Trainer::new(gpu, &case.config, &case.data, &case.first)?;
+        rigid.step()?;
+        rigid.step()?;
+        let trained = rigid.checkpoint()?;
+        for deterministic in [false, true] {
+            let config = Config { deterministic, ..case.config.clone() };
+            Trainer::nonrigid(gpu, &config, &case.data, &trained)?.step()?;
+        }
+    }
+    Ok(())
+}
+
+fn gradients(gpu: &Gpu) -> Result<()> {
+    let [n, m, t] = COUNTS;
+    let options = GradientOptions { near: 0.2, background: [0.0; 3] };
+    let image_gradient = vec![0.0; 4 * (SIZE[0] * SIZE[1]) as usize];
+    for scene in [random_scene(n, 1, 3), moving_scene(n, m, t, 1, false)] {
+        scene_gradients(gpu, &scene, &camera(&scene), 0.0, &options, &image_gradient)?;
+    }
+    Ok(())
+}
+
+fn metrics(gpu: &Gpu) -> Result<()> {
+    for network in Network::ALL {
+        let side = network.smallest_side();
+        let picture = Planes { width: side, height: side, rgb: std::array::from_fn(|_| vec![0.5; side * side]) };
+        Lpips::new(gpu, &Weights::zero(network))?.distance(&picture, &picture, Range::MinusOneToOne)?;
+    }
+    Ok(())
+}
