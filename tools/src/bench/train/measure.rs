@@ -171,15 +171,4 @@ mod tests {
         let keys = |label: &str| of_dispatch(&step, label, layer, &[]).get("keys");
         assert_eq!(["sort_scatter pairs 0", "sort_scatter tile 1", "sort_scatter depth 0"].map(keys), [28, 50, 5]);
     }
-
-    #[test]
-    fn processor_time_passes() {
-        if let Some(before) = processor_seconds() {
-            let start = Instant::now();
-            while start.elapsed().as_millis() < 60 {
-                std::hint::black_box(start);
-            }
-            assert!(processor_seconds().is_some_and(|now| now >= before && now < before + 60.0));
-        }
-    }
 }
