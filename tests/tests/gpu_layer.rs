@@ -1,7 +1,7 @@
 //! The GPU layer by itself: transfers, budgets, refusals, injected failures.
 
 use engine::Error;
-use engine::gpu::{Commands, Gpu, Groups, Memory, Slice};
+use engine::gpu::{Commands, Gpu, GpuOptions, Groups, Memory, Slice};
 use engine::render::radix_sort::{SORT_HISTOGRAM, SortHistogramPush};
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::{demo_camera, demo_scene};
@@ -77,6 +77,22 @@ fn long_work(gpu: &Gpu, constants: &engine::gpu::Buffer, readback: &engine::gpu:
     (0..20).for_each(|value| recorder.fill(&large, value).unwrap());
     recorder.host_read(readback);
     recorder.finish().unwrap()
+}
+
+#[test]
+fn a_wait_that_runs_out_names_the_running_kernel_and_the_setting() {
+    let options = GpuOptions { timeout_s: 0.001, pipeline_cache: false, ..GpuOptions::default() };
+    let gpu = Gpu::open(&options).unwrap();
+    let constants = gpu.buffer("constants", 256, Memory::Upload).unwrap();
+    let readback = gpu.buffer("readback", 256, Memory::Readback).unwrap();
+    let mut commands = long_work(&gpu, &constants, &readback);
+    gpu.submit(&mut commands).unwrap();
+    let error = gpu.wait_for(&commands).expect_err("more than a gigabyte in a millisecond");
+    match &error {
+        Error::TimedOut { label, next_kernel, .. } => assert!(label == "long" && next_kernel != "unknown", "{error}"),
+        other => panic!("{other:?}"),
+    }
+    assert!(error.to_string().contains("SPGS_TIMEOUT_S") && error.exit_code() == 1, "{error}");
 }
 
 #[test]
