@@ -61,6 +61,7 @@ pub struct DisplayOptions {
 }
 
 /// Makes pixels of a window from frames.
+#[doc(hidden)]
 pub static DISPLAY: Kernel = Kernel {
     name: "display",
     doc: "frame → 8-bit pixels of a window: colours, depth, opacity or tile counts",

@@ -39,10 +39,12 @@ pub use crate::gpu::Suite;
 use crate::gpu::capability::TRAINING_STORAGE_BUFFERS;
 use crate::gpu::proof::Watch;
 use crate::gpu::{DeviceInfo, Gpu, GpuOptions, Kernel};
+#[doc(hidden)]
 pub use subgroup_order::{SUBGROUP_ORDER, SubgroupOrderPush};
 pub use verdict::{Subject, Verdict, known};
 
 /// Kernels of this module.
+#[doc(hidden)]
 pub static KERNELS: &[&Kernel] = &[&SUBGROUP_ORDER];
 
 impl Suite {
