@@ -2,7 +2,7 @@
 //! Gaussians.
 //!
 //! [`Gpu`] opens a device ([`capability::REQUIREMENTS`] is the table of what it must have). [`Kernel`] declares a compute
-//! shader once. [`Recorder`] collects operations, derives the barriers from the declared accesses ([`access`]) and becomes
+//! shader once. [`Recorder`] collects operations, derives the barriers from the declared accesses (`access`) and becomes
 //! [`Commands`], which are submitted again and again, several in flight, or a [`Sequence`], which is written into the
 //! command buffers of another program ([`host`]).
 

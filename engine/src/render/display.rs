@@ -20,6 +20,7 @@ const EMPTY: f32 = 0.02;
 
 crate::gpu_struct! {
     /// What `display` shows and where.
+    #[doc(hidden)]
     pub struct Display {
         /// Width and height of the frame (pixels), tiles in x, 0.
         pub source: [u32; 4],
