@@ -2,10 +2,11 @@
 //! Gaussians.
 //!
 //! [`Gpu`] opens a device ([`capability::REQUIREMENTS`] is the table of what it must have). [`Kernel`] declares a compute
-//! shader once. [`Recorder`] collects operations, derives the barriers from the declared accesses ([`access`]) and becomes
+//! shader once. [`Recorder`] collects operations, derives the barriers from the declared accesses (`access`) and becomes
 //! [`Commands`], which are submitted again and again, several in flight, or a [`Sequence`], which is written into the
 //! command buffers of another program ([`host`]).
 
+#[doc(hidden)]
 pub mod access;
 mod account;
 pub mod budget;
@@ -17,6 +18,7 @@ pub mod host;
 mod instance;
 pub mod kernel;
 mod memory;
+#[doc(hidden)]
 pub mod mmap;
 mod operation;
 mod options;
@@ -25,12 +27,15 @@ pub mod painter;
 mod pipeline;
 #[cfg(feature = "window")]
 pub mod presenter;
+#[doc(hidden)]
 pub mod product;
+#[doc(hidden)]
 pub mod proof;
 pub mod queue_family;
 pub mod reconvergence;
 mod recorder;
 mod sequence;
+#[doc(hidden)]
 pub mod spirv;
 mod statistics;
 pub mod subgroup_size;

@@ -32,6 +32,7 @@ mod twins;
 mod weights;
 
 pub use device::Lpips;
+#[doc(hidden)]
 pub use kernels::{ConvPush, DifferencePush, KERNELS, LPIPS_CONV, LPIPS_DIFFERENCE, LPIPS_POOL, PoolPush};
 pub use network::Network;
 pub use reference::lpips;

@@ -20,6 +20,7 @@ const EMPTY: f32 = 0.02;
 
 crate::gpu_struct! {
     /// What `display` shows and where.
+    #[doc(hidden)]
     pub struct Display {
         /// Width and height of the frame (pixels), tiles in x, 0.
         pub source: [u32; 4],
@@ -61,6 +62,7 @@ pub struct DisplayOptions {
 }
 
 /// Makes pixels of a window from frames.
+#[doc(hidden)]
 pub static DISPLAY: Kernel = Kernel {
     name: "display",
     doc: "frame → 8-bit pixels of a window: colours, depth, opacity or tile counts",

@@ -5,9 +5,9 @@
 //!                  → sort_scatter ×1..3 (tile id) → tile_ranges → blend
 //! ```
 //!
-//! A scene with a deformation field runs it first ([`field`]), one with network G `nonrigid_network`.
+//! A scene with a deformation field runs it first (`field_*`), one with network G `nonrigid_network`.
 //!
-//! [`Renderer`] uploads a scene once, records the frame once per image size and replays it: only the [`frame::Frame`]
+//! [`Renderer`] uploads a scene once, records the frame once per image size and replays it: only the `Frame`
 //! of each view is written by the host. Nothing is read back inside a frame; the counters are looked at after it, and a
 //! frame that needed more tile instances than the buffers hold is run again with larger ones.
 //!
@@ -16,45 +16,67 @@
 //!
 //! [`View`] records the same frame into another program's command buffer and image; [`embed`] says how.
 
+#[doc(hidden)]
 pub mod angle;
+#[doc(hidden)]
 pub mod blend;
+#[doc(hidden)]
 pub mod blend_image;
 pub(crate) mod bounds;
 mod capacity;
+#[doc(hidden)]
 pub mod compact;
+#[doc(hidden)]
 pub mod deform_network;
+#[doc(hidden)]
 pub mod deform_project;
 pub mod display;
+#[doc(hidden)]
 pub mod ellipse;
 pub mod embed;
+#[doc(hidden)]
 pub mod field;
+#[doc(hidden)]
 pub mod frame;
+#[doc(hidden)]
 pub mod half;
+#[doc(hidden)]
 pub mod limits;
+#[doc(hidden)]
 pub mod linear_forward;
+#[doc(hidden)]
 pub mod mean_storage;
+#[doc(hidden)]
 pub mod nonrigid_network;
 pub(crate) mod pipeline;
 pub(crate) mod pose_table;
 pub mod quality;
+#[doc(hidden)]
 pub mod quaternion;
+#[doc(hidden)]
 pub mod radix_sort;
+#[doc(hidden)]
 pub mod rate;
 mod renderer;
 pub(crate) mod scene_buffers;
+#[doc(hidden)]
 pub mod sh_storage;
 #[cfg(test)]
 mod sort_tests;
+#[doc(hidden)]
 pub mod splat;
 #[cfg(test)]
 mod tile_tests;
+#[doc(hidden)]
 pub mod tiles;
+#[doc(hidden)]
 pub mod twin;
 pub(crate) mod work_buffers;
 
 pub use blend::PixelFormat;
 pub use embed::{Extent, Finished, Loading, Recorded, SceneHandle, SceneOptions, Target, View, ViewOptions};
 pub use field::FieldEvaluator;
+#[doc(hidden)]
 pub use pipeline::KERNELS;
 pub use quality::Quality;
 pub use renderer::{FrameId, FrameStatistics, MemoryUse, Picked, RenderOptions, Renderer};

@@ -5,7 +5,7 @@
 //! inputs ([`Gpu::new`]; [`Gpu::open`] has none):
 //!
 //! - copies, order and size of subgroups, their operations, atomics of many workgroups, every pass of a radix sort;
-//! - a frame from a table of poses, exact: each dispatch against its CPU twin ([`crate::gpu::proof`]);
+//! - a frame from a table of poses, exact: each dispatch against its CPU twin (`gpu::proof`);
 //! - a whole frame against the f64 reference ([`crate::reference`]);
 //! - for training ([`GpuOptions::training`]): a step with density control, each dispatch against its twin, and steps whose
 //!   loss must fall.
@@ -39,10 +39,12 @@ pub use crate::gpu::Suite;
 use crate::gpu::capability::TRAINING_STORAGE_BUFFERS;
 use crate::gpu::proof::Watch;
 use crate::gpu::{DeviceInfo, Gpu, GpuOptions, Kernel};
+#[doc(hidden)]
 pub use subgroup_order::{SUBGROUP_ORDER, SubgroupOrderPush};
 pub use verdict::{Subject, Verdict, known};
 
 /// Kernels of this module.
+#[doc(hidden)]
 pub static KERNELS: &[&Kernel] = &[&SUBGROUP_ORDER];
 
 impl Suite {

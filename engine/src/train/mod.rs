@@ -15,40 +15,61 @@
 //! ```
 //!
 //! Nothing is applied when the view needs more tile instances than there is room for (the step is repeated with larger
-//! buffers), and nothing that is not finite is ever applied ([`status`]). What happens when is [`schedule`]; every number of it
-//! is [`config`]; [`adapt`] is density control, [`checkpoint`] what a run goes on from, [`export`] and [`bake`] what is played.
+//! buffers), and nothing that is not finite is ever applied (`status`). What happens when is [`schedule`]; every number of it
+//! is [`config`]; `adapt` is density control, [`checkpoint`] what a run goes on from, [`export`] and [`bake`] what is played.
 
+#[doc(hidden)]
 pub mod adam;
+#[doc(hidden)]
 pub mod adapt;
+#[doc(hidden)]
 pub mod association;
 pub mod bake;
+#[doc(hidden)]
 pub mod blend_backward;
 pub mod checkpoint;
 pub mod config;
+#[doc(hidden)]
 pub mod deform_project_backward;
+#[doc(hidden)]
 pub mod density;
 pub mod evaluate;
 pub mod export;
+#[doc(hidden)]
 pub mod farthest_point;
+#[doc(hidden)]
 pub mod finite;
 pub mod gradient;
+#[doc(hidden)]
 pub mod image_loss;
 pub mod init;
+#[doc(hidden)]
 pub mod linear;
+#[doc(hidden)]
 pub mod network_f;
+#[doc(hidden)]
 pub mod network_g;
 mod numbers;
+#[doc(hidden)]
 pub mod parameters;
+#[doc(hidden)]
 pub mod property_loss;
+#[doc(hidden)]
 pub mod rng;
 pub mod sampler;
 pub mod schedule;
 pub mod start;
+#[doc(hidden)]
 pub mod status;
+#[doc(hidden)]
 pub mod step;
 mod target;
 pub mod trainer;
 pub mod usage;
+
+pub use association::{AssociationInit, AssociationOptions};
+pub use density::DensityChange;
+pub use parameters::ParameterState;
 
 use crate::gpu::kernel::Kernel;
 
@@ -69,6 +90,7 @@ static BY_MODULE: &[&[&Kernel]] = &[
 ];
 
 /// Every kernel of training.
+#[doc(hidden)]
 pub fn kernels() -> impl Iterator<Item = &'static Kernel> {
     BY_MODULE.iter().flat_map(|list| list.iter().copied())
 }
