@@ -77,7 +77,13 @@ impl Gpu {
         first
     }
 
-    /// Called before kernels of a suite are first used.
+    /// A suite has failed: it is asked for again before the next use.
+    pub(crate) fn fail_proof(&self, suite: Suite) {
+        lock(&self.0.trust.asked).retain(|asked| *asked != suite);
+    }
+
+    /// Called before kernels of a suite are first used. While its tests run, others that ask pass: the tests use the device
+    /// in the same way.
     ///
     /// # Errors
     /// `SelfTest` when the device fails, each time.
@@ -86,6 +92,6 @@ impl Gpu {
         if !self.begin_proof(suite) {
             return Ok(());
         }
-        prover(self, suite).inspect_err(|_| lock(&self.0.trust.asked).retain(|asked| *asked != suite))
+        prover(self, suite).inspect_err(|_| self.fail_proof(suite))
     }
 }

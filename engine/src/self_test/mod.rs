@@ -85,7 +85,7 @@ impl Gpu {
         if matches!(outcome, Ok(()) | Err(Error::Kernel { .. })) {
             verdict::keep(self.info(), self.options(), &verdict);
         }
-        judged(verdict)
+        judged(verdict).inspect_err(|_| self.fail_proof(suite))
     }
 
     /// Runs a suite unless the device is known to have passed or failed it.
