@@ -2,80 +2,99 @@
 //! ([`engine::gpu::proof`]), with panics for tests.
 
 use engine::gpu::Gpu;
-use engine::gpu::kernel::Kernel;
+use engine::gpu::interface::{Interface, KernelOf};
 use engine::gpu::proof;
 pub use engine::gpu::proof::{POISON, SENTINEL_BYTES};
 
 use crate::model::{self, Options};
 
 /// Input of one comparison.
-#[derive(Debug, Clone)]
-pub struct KernelCase {
+#[derive(Debug)]
+pub struct KernelCase<I: Interface> {
     /// The kernel.
-    pub kernel: &'static Kernel,
-    /// Specialisation constants from id 1 on.
-    pub spec: Vec<u32>,
+    pub kernel: &'static KernelOf<I>,
+    /// Specialisation constants.
+    pub constants: I::Constants,
     /// Push constants.
-    pub push: Vec<u8>,
-    /// Words of each binding before the run (write-only buffers are poisoned).
-    pub buffers: Vec<Vec<u32>>,
+    pub push: I::Push,
+    /// Words of each buffer before the run (write-only buffers are poisoned).
+    pub buffers: I::Buffers<Vec<u32>>,
     /// Workgroups.
     pub groups: u32,
 }
 
-/// What both sides left in the buffers.
-#[derive(Debug)]
-pub struct KernelResult {
-    /// From the device, or the model in its place.
-    pub gpu: Vec<Vec<u32>>,
-    /// From the twin.
-    pub twin: Vec<Vec<u32>>,
+impl<I: Interface> Clone for KernelCase<I>
+where
+    I::Buffers<Vec<u32>>: Clone,
+{
+    fn clone(&self) -> Self {
+        Self { buffers: self.buffers.clone(), ..*self }
+    }
 }
 
-impl KernelCase {
+/// What both sides left in the buffers.
+#[derive(Debug)]
+pub struct KernelResult<I: Interface> {
+    /// The kernel.
+    pub kernel: &'static KernelOf<I>,
+    /// From the device, or the model in its place.
+    pub gpu: I::Buffers<Vec<u32>>,
+    /// From the twin.
+    pub twin: I::Buffers<Vec<u32>>,
+    mismatch: Option<String>,
+}
+
+impl<I: Interface> KernelCase<I> {
     /// Runs both sides; with `SPGS_TEST_MODEL` the executable model in place of the device ([`crate::model`]).
     ///
     /// # Panics
     /// When the device fails, a sentinel was overwritten, or the model finds an error.
-    pub fn run(self, gpu: &Gpu) -> KernelResult {
+    pub fn run(self, gpu: &Gpu) -> KernelResult<I> {
         if let Some(options) = model::options() {
             return self.run_model(&options);
         }
-        self.into_proof().run(gpu).unwrap_or_else(|error| panic!("{error}")).into()
+        let kernel = self.kernel;
+        KernelResult::of(kernel, self.into_words().run(gpu).unwrap_or_else(|error| panic!("{error}")))
     }
 
     /// Runs the executable model and the twin.
     ///
     /// # Panics
     /// When the model finds an error.
-    pub fn run_model(mut self, options: &Options) -> KernelResult {
-        let mut case = self.clone().into_proof();
-        case.poison();
-        self.buffers.clone_from(&case.buffers);
-        let result = model::run(&self, options);
-        case.with_twin(options.lanes, result).into()
+    pub fn run_model(self, options: &Options) -> KernelResult<I> {
+        let kernel = self.kernel;
+        KernelResult::of(kernel, model::run_beside_twin(self.into_words(), options))
     }
 
-    fn into_proof(self) -> proof::KernelCase {
-        let Self { kernel, spec, push, buffers, groups } = self;
-        proof::KernelCase { kernel, spec, push, buffers, groups }
+    /// [`KernelCase::run`], and every buffer agrees: integers bit for bit, floats within the kernel's tolerance.
+    ///
+    /// # Panics
+    /// When they do not, or as [`KernelCase::run`].
+    pub fn check(self, gpu: &Gpu, context: &str) -> I::Buffers<Vec<u32>> {
+        let result = self.run(gpu);
+        result.assert_equal(context);
+        result.gpu
+    }
+
+    /// The case without names.
+    pub fn into_words(self) -> proof::KernelCase {
+        proof::KernelCase::new(self.kernel, self.constants, self.push, self.buffers, self.groups)
     }
 }
 
-impl From<proof::KernelResult> for KernelResult {
-    fn from(result: proof::KernelResult) -> Self {
-        Self { gpu: result.gpu, twin: result.twin }
+impl<I: Interface> KernelResult<I> {
+    fn of(kernel: &'static KernelOf<I>, result: proof::KernelResult) -> Self {
+        let mismatch = result.mismatch().map(|m| m.why());
+        Self { kernel, gpu: proof::named::<I>(result.gpu), twin: proof::named::<I>(result.twin), mismatch }
     }
-}
 
-impl KernelResult {
     /// Asserts that every buffer agrees: integers bit for bit, floats within the kernel's tolerance.
     ///
     /// # Panics
     /// When they do not.
-    pub fn assert_equal(&self, kernel: &'static Kernel, context: &str) {
-        if let Some(mismatch) = proof::mismatch(kernel, &self.gpu, &self.twin) {
-            panic!("{} {context}: {}", kernel.name, mismatch.why());
+    pub fn assert_equal(&self, context: &str) {
+        if let Some(why) = &self.mismatch {
+            panic!("{} {context}: {why}", self.kernel.name);
         }
     }
 }

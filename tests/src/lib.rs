@@ -7,11 +7,13 @@ pub mod model;
 pub mod posed;
 pub mod procedural_lpips;
 pub mod render_case;
+pub mod untyped_case;
 pub mod widths;
 
 use engine::gpu::kernel::Kernel;
 use engine::gpu::{Gpu, GpuOptions};
 pub use kernel_case::{KernelCase, KernelResult};
+pub use untyped_case::{UntypedCase, UntypedResult};
 
 /// A device for tests, without a self-test. A missing device is a failure, never a skip.
 ///

@@ -8,7 +8,7 @@ use engine::render::twin::vec4_at;
 use engine::scene::{Camera, Gaussians, Motion, Scene, Superpoints};
 use glam::DVec3;
 
-use crate::KernelCase;
+use crate::UntypedCase;
 
 /// A small deterministic random generator (splitmix64).
 #[derive(Debug, Clone)]
@@ -156,12 +156,12 @@ impl RenderInput {
     }
 
     /// Buffers of `deform_project` in binding order, and its other arguments.
-    pub fn deform_project(&self, frame: &Frame) -> KernelCase {
+    pub fn deform_project(&self, frame: &Frame) -> UntypedCase {
         let words = |v: &[f32]| v.iter().map(|x| x.to_bits()).collect::<Vec<u32>>();
         let groups = (self.count as u32).div_ceil(DEFORM_PROJECT_THREADS);
         let blocks = groups.max(1);
         let motion = u32::from(!self.pose.is_empty());
-        KernelCase {
+        UntypedCase {
             kernel: &DEFORM_PROJECT,
             spec: vec![self.degree, motion, u32::from(!self.nonrigid_offset.is_empty()), 0, 0, 0, 0, 0],
             push: bytemuck::bytes_of(&DeformProjectPush { block_capacity: blocks }).to_vec(),

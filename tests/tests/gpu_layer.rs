@@ -2,7 +2,7 @@
 
 use engine::Error;
 use engine::gpu::{Commands, Gpu, GpuOptions, Groups, Memory, Slice};
-use engine::render::radix_sort::{SORT_HISTOGRAM, SortHistogramPush};
+use engine::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers, SortHistogramPush};
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::{demo_camera, demo_scene};
 
@@ -51,8 +51,9 @@ fn lost_device_names_the_running_kernel() {
     let push = SortHistogramPush { shift: 0, digit_bits: 8, count_word: 0 };
     let mut recorder = gpu.recorder("frame");
     recorder.fill(&keys, 1).unwrap();
-    let slices = [&counters, &keys, &histogram].map(Slice::from);
-    recorder.dispatch(&SORT_HISTOGRAM, &[], bytemuck::bytes_of(&push), &slices, Groups::Direct(1)).unwrap();
+    let [counters, keys, histogram] = [&counters, &keys, &histogram].map(Slice::from);
+    let buffers = SortHistogramBuffers { counters, keys, histogram };
+    recorder.dispatch(&SORT_HISTOGRAM, (), push, buffers, Groups::Direct(1)).unwrap();
     let mut commands = recorder.finish().unwrap();
     gpu.submit(&mut commands).unwrap();
     gpu.inject_device_lost(1);

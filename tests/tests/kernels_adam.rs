@@ -8,7 +8,7 @@ use engine::train::adam::{ADAM, AdamGroup, AdamPush};
 use engine::train::finite::{CHECK_FINITE, CheckFinitePush, check_finite};
 use engine::train::status;
 use engine::train::step::{Step, bias_corrections};
-use tests_harness::KernelCase;
+use tests_harness::UntypedCase;
 
 fn step(t: u64) -> Step {
     let pair = |t| bias_corrections(0.9, 0.999, t);
@@ -35,7 +35,7 @@ fn adam(gpu: &Gpu, group: AdamGroup, t: u64, failed: u32, arrays: [Vec<u32>; 4])
     let counters = vec![5, 0, 0, failed, 0, 0, 0, 0];
     let step = bytemuck::pod_collect_to_vec(&[step(t)]);
     let buffers = vec![step, counters, gradient, value, moment_1, moment_2, status::clear().to_vec()];
-    let case = KernelCase { kernel: &ADAM, spec: vec![], push: bytemuck::bytes_of(&push).to_vec(), buffers, groups };
+    let case = UntypedCase { kernel: &ADAM, spec: vec![], push: bytemuck::bytes_of(&push).to_vec(), buffers, groups };
     let result = case.run(gpu);
     result.assert_equal(&ADAM, &format!("{group:?}"));
     result.gpu
@@ -98,7 +98,7 @@ fn the_first_number_that_is_not_finite_is_found() {
             let buffers = vec![values.clone(), vec![0, u32::MAX]];
             let groups = n.div_ceil(1024) + 1;
             let push = bytemuck::bytes_of(&push).to_vec();
-            let result = KernelCase { kernel: &CHECK_FINITE, spec: vec![], push, buffers, groups }.run(&gpu);
+            let result = UntypedCase { kernel: &CHECK_FINITE, spec: vec![], push, buffers, groups }.run(&gpu);
             result.assert_equal(&CHECK_FINITE, &n.to_string());
             assert_eq!(result.gpu[1][1], (n - 1) / (k as u32 + 1));
         }

@@ -8,7 +8,7 @@ use engine::render::frame::Frame;
 use engine::train::blend_backward::{self, *};
 use tests_harness::gradient::{assert_gradients_close, columns};
 use tests_harness::render_case::{Random, RenderInput, test_camera, tile_lists};
-use tests_harness::{KernelCase, TestGpu, widths};
+use tests_harness::{TestGpu, UntypedCase, widths};
 
 /// A rendered frame with tile lists of Gaussians and of slots, and a gradient of its image.
 struct Rendered {
@@ -108,7 +108,7 @@ impl Rendered {
         }
     }
 
-    fn case(&self, gpu: &TestGpu, accumulation: Accumulation, stage: Stage, subtiles: u32) -> KernelCase {
+    fn case(&self, gpu: &TestGpu, accumulation: Accumulation, stage: Stage, subtiles: u32) -> UntypedCase {
         let by_slot = accumulation == Accumulation::Instances;
         let rows = if by_slot { self.gaussian_of_slot.len() } else { self.tile_count.len() };
         let kernel = match accumulation {
@@ -116,7 +116,7 @@ impl Rendered {
             _ => &BLEND_BACKWARD,
         };
         let size = gpu.subgroup_size_of(kernel);
-        KernelCase {
+        UntypedCase {
             kernel,
             spec: blend_backward::spec(accumulation, stage, size, subtiles).to_vec(),
             push: Vec::new(),
@@ -134,9 +134,9 @@ impl Rendered {
         }
     }
 
-    fn sum_case(&self, rows: Vec<u32>) -> KernelCase {
+    fn sum_case(&self, rows: Vec<u32>) -> UntypedCase {
         let gaussians = self.tile_count.len() as u32;
-        KernelCase {
+        UntypedCase {
             kernel: &SUM_INSTANCE_GRADIENTS,
             spec: Vec::new(),
             push: bytemuck::bytes_of(&SumInstanceGradientsPush { gaussians }).to_vec(),

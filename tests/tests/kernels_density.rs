@@ -5,7 +5,7 @@ use engine::gpu::{Buffer, Gpu, Kernel};
 use engine::scene::synthetic::Random;
 use engine::train::density::*;
 use engine::train::rng;
-use tests_harness::{KernelCase, widths};
+use tests_harness::{UntypedCase, widths};
 
 /// One Gaussian with everything that has a row.
 #[derive(Debug, Clone, PartialEq)]
@@ -288,7 +288,7 @@ fn passes_are_reproducible_and_give_memory_back() {
 }
 
 fn run(gpu: &Gpu, kernel: &'static Kernel, push: &[u8], buffers: Vec<Vec<u32>>, groups: u32) -> Vec<Vec<u32>> {
-    let result = KernelCase { kernel, spec: vec![], push: push.to_vec(), buffers, groups }.run(gpu);
+    let result = UntypedCase { kernel, spec: vec![], push: push.to_vec(), buffers, groups }.run(gpu);
     result.assert_equal(kernel, &format!("{groups} groups"));
     result.gpu
 }

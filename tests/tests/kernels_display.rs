@@ -5,7 +5,7 @@ use engine::render::display::{DISPLAY, Display, palette};
 use engine::render::{Quality, RenderOptions, Renderer};
 use engine::scene::{Camera, Gaussians, Scene};
 use glam::DVec3;
-use tests_harness::KernelCase;
+use tests_harness::UntypedCase;
 
 struct Rng(u64);
 
@@ -17,7 +17,7 @@ impl Rng {
 }
 
 /// Colours a little outside 0 to 1, depths, tile ranges.
-fn case(source: [u32; 2], target: [u32; 2], mode: u32, failed: u32, seed: u64) -> KernelCase {
+fn case(source: [u32; 2], target: [u32; 2], mode: u32, failed: u32, seed: u64) -> UntypedCase {
     let mut rng = Rng(seed);
     let pixels = (source[0] * source[1]) as usize;
     let tiles = source.map(|s| s.div_ceil(16));
@@ -43,7 +43,7 @@ fn case(source: [u32; 2], target: [u32; 2], mode: u32, failed: u32, seed: u64) -
     let palette = palette().into_iter().flatten().map(f32::to_bits).collect();
     let pixels = (target[0] * target[1]) as usize;
     let words = bytemuck::cast_slice(bytemuck::bytes_of(&display)).to_vec();
-    KernelCase {
+    UntypedCase {
         kernel: &DISPLAY,
         spec: vec![mode, u32::from(source != target)],
         push: vec![],

@@ -8,7 +8,7 @@ use engine::render::frame::Frame;
 use engine::scene::field::{ControlNodes, DeformationField, FIELD_TIME_NETWORK, FieldInput, FieldPlane, FieldPlanes};
 use engine::scene::synthetic::random_gaussians;
 use engine::scene::{Linear, Scene};
-use tests_harness::KernelCase;
+use tests_harness::UntypedCase;
 use tests_harness::render_case::{Random, RenderInput, test_camera};
 
 const COUNTS: [usize; 5] = [1, 63, 64, 257, 600];
@@ -41,7 +41,7 @@ fn waves_match_their_twin() {
                 let columns = 3 + 6 * octaves + FieldInput::time_width(time_network == 1);
                 let rows = count - first_row;
                 let push = WavesPush { first_row: first_row as u32, rows: rows as u32, points: count as u32 };
-                let case = KernelCase {
+                let case = UntypedCase {
                     kernel: &FIELD_WAVES,
                     spec: vec![time_network, octaves as u32],
                     push: bytemuck::bytes_of(&push).to_vec(),
@@ -87,7 +87,7 @@ fn planes_match_their_twin() {
                 ..PlanesPush::of(&planes)
             };
             let items = rows * channels * planes.scales.len();
-            let case = KernelCase {
+            let case = UntypedCase {
                 kernel: &FIELD_PLANES,
                 spec: vec![],
                 push: bytemuck::bytes_of(&push).to_vec(),
@@ -114,7 +114,7 @@ fn offsets_match_their_twin_under_every_rule() {
             let push = OffsetPush { first_row: first_row as u32, rows: rows as u32, outputs: outputs as u32 };
             // What other chunks write stays.
             let before = vec![7_u32; 10 * count];
-            let case = KernelCase {
+            let case = UntypedCase {
                 kernel: &FIELD_OFFSET,
                 spec: vec![rule],
                 push: bytemuck::bytes_of(&push).to_vec(),
@@ -144,7 +144,7 @@ fn nodes_match_their_twin() {
             let outputs = 10 + 4 * turn as usize;
             let push = NodesPush { nodes: nodes as u32, neighbors: neighbors as u32, outputs: outputs as u32 };
             let neighbor = (0..count * neighbors).map(|e| (e * 7 % nodes) as u32).collect();
-            let case = KernelCase {
+            let case = UntypedCase {
                 kernel: &FIELD_NODES,
                 spec: vec![turn],
                 push: bytemuck::bytes_of(&push).to_vec(),

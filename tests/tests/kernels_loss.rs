@@ -8,7 +8,7 @@ use engine::scene::synthetic::Random;
 use engine::train::image_loss::*;
 use engine::train::status;
 use engine::train::step::Step;
-use tests_harness::{KernelCase, KernelResult, TestGpu, widths};
+use tests_harness::{TestGpu, UntypedCase, UntypedResult, widths};
 
 const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.125];
 
@@ -54,8 +54,8 @@ fn target_values(target: &[u32]) -> Vec<f64> {
     target.iter().flat_map(|word| [value(word, 0), value(word, 1), value(word, 2)]).collect()
 }
 
-fn run(gpu: &Gpu, kernel: &'static engine::gpu::Kernel, spec: &[u32], buffers: Vec<Vec<u32>>, n: u32) -> KernelResult {
-    let result = KernelCase { kernel, spec: spec.to_vec(), push: vec![], buffers, groups: n }.run(gpu);
+fn run(gpu: &Gpu, kernel: &'static engine::gpu::Kernel, spec: &[u32], buffers: Vec<Vec<u32>>, n: u32) -> UntypedResult {
+    let result = UntypedCase { kernel, spec: spec.to_vec(), push: vec![], buffers, groups: n }.run(gpu);
     result.assert_equal(kernel, &format!("{spec:?}, {n} groups"));
     result
 }

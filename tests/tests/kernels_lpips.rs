@@ -7,7 +7,7 @@ use engine::metrics::lpips::{
     self, ConvPush, DifferencePush, LPIPS_CONV, LPIPS_DIFFERENCE, LPIPS_POOL, Lpips, Network, PoolPush, Range,
 };
 use tests_harness::render_case::Random;
-use tests_harness::{KernelCase, procedural_lpips};
+use tests_harness::{UntypedCase, procedural_lpips};
 
 fn noise(size: [usize; 2], seed: u64) -> Planes {
     let mut r = Random(seed);
@@ -82,7 +82,7 @@ fn convolutions_match_their_twin() {
         let depth = inputs * side * side;
         let pixels = push.out_width * push.out_rows;
         for stage in [Stage::Shuffle, Stage::Shared] {
-            let case = KernelCase {
+            let case = UntypedCase {
                 kernel: &LPIPS_CONV,
                 spec: vec![stage as u32, side, stride, pad],
                 push: bytemuck::bytes_of(&push).to_vec(),
@@ -113,7 +113,7 @@ fn pools_and_differences_match_their_twins() {
             out_first_row: 2,
             out_rows,
         };
-        let case = KernelCase {
+        let case = UntypedCase {
             kernel: &LPIPS_POOL,
             spec: vec![kernel],
             push: bytemuck::bytes_of(&push).to_vec(),
@@ -131,7 +131,7 @@ fn pools_and_differences_match_their_twins() {
         (0..19 * 300).map(|i| if i % 300 == 0 { 0 } else { r.range(0.0, 2.0).to_bits() }).collect()
     };
     let buffers = vec![features(), features(), floats(&mut Random(7), 19, 1.0), vec![0; 300]];
-    let case = KernelCase {
+    let case = UntypedCase {
         kernel: &LPIPS_DIFFERENCE,
         spec: vec![],
         push: bytemuck::bytes_of(&push).to_vec(),

@@ -12,7 +12,7 @@ use engine::train::network_f::{ENCODE_SUPERPOINTS, EncodePush};
 use engine::train::network_g::ENCODE_GAUSSIANS;
 use engine::train::status;
 use engine::train::step::{Step, bias_corrections};
-use tests_harness::KernelCase;
+use tests_harness::UntypedCase;
 use tests_harness::render_case::{Random, RenderInput, test_camera};
 
 const STAGES: [Stage; 2] = [Stage::Shuffle, Stage::Shared];
@@ -52,7 +52,7 @@ fn a_layer_does_not_hide_what_is_no_number() {
             let mut input = floats(&mut r, (rows * inputs) as usize, 1.0);
             input[(30 * inputs) as usize] = nan.to_bits();
             let push = ForwardPush { rows, outputs, inputs_0: inputs, inputs_1: 0, input_1_at: 0 };
-            let case = KernelCase {
+            let case = UntypedCase {
                 kernel: &LINEAR_FORWARD,
                 spec: vec![stage as u32, relu],
                 push: bytemuck::bytes_of(&push).to_vec(),
@@ -86,7 +86,7 @@ fn forward_and_backward_input_match_their_twins() {
             let input = floats(&mut r, (input_1_at + rows * i1) as usize, 1.0);
             for relu in [0, 1] {
                 let push = ForwardPush { rows, outputs, inputs_0: i0, inputs_1: i1, input_1_at };
-                let case = KernelCase {
+                let case = UntypedCase {
                     kernel: &LINEAR_FORWARD,
                     spec: vec![stage as u32, relu],
                     push: bytemuck::bytes_of(&push).to_vec(),
@@ -98,7 +98,7 @@ fn forward_and_backward_input_match_their_twins() {
             }
             let (first_input, columns) = if i1 > 0 { (i0, i1) } else { (0, i0) };
             let push = InputPush { rows, outputs, inputs: columns, weight_stride: inputs, first_input };
-            let case = KernelCase {
+            let case = UntypedCase {
                 kernel: &LINEAR_BACKWARD_INPUT,
                 spec: vec![stage as u32],
                 push: bytemuck::bytes_of(&push).to_vec(),
@@ -137,7 +137,7 @@ fn weight_gradients_match_their_twins() {
                 first_slice: 1,
                 slice_stride: weights,
             };
-            let case = KernelCase {
+            let case = UntypedCase {
                 kernel: &LINEAR_BACKWARD_WEIGHT,
                 spec: vec![stage as u32],
                 push: bytemuck::bytes_of(&push).to_vec(),
@@ -169,7 +169,7 @@ fn update_and_gather_match_their_twins() {
             let push = UpdatePush { weights, slices, slice_stride: weights + 7, first_index: 128 };
             let mut gradient = floats(&mut r, (slices * (weights + 7)) as usize, 0.1);
             gradient[0] = f32::NAN.to_bits();
-            let case = KernelCase {
+            let case = UntypedCase {
                 kernel: &LINEAR_UPDATE,
                 spec: vec![output as u32, network],
                 push: bytemuck::bytes_of(&push).to_vec(),
@@ -197,7 +197,7 @@ fn update_and_gather_match_their_twins() {
     for (network, planes, columns, used) in [(0, 6, 8, 8), (1, 10, 12, 10), (1, 10, 12, 7)] {
         let mut plane = floats(&mut r, planes * 100, 1.0);
         plane[30] = f32::INFINITY.to_bits();
-        let case = KernelCase {
+        let case = UntypedCase {
             kernel: &GATHER_GRADIENT,
             spec: vec![network],
             push: bytemuck::bytes_of(&GatherPush { rows: 70, first_row: 20, plane_stride: 100, columns: used })
@@ -217,7 +217,7 @@ fn encoding_matches_its_twin() {
     let gpu = tests_harness::gpu();
     let mut r = Random(4);
     for rows in [1_u32, 20, 300] {
-        let case = KernelCase {
+        let case = UntypedCase {
             kernel: &ENCODE_SUPERPOINTS,
             spec: Vec::new(),
             push: bytemuck::bytes_of(&EncodePush { rows }).to_vec(),
@@ -275,7 +275,7 @@ fn network_g_matches_its_twin() {
                 let mut buffers = input_words(&input, &frame);
                 buffers.extend([parameter.clone(), vec![0; 10 * count]]);
                 let origin = NonrigidPush { origin_x: 0.5, origin_y: -0.25, origin_z: 0.0 };
-                let case = KernelCase {
+                let case = UntypedCase {
                     kernel: &NONRIGID_NETWORK,
                     spec: vec![motion, stage],
                     push: bytemuck::bytes_of(&origin).to_vec(),
@@ -299,7 +299,7 @@ fn encoding_of_gaussians_matches_its_twin() {
             let mut buffers = input_words(&input, &frame);
             buffers.push(vec![0; 84 * rows as usize]);
             let push = engine::train::network_g::EncodePush { first_row, rows };
-            let case = KernelCase {
+            let case = UntypedCase {
                 kernel: &ENCODE_GAUSSIANS,
                 spec: vec![motion],
                 push: bytemuck::bytes_of(&push).to_vec(),

@@ -13,7 +13,7 @@ use engine::train::status;
 use engine::train::step::{Step, bias_corrections};
 use glam::DVec3;
 use tests_harness::render_case::{Random, RenderInput, test_camera};
-use tests_harness::{KernelCase, KernelResult};
+use tests_harness::{UntypedCase, UntypedResult};
 
 /// Bindings by name.
 mod at {
@@ -77,7 +77,7 @@ fn rows(n: usize, r: &mut Random) -> Vec<f32> {
 }
 
 /// The kernel's call for `input`, whose splats come from the forward's twin.
-fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64) -> KernelCase {
+fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64) -> UntypedCase {
     let frame: Frame = input.frame(camera);
     let mut forward = input.deform_project(&frame);
     let spec = [vec![8], forward.spec.clone()].concat();
@@ -89,7 +89,7 @@ fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64) -> KernelC
     let moment =
         |r: &mut Random, low: f32, high: f32| words(&(0..planes * n).map(|_| r.range(low, high)).collect::<Vec<_>>());
     let b = forward.buffers;
-    KernelCase {
+    UntypedCase {
         kernel: &DEFORM_PROJECT_BACKWARD,
         // Gradients of other losses at the centres come along in every other case.
         spec: vec![spec[1], spec[2], spec[3], output, (seed % 2) as u32],
@@ -145,7 +145,7 @@ fn assert_agrees(what: &str, gpu: &[f32], twin: &[f32], context: &str) -> f64 {
 }
 
 /// Every kind of gradient within the bounds; reports exactly as the twin.
-fn assert_gradients(result: &KernelResult, input: &RenderInput, context: &str) {
+fn assert_gradients(result: &UntypedResult, input: &RenderInput, context: &str) {
     let n = input.count;
     let planes = |side: &[Vec<u32>], binding: usize, first: usize, count: usize| {
         floats(&side[binding][first * n..(first + count) * n])
@@ -265,7 +265,7 @@ fn hard_shapes_keep_their_accuracy_one_by_one() {
     }
 }
 
-fn assert_gradients_of_kinds(result: &KernelResult, input: &RenderInput, context: &str) {
+fn assert_gradients_of_kinds(result: &UntypedResult, input: &RenderInput, context: &str) {
     let n = input.count;
     for (what, first, count) in kinds(input.degree) {
         let part = |side: &[Vec<u32>]| floats(&side[at::GRADIENT][first * n..(first + count) * n]);

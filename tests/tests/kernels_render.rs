@@ -15,13 +15,13 @@ use engine::scene::{Camera, DeformNetwork, Linear};
 use glam::DVec3;
 use tests_harness::kernel_case::POISON;
 use tests_harness::render_case::{Random, RenderInput, test_camera, tile_lists};
-use tests_harness::{KernelCase, KernelResult, TestGpu};
+use tests_harness::{TestGpu, UntypedCase, UntypedResult};
 
 const SIZES: [usize; 11] = [0, 1, 7, 8, 31, 32, 33, 255, 256, 257, 65_537];
 
 /// Counts and block sums follow the tile counts, which may flip within the tolerance: the sums must equal the device's own
 /// tile counts, and those may differ from the twin's in few places.
-fn assert_deform_project(result: &KernelResult, n: usize, context: &str) {
+fn assert_deform_project(result: &UntypedResult, n: usize, context: &str) {
     let (mut gpu, twin) = (result.gpu.clone(), &result.twin);
     gpu[12].truncate(n);
     gpu[11].truncate(12 * n);
@@ -92,10 +92,10 @@ fn deform_project_of_nasty_gaussians() {
     assert_eq!(result.gpu[14][..5], [0, 0, 0, 0, 777]);
 }
 
-fn blend_case(frame: &Frame, splats: &[u32], tile_count: &[u32], spec: [u32; 3], size: u32) -> KernelCase {
+fn blend_case(frame: &Frame, splats: &[u32], tile_count: &[u32], spec: [u32; 3], size: u32) -> UntypedCase {
     let (ranges, values) = tile_lists(frame, splats, tile_count);
     let pixels = frame.pixels();
-    KernelCase {
+    UntypedCase {
         kernel: &BLEND,
         spec: [&spec[..], &[0; 4]].concat(),
         push: Vec::new(),
@@ -113,7 +113,7 @@ fn blend_case(frame: &Frame, splats: &[u32], tile_count: &[u32], spec: [u32; 3],
 }
 
 /// The same case with values that are slots, in some order.
-fn with_slots(mut case: KernelCase) -> KernelCase {
+fn with_slots(mut case: UntypedCase) -> UntypedCase {
     let count = case.buffers[2].len() as u32;
     case.spec[3] = 1;
     case.buffers[6] = case.buffers[2].iter().rev().copied().collect();
@@ -133,7 +133,7 @@ fn twin_splats(input: &RenderInput, frame: &Frame) -> (Vec<u32>, Vec<u32>) {
     (case.buffers.swap_remove(11), case.buffers.swap_remove(12))
 }
 
-fn assert_blend(result: &KernelResult, kernel: &'static Kernel, context: &str) {
+fn assert_blend(result: &UntypedResult, kernel: &'static Kernel, context: &str) {
     result.assert_equal(kernel, context);
     assert!(result.gpu[4].iter().all(|w| f32::from_bits(*w).is_finite()), "{context}: a pixel was not written");
 }
@@ -346,7 +346,7 @@ fn deform_network_matches_twin_and_reference() {
             frame.counts[1] = count;
             frame.background[3] = 0.617;
             let weights = deform_network::pack_weights(&network, fp16).unwrap();
-            let case = KernelCase {
+            let case = UntypedCase {
                 kernel: &DEFORM_NETWORK,
                 spec: deform_network::spec_constants(size, fp16).to_vec(),
                 push: Vec::new(),
@@ -383,7 +383,7 @@ fn the_rate_kernel_adds_up_what_its_twin_does() {
         let push = bytemuck::bytes_of(&ArithmeticRatePush { count, rounds }).to_vec();
         let groups = count.div_ceil(ARITHMETIC_RATE_THREADS).max(1);
         let buffers = vec![vec![0; count as usize]];
-        let case = KernelCase { kernel: &ARITHMETIC_RATE, spec: vec![], push, buffers, groups };
+        let case = UntypedCase { kernel: &ARITHMETIC_RATE, spec: vec![], push, buffers, groups };
         case.run(&gpu).assert_equal(&ARITHMETIC_RATE, &format!("{count} × {rounds}"));
     }
     assert!(arithmetic_rate(&gpu).unwrap() > 0.01);

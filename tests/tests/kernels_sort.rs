@@ -1,7 +1,9 @@
 //! Compaction, radix sort and tile kernels on the device against their twins, bit for bit.
 
-use engine::gpu::kernel::Kernel;
-use engine::render::radix_sort::*;
+use engine::render::radix_sort::{SortPlan, rank_by_ballot};
+use engine::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers};
+use engine::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
+use engine::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
 use tests_harness::{KernelCase, TestGpu, widths};
 
 /// Element counts around every boundary of subgroup, workgroup, block and partition.
@@ -14,12 +16,6 @@ impl Rng {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 33) as u32 ^ (self.0 >> 12) as u32
     }
-}
-
-fn run(gpu: &TestGpu, kernel: &'static Kernel, case: KernelCase, context: &str) -> Vec<Vec<u32>> {
-    let result = case.run(gpu);
-    result.assert_equal(kernel, context);
-    result.gpu
 }
 
 /// Sorts on the device pass by pass, each pass compared with its twin, and checks the end against a stable sort.
@@ -46,32 +42,40 @@ fn sort_and_check_by(
     plan.prescanned = prescanned;
     let rows = plan.histogram_rows() as usize * 256;
     let counters = vec![0, 0, n, 0, 0, 0, 0, 0];
-    let push = bytemuck::bytes_of(&plan.histogram_push(2)).to_vec();
-    let buffers = vec![counters.clone(), keys.to_vec(), vec![0; rows]];
-    let case = KernelCase { kernel: &SORT_HISTOGRAM, spec: vec![], push, buffers, groups: plan.partitions };
+    let buffers = SortHistogramBuffers { counters: counters.clone(), keys: keys.to_vec(), histogram: vec![0; rows] };
+    let push = plan.histogram_push(2);
+    let case = KernelCase { kernel: &SORT_HISTOGRAM, constants: (), push, buffers, groups: plan.partitions };
     // The count leaves the rows it does not own poisoned, like the totals row; the sort must not read them.
-    let mut histogram = run(gpu, &SORT_HISTOGRAM, case, &context).swap_remove(2);
+    let mut histogram = case.check(gpu, &context).histogram;
     let mut values: Vec<u32> = (0..n).map(|i| i.wrapping_mul(3) + 1).collect();
     let mut sorted: Vec<(u32, u32)> = keys.iter().copied().zip(values.iter().copied()).collect();
     sorted.sort_by_key(|(k, _)| *k);
     let mut keys = keys.to_vec();
     for pass in 0..plan.digits.len() {
         if prescanned {
-            let push = bytemuck::bytes_of(&plan.spine_push(2)).to_vec();
-            let buffers = vec![counters.clone(), histogram];
-            let case = KernelCase { kernel: &SORT_SPINE, spec: vec![], push, buffers, groups: SPINE_GROUPS };
-            histogram = run(gpu, &SORT_SPINE, case, &context).swap_remove(1);
+            let buffers = SortSpineBuffers { counters: counters.clone(), histogram };
+            let push = plan.spine_push(2);
+            let case = KernelCase { kernel: &SORT_SPINE, constants: (), push, buffers, groups: SPINE_GROUPS };
+            histogram = case.check(gpu, &context).histogram;
         }
-        let push = bytemuck::bytes_of(&plan.scatter_push(pass, 2)).to_vec();
-        let spec = plan.scatter_spec(pass, has_values, by_ballot).to_vec();
-        let out = vec![0; keys.len()];
-        let buffers = vec![counters.clone(), histogram, keys, values, out.clone(), out, vec![0; rows]];
+        let with_next = pass + 1 < plan.digits.len();
+        let buffers = SortScatterBuffers {
+            counters: counters.clone(),
+            histogram,
+            keys_out: vec![0; keys.len()],
+            values_out: has_values.then(|| vec![0; keys.len()]),
+            keys_in: keys,
+            values_in: has_values.then_some(values),
+            next_histogram: with_next.then(|| vec![0; rows]),
+        };
+        let constants = plan.scatter_constants(pass, has_values, by_ballot);
         // One workgroup too many, as a folded grid has.
-        let case = KernelCase { kernel: &SORT_SCATTER, spec, push, buffers, groups: plan.partitions + 1 };
-        let mut out = run(gpu, &SORT_SCATTER, case, &format!("{context} pass {pass}"));
-        histogram = out.swap_remove(6);
-        values = if has_values { out.swap_remove(5) } else { vec![0; n as usize] };
-        keys = out.swap_remove(4);
+        let (push, groups) = (plan.scatter_push(pass, 2), plan.partitions + 1);
+        let case = KernelCase { kernel: &SORT_SCATTER, constants, push, buffers, groups };
+        let out = case.check(gpu, &format!("{context} pass {pass}"));
+        histogram = out.next_histogram.unwrap_or_default();
+        values = out.values_out.unwrap_or_default();
+        keys = out.keys_out;
         keys.truncate(n as usize);
         values.truncate(n as usize);
     }

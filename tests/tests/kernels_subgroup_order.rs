@@ -2,14 +2,14 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use engine::self_test::{SUBGROUP_ORDER, SubgroupOrderPush};
-use tests_harness::KernelCase;
+use tests_harness::UntypedCase;
 
 #[test]
 fn subgroups_are_what_the_kernels_take_them_for() {
     let gpu = tests_harness::gpu();
     for groups in [1, 24] {
         let invocations = 256 * groups;
-        let case = KernelCase {
+        let case = UntypedCase {
             kernel: &SUBGROUP_ORDER,
             spec: vec![],
             push: bytemuck::bytes_of(&SubgroupOrderPush { invocations }).to_vec(),

@@ -4,8 +4,10 @@ use engine::gpu::kernel::Kernel;
 use engine::render::compact::*;
 use engine::render::ellipse::Ellipse;
 use engine::render::radix_sort::*;
+use engine::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
+use engine::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
 use engine::render::tiles::*;
-use tests_harness::{KernelCase, TestGpu, widths};
+use tests_harness::{KernelCase, TestGpu, UntypedCase, widths};
 
 struct Rng(u64);
 
@@ -28,7 +30,7 @@ fn run(
     buffers: Vec<Vec<u32>>,
     groups: u32,
 ) -> Vec<Vec<u32>> {
-    let case = KernelCase { kernel, spec: spec.to_vec(), push: push.to_vec(), buffers, groups };
+    let case = UntypedCase { kernel, spec: spec.to_vec(), push: push.to_vec(), buffers, groups };
     let result = case.run(gpu);
     result.assert_equal(kernel, &format!("{groups} groups"));
     result.gpu
@@ -169,18 +171,28 @@ fn sort(
 ) -> (Vec<u32>, Vec<u32>) {
     for pass in 0..plan.digits.len() {
         if plan.prescanned {
-            let buffers = vec![counters.to_vec(), histogram];
+            let buffers = SortSpineBuffers { counters: counters.to_vec(), histogram };
             let push = plan.spine_push(count_word);
-            histogram = run(gpu, &SORT_SPINE, &[], bytemuck::bytes_of(&push), buffers, SPINE_GROUPS).swap_remove(1);
+            let case = KernelCase { kernel: &SORT_SPINE, constants: (), push, buffers, groups: SPINE_GROUPS };
+            histogram = case.check(gpu, "chain").histogram;
         }
-        let push = plan.scatter_push(pass, count_word);
-        let (out, next) = (vec![0; keys.len()], vec![0; histogram.len()]);
-        let buffers = vec![counters.to_vec(), histogram, keys, values, out.clone(), out, next];
-        let spec = plan.scatter_spec(pass, true, rank_by_ballot(gpu.subgroup_size_of(&SORT_SCATTER)));
-        let mut done = run(gpu, &SORT_SCATTER, &spec, bytemuck::bytes_of(&push), buffers, groups.max(1));
-        histogram = done.swap_remove(6);
-        values = done.swap_remove(5);
-        keys = done.swap_remove(4);
+        let rows = histogram.len();
+        let buffers = SortScatterBuffers {
+            counters: counters.to_vec(),
+            histogram,
+            keys_out: vec![0; keys.len()],
+            values_out: Some(vec![0; keys.len()]),
+            keys_in: keys,
+            values_in: Some(values),
+            next_histogram: (pass + 1 < plan.digits.len()).then(|| vec![0; rows]),
+        };
+        let constants = plan.scatter_constants(pass, true, rank_by_ballot(gpu.subgroup_size_of(&SORT_SCATTER)));
+        let (push, groups) = (plan.scatter_push(pass, count_word), groups.max(1));
+        let case = KernelCase { kernel: &SORT_SCATTER, constants, push, buffers, groups };
+        let done = case.check(gpu, "chain");
+        histogram = done.next_histogram.unwrap_or_default();
+        values = done.values_out.unwrap();
+        keys = done.keys_out;
     }
     let count = counters[count_word as usize] as usize;
     assert!(counters[3] != 0 || keys[..count].is_sorted());

@@ -21,7 +21,7 @@ use engine::scene::synthetic::{demo_camera, demo_scene, hard_cases, moving_scene
 use engine::scene::{Camera, Scene};
 use glam::DVec3;
 use tests_harness::render_case::{RenderInput, test_camera};
-use tests_harness::{KernelCase, TestGpu};
+use tests_harness::{TestGpu, UntypedCase};
 use tools::cli::args::Cli;
 
 const COUNT: usize = 700;
@@ -53,7 +53,7 @@ fn settings() -> Vec<Quality> {
         .collect()
 }
 
-fn run_twin(kernel: &'static Kernel, size: u32, case: &KernelCase) -> Vec<Vec<u32>> {
+fn run_twin(kernel: &'static Kernel, size: u32, case: &UntypedCase) -> Vec<Vec<u32>> {
     let mut buffers = case.buffers.clone();
     let spec = [&[size][..], &case.spec].concat();
     let call = &mut TwinCall { groups: [case.groups, 1, 1], spec: &spec, push: &case.push, buffers: &mut buffers };
@@ -61,7 +61,7 @@ fn run_twin(kernel: &'static Kernel, size: u32, case: &KernelCase) -> Vec<Vec<u3
     buffers
 }
 
-fn project_case(input: &RenderInput, frame: &Frame, q: &Quality) -> KernelCase {
+fn project_case(input: &RenderInput, frame: &Frame, q: &Quality) -> UntypedCase {
     let mut case = input.deform_project(frame);
     case.spec[3..].copy_from_slice(&[
         q.alpha_cut_constant(),
@@ -112,7 +112,7 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
     splats.iter_mut().for_each(|w| *w = if *w == tests_harness::kernel_case::POISON { 0 } else { *w });
     let bits = if q.depth_bits < 32 { q.depth_bits } else { 0 };
     let blocks = COUNT.div_ceil(256) as u32;
-    let case = KernelCase {
+    let case = UntypedCase {
         kernel: &COMPACT,
         spec: vec![bits, packing],
         push: bytemuck::bytes_of(&CompactPush { block_capacity: blocks, digit_bits: 8 }).to_vec(),
@@ -146,7 +146,7 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
     let instances = result.twin[4][5] as usize;
     let mut padded = order.clone();
     padded.resize(COUNT, 0);
-    let case = KernelCase {
+    let case = UntypedCase {
         kernel: &EMIT_TILES,
         spec: vec![0, q.alpha_cut_constant(), q.cull_constant(), packing],
         push: bytemuck::bytes_of(&EmitTilesPush { block_capacity: blocks, digit_bits: 8 }).to_vec(),
@@ -180,7 +180,7 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
     }
     let pixels_per_lane = blend::pixels_per_lane(size);
     for stage in [Stage::Shuffle, Stage::Shared, Stage::Reread] {
-        let case = KernelCase {
+        let case = UntypedCase {
             kernel: &BLEND,
             spec: vec![1, stage as u32, pixels_per_lane, 0, q.alpha_cut_constant(), q.stop_constant(), packing],
             push: Vec::new(),

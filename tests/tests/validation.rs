@@ -2,7 +2,7 @@
 //! (A write-after-write hazard is not among them: the layer misses it, our own tracker does not; see `hazards.rs`.)
 
 use engine::gpu::{Buffer, Gpu, GpuOptions, Groups, Memory, Recorder, Slice};
-use engine::render::radix_sort::{SORT_HISTOGRAM, SortHistogramPush};
+use engine::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers, SortHistogramPush};
 
 const BYTES: u64 = 64 * 1024;
 const PUSH: SortHistogramPush = SortHistogramPush { shift: 0, digit_bits: 8, count_word: 0 };
@@ -38,8 +38,9 @@ impl Probe {
 
     /// Reads `keys`, writes `histogram`.
     fn dispatch(&self, recorder: &mut Recorder, keys: &Buffer, histogram: &Buffer, groups: Groups) {
-        let slices = [&self.counters, keys, histogram].map(Slice::from);
-        recorder.dispatch(&SORT_HISTOGRAM, &[], bytemuck::bytes_of(&PUSH), &slices, groups).unwrap();
+        let [counters, keys, histogram] = [&self.counters, keys, histogram].map(Slice::from);
+        let buffers = SortHistogramBuffers { counters, keys, histogram };
+        recorder.dispatch(&SORT_HISTOGRAM, (), PUSH, buffers, groups).unwrap();
     }
 
     /// Runs the recording as it is, then without the barrier before its last operation: clean first, reported then.
@@ -141,12 +142,12 @@ fn read_after_write_across_submissions() {
 fn write_past_the_end_of_a_buffer() {
     let p = Probe::with(GpuOptions { gpu_assisted: true, ..Probe::options() });
     let mut recorder = p.gpu.recorder("out of bounds");
-    let slices = [
-        Slice::from(&p.counters),
-        Slice::from(&p.a),
-        Slice::from(&p.gpu.buffer("small", 256, Memory::Device).unwrap()),
-    ];
-    recorder.dispatch(&SORT_HISTOGRAM, &[], bytemuck::bytes_of(&PUSH), &slices, Groups::Direct(1)).unwrap();
+    let buffers = SortHistogramBuffers {
+        counters: p.counters.whole(),
+        keys: p.a.whole(),
+        histogram: p.gpu.buffer("small", 256, Memory::Device).unwrap().whole(),
+    };
+    recorder.dispatch(&SORT_HISTOGRAM, (), PUSH, buffers, Groups::Direct(1)).unwrap();
     p.gpu.run(recorder).unwrap();
     p.gpu.wait_idle().unwrap();
     let messages = p.gpu.take_validation_messages();

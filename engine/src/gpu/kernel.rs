@@ -44,17 +44,25 @@ pub struct Binding {
     pub element: Element,
     /// Members, when the element is a struct.
     pub layout: &'static [Field],
+    /// A dispatch may leave it out; the kernel does not touch it then.
+    pub optional: bool,
 }
 
 impl Binding {
     /// A buffer of plain elements.
     pub const fn new(name: &'static str, access: Access, element: Element) -> Self {
-        Self { name, access, element, layout: &[] }
+        Self { name, access, element, layout: &[], optional: false }
     }
 
     /// A buffer that holds one struct.
     pub const fn of_struct(name: &'static str, access: Access, layout: &'static [Field]) -> Self {
-        Self { name, access, element: Element::Struct, layout }
+        Self { name, access, element: Element::Struct, layout, optional: false }
+    }
+
+    /// The same, which a dispatch may leave out.
+    #[must_use]
+    pub const fn optional(self) -> Self {
+        Self { optional: true, ..self }
     }
 }
 
@@ -94,7 +102,7 @@ pub struct TwinCall<'a> {
     pub spec: &'a [u32],
     /// Push constants.
     pub push: &'a [u8],
-    /// One word array per binding.
+    /// One word array per binding; empty where an optional one is absent.
     pub buffers: &'a mut [Vec<u32>],
 }
 
@@ -134,20 +142,4 @@ impl Kernel {
             buffers => (buffers, false),
         }
     }
-}
-
-/// Declares a `#[repr(C)]` plain-data struct shared with GLSL, with its member table in `Self::FIELDS`.
-#[macro_export]
-macro_rules! gpu_struct {
-    ($(#[$meta:meta])* pub struct $name:ident { $($(#[$fmeta:meta])* pub $field:ident : $ty:ty),* $(,)? }) => {
-        $(#[$meta])*
-        #[repr(C)]
-        #[derive(Debug, Clone, Copy, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
-        pub struct $name { $($(#[$fmeta])* pub $field: $ty),* }
-        impl $name {
-            /// Name and byte offset of each member, checked against the SPIR-V.
-            pub const FIELDS: &'static [$crate::gpu::kernel::Field] =
-                &[$((stringify!($field), std::mem::offset_of!($name, $field) as u32)),*];
-        }
-    };
 }

@@ -113,6 +113,11 @@ impl Buffer {
         self.0.memory
     }
 
+    /// All of it.
+    pub fn whole(&self) -> Slice {
+        Slice::from(self)
+    }
+
     /// A range of it; one past the end is cut to the buffer.
     pub fn slice(&self, start: u64, bytes: u64) -> Slice {
         let start = start.min(self.0.bytes);

@@ -16,6 +16,8 @@ mod commands;
 mod device;
 pub mod host;
 mod instance;
+#[doc(hidden)]
+pub mod interface;
 pub mod kernel;
 mod memory;
 #[doc(hidden)]

@@ -6,7 +6,8 @@ use std::fmt::Write as _;
 use super::access::{HazardTracker, Stages, Use};
 use super::commands::Commands;
 use super::device::Gpu;
-use super::kernel::{Access, Kernel};
+use super::interface::{Buffers as _, Constants as _, Interface, KernelOf};
+use super::kernel::{Access, Binding, Kernel};
 use super::memory::{Buffer, Memory, Slice};
 use super::operation::{Grid, Operation, Work};
 use super::sequence::Sequence;
@@ -34,6 +35,8 @@ pub struct Recorder {
     begin_barrier: bool,
     /// Constants that were copied to the device.
     fetched: Vec<u64>,
+    /// Stands in for absent buffers that a kernel could write.
+    absent: Option<Buffer>,
 }
 
 impl std::fmt::Debug for Recorder {
@@ -53,6 +56,7 @@ impl Gpu {
             operations: Vec::new(),
             begin_barrier: true,
             fetched: Vec::new(),
+            absent: None,
         }
     }
 
@@ -137,9 +141,37 @@ impl Recorder {
         self.push(format!("host read {}", buffer.name()), Work::HostRead, uses);
     }
 
-    /// Runs a kernel. `spec` holds the specialisation constants from id 1 on; `buffers` are in binding order. An image that it
-    /// writes, and its push constants then, are given each time that the [`Sequence`] is encoded.
-    pub fn dispatch(
+    /// Runs a kernel with constants, push constants and buffers by name. An image that it writes, and its push constants then,
+    /// are given each time that the [`Sequence`] is encoded.
+    pub fn dispatch<I: Interface>(
+        &mut self,
+        kernel: &'static KernelOf<I>,
+        constants: I::Constants,
+        push: I::Push,
+        buffers: I::Buffers<Slice>,
+        groups: Groups,
+    ) -> Result<()> {
+        self.dispatch_labelled(kernel.name, kernel, constants, push, buffers, groups)
+    }
+
+    /// [`Recorder::dispatch`] with a label of its own in timings and plan (for a kernel that runs several times).
+    pub fn dispatch_labelled<I: Interface>(
+        &mut self,
+        label: &str,
+        kernel: &'static KernelOf<I>,
+        constants: I::Constants,
+        push: I::Push,
+        buffers: I::Buffers<Slice>,
+        groups: Groups,
+    ) -> Result<()> {
+        let (spec, buffers) = (constants.to_words(), buffers.into_list());
+        let to_image = kernel.buffers().1;
+        let push = if to_image { &[] } else { bytemuck::bytes_of(&push) };
+        self.record_dispatch(label, &kernel.kernel, &spec, push, &buffers, groups)
+    }
+
+    /// Runs a kernel. `spec` holds the specialisation constants from id 1 on; `buffers` are in binding order.
+    pub fn dispatch_untyped(
         &mut self,
         kernel: &'static Kernel,
         spec: &[u32],
@@ -147,17 +179,32 @@ impl Recorder {
         buffers: &[Slice],
         groups: Groups,
     ) -> Result<()> {
-        self.dispatch_labelled(kernel.name, kernel, spec, push, buffers, groups)
+        self.dispatch_untyped_labelled(kernel.name, kernel, spec, push, buffers, groups)
     }
 
-    /// [`Recorder::dispatch`] with a label of its own in timings and plan (for a kernel that runs several times).
-    pub fn dispatch_labelled(
+    /// See [`Recorder::dispatch_labelled`].
+    pub fn dispatch_untyped_labelled(
         &mut self,
         label: &str,
         kernel: &'static Kernel,
         spec: &[u32],
         push: &[u8],
         buffers: &[Slice],
+        groups: Groups,
+    ) -> Result<()> {
+        let buffers: Vec<Option<Slice>> = buffers.iter().cloned().map(Some).collect();
+        self.record_dispatch(label, kernel, spec, push, &buffers, groups)
+    }
+
+    /// What all kinds of dispatch come to. Of what is absent the watch, the barriers and the checks know nothing but that a
+    /// kernel could write to its stand-in.
+    pub(in crate::gpu) fn record_dispatch(
+        &mut self,
+        label: &str,
+        kernel: &'static Kernel,
+        spec: &[u32],
+        push: &[u8],
+        buffers: &[Option<Slice>],
         groups: Groups,
     ) -> Result<()> {
         let fail = |why: String| Err(Error::Kernel { kernel: kernel.name.into(), why });
@@ -169,8 +216,9 @@ impl Recorder {
         if push.len() != push_bytes as usize {
             return fail(format!("{} bytes of push constants given, {push_bytes} expected", push.len()));
         }
+        let slices = self.with_stand_ins(kernel, buffers)?;
         let mut uses = Vec::with_capacity(buffers.len() + 1);
-        for (slice, binding) in buffers.iter().zip(bindings) {
+        for (slice, binding) in buffers.iter().zip(bindings).filter_map(|(slice, b)| Some((slice.as_ref()?, b))) {
             self.check_binding(slice, binding.name, kernel)?;
             uses.push(access(slice, Stages::COMPUTE, binding.access != Access::Read));
         }
@@ -181,6 +229,9 @@ impl Recorder {
             if clash {
                 return fail(format!("`{}` is bound twice and written", u.name));
             }
+        }
+        if let Some(absent) = slices.iter().find(|s| self.absent.as_ref().is_some_and(|a| a.id() == s.buffer.id())) {
+            uses.push(access(absent, Stages::COMPUTE, true));
         }
         let grid = match groups {
             Groups::Direct(count) => Grid::Direct(self.fold(kernel, count)?),
@@ -193,17 +244,47 @@ impl Recorder {
             }
         };
         let pipeline = self.gpu.pipeline(kernel, spec)?;
-        self.fetch_constants(buffers)?;
+        self.fetch_constants(&slices)?;
         // A host's image cannot be looked into.
         let watch = self.gpu.1.clone().filter(|_| !to_image);
         let gpu = self.gpu.clone();
         let before = watch.as_ref().map(|w| w.before(&gpu, self, kernel, buffers, &grid)).transpose()?;
-        let work = Work::Dispatch { kernel, pipeline, push: push.to_vec(), slices: buffers.to_vec(), grid, to_image };
+        let work = Work::Dispatch { kernel, pipeline, push: push.to_vec(), slices, grid, to_image };
         self.push(label.to_owned(), work, uses);
         match (watch, before) {
             (Some(watch), Some(before)) => watch.after(&gpu, self, (label, kernel), (spec, push), buffers, before),
             _ => Ok(()),
         }
+    }
+
+    /// A descriptor needs a buffer: one that the kernel only reads stands in for an absent one that it would only read, one of
+    /// the recording's own for those that it could write.
+    fn with_stand_ins(&mut self, kernel: &Kernel, buffers: &[Option<Slice>]) -> Result<Vec<Slice>> {
+        let read =
+            |(slice, binding): (&Option<Slice>, &Binding)| slice.clone().filter(|_| binding.access == Access::Read);
+        let stand_in = buffers.iter().zip(kernel.bindings).find_map(read);
+        let mut slices = Vec::with_capacity(buffers.len());
+        for (slice, binding) in buffers.iter().zip(kernel.bindings) {
+            slices.push(match (slice, &stand_in) {
+                (Some(slice), _) => slice.clone(),
+                (None, _) if !binding.optional => {
+                    let why = format!("no `{}` given", binding.name);
+                    return Err(Error::Kernel { kernel: kernel.name.into(), why });
+                }
+                (None, Some(stand_in)) if binding.access == Access::Read => stand_in.clone(),
+                _ => Slice::from(&self.absent()?),
+            });
+        }
+        Ok(slices)
+    }
+
+    fn absent(&mut self) -> Result<Buffer> {
+        if let Some(absent) = &self.absent {
+            return Ok(absent.clone());
+        }
+        let absent = self.gpu.buffer("absent", SLICE_ALIGNMENT, Memory::Device)?;
+        self.absent = Some(absent.clone());
+        Ok(absent)
     }
 
     /// Copies to the device what the host has written elsewhere of these buffers, once in a recording.

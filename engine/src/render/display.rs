@@ -165,7 +165,7 @@ impl Screen {
             let commands = |enlarged: u32| {
                 let mut recorder = self.gpu.recorder("display");
                 let groups = Groups::Direct(pixels.div_ceil(u64::from(DISPLAY_THREADS)));
-                recorder.dispatch(&DISPLAY, &[mode as u32, enlarged], &[], &buffers, groups)?;
+                recorder.dispatch_untyped(&DISPLAY, &[mode as u32, enlarged], &[], &buffers, groups)?;
                 recorder.finish()
             };
             slots.push((display.clone(), [commands(0)?, commands(1)?]));

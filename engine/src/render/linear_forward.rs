@@ -60,7 +60,7 @@ pub(crate) fn record(
     buffers: &[Slice; 3],
 ) -> Result<()> {
     let groups = Groups::Direct(product_groups(stage, r.subgroup_size_of(&LINEAR_FORWARD), push.rows, push.outputs, 1));
-    r.dispatch(&LINEAR_FORWARD, &[stage as u32, u32::from(relu)], bytemuck::bytes_of(&push), buffers, groups)
+    r.dispatch_untyped(&LINEAR_FORWARD, &[stage as u32, u32::from(relu)], bytemuck::bytes_of(&push), buffers, groups)
 }
 
 /// Element (row, k) of two matrices side by side, the second from float `input_1_at` on.

@@ -61,6 +61,9 @@ mod renderer;
 pub(crate) mod scene_buffers;
 #[doc(hidden)]
 pub mod sh_storage;
+pub mod sort_histogram;
+pub mod sort_scatter;
+pub mod sort_spine;
 #[cfg(test)]
 mod sort_tests;
 #[doc(hidden)]

@@ -104,7 +104,7 @@ pub fn record(
     let [origin_x, origin_y, origin_z] = origin;
     let push = NonrigidPush { origin_x, origin_y, origin_z };
     let groups = Groups::Direct(gaussians.div_ceil(NONRIGID_GAUSSIANS).into());
-    r.dispatch(&NONRIGID_NETWORK, &specialisation, bytemuck::bytes_of(&push), buffers, groups)
+    r.dispatch_untyped(&NONRIGID_NETWORK, &specialisation, bytemuck::bytes_of(&push), buffers, groups)
 }
 
 fn within(v: [f32; 3]) -> bool {

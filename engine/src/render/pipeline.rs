@@ -15,8 +15,11 @@ use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
 use super::mean_storage;
 use super::nonrigid_network;
 use super::quality::Quality;
-use super::radix_sort::{SORT_SCATTER, SORT_SPINE, SPINE_GROUPS, rank_by_ballot};
+use super::radix_sort::rank_by_ballot;
 use super::scene_buffers::{Poses, SceneBuffers};
+use super::sort_histogram::SORT_HISTOGRAM;
+use super::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
+use super::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
 use super::tiles::{EMIT_TILES, EmitTilesPush, SUM_TILE_COUNTS, SlotBuffers, SumTileCountsPush, TILE_RANGES};
 use super::work_buffers::{DEPTH_KEY_BITS, SortBuffers, WorkBuffers};
 
@@ -85,7 +88,7 @@ pub(crate) fn record_forward(
         let buffers = slices(&[&frame.frame, superpoint_position, weights, &scene.pose]);
         let groups = u64::from(scene.superpoints.div_ceil(DEFORM_NETWORK_SUPERPOINTS));
         let spec = deform_network::spec_constants(*size, scene.fp16_weights);
-        r.dispatch(&DEFORM_NETWORK, &spec, &[], &buffers, Groups::Direct(groups))?;
+        r.dispatch_untyped(&DEFORM_NETWORK, &spec, &[], &buffers, Groups::Direct(groups))?;
     }
     let offset = nonrigid_offset(gpu, r, scene, frame, shape)?;
     deform_project(r, scene, work, frame, offset, &shape.quality)?;
@@ -168,7 +171,7 @@ fn deform_project(
         scene.sh_storage.constant(),
         mean_storage::constant(quality.position),
     ];
-    r.dispatch(&DEFORM_PROJECT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+    r.dispatch_untyped(&DEFORM_PROJECT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
 }
 
 fn compact(
@@ -195,7 +198,7 @@ fn compact(
     let groups = u64::from(scene.gaussians.div_ceil(COMPACT_GAUSSIANS).max(1));
     let bits = if quality.depth_bits < DEPTH_KEY_BITS { quality.depth_bits } else { 0 };
     let spec = [bits, quality.packing_constant()];
-    r.dispatch(&COMPACT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+    r.dispatch_untyped(&COMPACT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
 }
 
 /// All passes of a sort whose first histogram the producer of the keys has counted.
@@ -211,34 +214,25 @@ fn sort(
         let (from, to) = (pass % 2, (pass + 1) % 2);
         let histogram = s.histograms[pass].clone();
         if s.plan.prescanned {
-            let push = s.plan.spine_push(count_word);
-            let buffers = [work.counters.clone(), histogram.clone()];
+            let buffers = SortSpineBuffers { counters: work.counters.clone(), histogram: histogram.clone() };
             let label = format!("sort_spine {what} {pass}");
             let groups = Groups::Direct(SPINE_GROUPS.into());
-            r.dispatch_labelled(&label, &SORT_SPINE, &[], bytemuck::bytes_of(&push), &buffers, groups)?;
+            r.dispatch_labelled(&label, &SORT_SPINE, (), s.plan.spine_push(count_word), buffers, groups)?;
         }
-        // The last pass counts nothing; any other buffer of the right kind stands in for the next histogram.
-        let next = s.histograms.get(pass + 1).cloned().unwrap_or_else(|| work.visible_block.clone());
-        let buffers = [
-            work.counters.clone(),
+        let buffers = SortScatterBuffers {
+            counters: work.counters.clone(),
             histogram,
-            Slice::from(&s.keys[from]),
-            Slice::from(&s.values[from]),
-            Slice::from(&s.keys[to]),
-            Slice::from(&s.values[to]),
-            next,
-        ];
+            keys_in: s.keys[from].whole(),
+            values_in: Some(s.values[from].whole()),
+            keys_out: s.keys[to].whole(),
+            values_out: Some(s.values[to].whole()),
+            next_histogram: s.histograms.get(pass + 1).cloned(),
+        };
         let push = s.plan.scatter_push(pass, count_word);
         let label = format!("sort_scatter {what} {pass}");
         let groups = Groups::Indirect(work.indirect.clone(), u64::from(indirect_word) * 4);
-        r.dispatch_labelled(
-            &label,
-            &SORT_SCATTER,
-            &s.plan.scatter_spec(pass, true, rank_by_ballot(r.subgroup_size_of(&SORT_SCATTER))),
-            bytemuck::bytes_of(&push),
-            &buffers,
-            groups,
-        )?;
+        let constants = s.plan.scatter_constants(pass, true, rank_by_ballot(r.subgroup_size_of(&SORT_SCATTER)));
+        r.dispatch_labelled(&label, &SORT_SCATTER, constants, push, buffers, groups)?;
     }
     Ok(())
 }
@@ -249,7 +243,7 @@ fn emit(r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: &Shap
     let push = SumTileCountsPush { block_capacity: work.block_capacity };
     let buffers =
         [work.counters.clone(), Slice::from(&work.tile_count), Slice::from(order), work.instance_block.clone()];
-    r.dispatch(&SUM_TILE_COUNTS, &[], bytemuck::bytes_of(&push), &buffers, groups())?;
+    r.dispatch_untyped(&SUM_TILE_COUNTS, &[], bytemuck::bytes_of(&push), &buffers, groups())?;
     let unused = |i: u64| work.unused.slice(i * SLICE_ALIGNMENT, SLICE_ALIGNMENT);
     let (gaussian_of_slot, first_slot) = match &shape.slots {
         Some(slots) => (Slice::from(&slots.gaussian_of_slot), Slice::from(&slots.first_slot)),
@@ -271,7 +265,7 @@ fn emit(r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: &Shap
     ];
     let q = &shape.quality;
     let spec = [u32::from(shape.slots.is_some()), q.alpha_cut_constant(), q.cull_constant(), q.packing_constant()];
-    r.dispatch(&EMIT_TILES, &spec, bytemuck::bytes_of(&push), &buffers, groups())
+    r.dispatch_untyped(&EMIT_TILES, &spec, bytemuck::bytes_of(&push), &buffers, groups())
 }
 
 fn ranges_and_blend(
@@ -285,7 +279,7 @@ fn ranges_and_blend(
     let buffers =
         [Slice::from(&frame.frame), work.counters.clone(), Slice::from(&work.tile.keys[sorted]), work.ranges.clone()];
     let groups = Groups::Indirect(work.indirect.clone(), u64::from(INDIRECT_RANGES) * 4);
-    r.dispatch(&TILE_RANGES, &[], &[], &buffers, groups)?;
+    r.dispatch_untyped(&TILE_RANGES, &[], &[], &buffers, groups)?;
     // All kernels that blend have the same.
     let size = gpu.subgroup_size_of(&BLEND);
     let pixels_per_lane = blend::pixels_per_lane(size);
@@ -315,13 +309,13 @@ fn ranges_and_blend(
     if let (true, Some(kernel)) = (shape.to_image, shape.format.and_then(blend_image::kernel_of)) {
         let [frame, ranges, values, splats, _, depth, gaussian_of_slot] = buffers;
         let buffers = [frame, ranges, values, splats, depth, gaussian_of_slot];
-        return r.dispatch(kernel, &spec, &[], &buffers, groups);
+        return r.dispatch_untyped(kernel, &spec, &[], &buffers, groups);
     }
     match shape.format {
-        None | Some(PixelFormat::Rgba32F) => r.dispatch(&BLEND, &spec, &[], &buffers, groups),
+        None | Some(PixelFormat::Rgba32F) => r.dispatch_untyped(&BLEND, &spec, &[], &buffers, groups),
         Some(format) => {
             let [a, b, c, d, e, f, g] = spec;
-            r.dispatch(&BLEND_PACKED, &[a, b, c, d, e, f, g, format as u32], &[], &buffers, groups)
+            r.dispatch_untyped(&BLEND_PACKED, &[a, b, c, d, e, f, g, format as u32], &[], &buffers, groups)
         }
     }
 }
@@ -341,9 +335,9 @@ pub static KERNELS: &[&Kernel] = &[
     &super::field::FIELD_NODES,
     &DEFORM_PROJECT,
     &COMPACT,
-    &super::radix_sort::SORT_HISTOGRAM,
-    &SORT_SPINE,
-    &SORT_SCATTER,
+    &SORT_HISTOGRAM.kernel,
+    &SORT_SPINE.kernel,
+    &SORT_SCATTER.kernel,
     &SUM_TILE_COUNTS,
     &EMIT_TILES,
     &TILE_RANGES,

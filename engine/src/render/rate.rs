@@ -88,7 +88,7 @@ fn timed(gpu: &Gpu, groups: u32) -> Result<f64> {
     let push = ArithmeticRatePush { count, rounds: MAX_ROUNDS };
     let mut r = gpu.recorder("arithmetic rate").with_timestamps(true);
     let groups = Groups::Direct(groups.into());
-    r.dispatch(&ARITHMETIC_RATE, &[], bytemuck::bytes_of(&push), &[Slice::from(&sums)], groups)?;
+    r.dispatch_untyped(&ARITHMETIC_RATE, &[], bytemuck::bytes_of(&push), &[Slice::from(&sums)], groups)?;
     let mut commands = r.finish()?;
     let mut best = f64::INFINITY;
     for _ in 0..RUNS {

@@ -4,6 +4,9 @@
 
 use super::limits::*;
 use super::radix_sort::*;
+use super::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers};
+use super::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
+use super::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
 use crate::gpu::kernel::{Kernel, TwinCall};
 
 /// Counts around every boundary of subgroup, workgroup, block and partition.
@@ -43,24 +46,29 @@ pub(super) fn sort_by_twins(
     let counters = vec![POISON, n];
     let rows = plan.histogram_rows() as usize * SORT_DIGITS as usize;
     let mut histogram = first_histogram.unwrap_or_else(|| {
-        let mut buffers = [counters.clone(), keys.to_vec(), vec![POISON; rows]];
-        call(&SORT_HISTOGRAM, &[], bytemuck::bytes_of(&plan.histogram_push(1)), plan.partitions, &mut buffers);
-        let [_, _, histogram] = buffers;
-        histogram
+        let buffers =
+            SortHistogramBuffers { counters: counters.clone(), keys: keys.to_vec(), histogram: vec![POISON; rows] };
+        SORT_HISTOGRAM.run_twin(32, (), plan.histogram_push(1), buffers, plan.partitions).histogram
     });
     let (mut keys, mut moved) = (keys.to_vec(), values.unwrap_or_default().to_vec());
     for pass in 0..plan.digits.len() {
         if plan.prescanned {
-            let mut buffers = [counters.clone(), histogram];
-            call(&SORT_SPINE, &[], bytemuck::bytes_of(&plan.spine_push(1)), SPINE_GROUPS, &mut buffers);
-            [_, histogram] = buffers;
+            let buffers = SortSpineBuffers { counters: counters.clone(), histogram };
+            histogram = SORT_SPINE.run_twin(32, (), plan.spine_push(1), buffers, SPINE_GROUPS).histogram;
         }
-        let spec = plan.scatter_spec(pass, values.is_some(), false);
-        let push = plan.scatter_push(pass, 1);
-        let (keys_out, values_out) = (vec![POISON; keys.len()], vec![POISON; moved.len()]);
-        let mut buffers = [counters.clone(), histogram, keys, moved, keys_out, values_out, vec![0; rows]];
-        call(&SORT_SCATTER, &spec, bytemuck::bytes_of(&push), plan.partitions + 1, &mut buffers);
-        [_, _, _, _, keys, moved, histogram] = buffers;
+        let constants = plan.scatter_constants(pass, values.is_some(), false);
+        let buffers = SortScatterBuffers {
+            counters: counters.clone(),
+            histogram,
+            keys_out: vec![POISON; keys.len()],
+            values_out: values.map(|_| vec![POISON; moved.len()]),
+            keys_in: keys,
+            values_in: values.map(|_| moved),
+            next_histogram: Some(vec![0; rows]),
+        };
+        let done = SORT_SCATTER.run_twin(32, constants, plan.scatter_push(pass, 1), buffers, plan.partitions + 1);
+        (keys, moved) = (done.keys_out, done.values_out.unwrap_or_default());
+        histogram = done.next_histogram.unwrap();
     }
     (keys, moved)
 }

@@ -2,10 +2,13 @@
 
 use super::subgroup_order;
 use crate::error::{Error, Result};
-use crate::gpu::kernel::{Kernel, TwinCall};
+use crate::gpu::kernel::Kernel;
 use crate::gpu::proof::{KernelCase, POISON};
 use crate::gpu::{Gpu, Memory};
-use crate::render::radix_sort::{SORT_HISTOGRAM, SORT_SCATTER, SORT_SPINE, SPINE_GROUPS, SortPlan, rank_by_ballot};
+use crate::render::radix_sort::{SortPlan, rank_by_ballot};
+use crate::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers};
+use crate::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
+use crate::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
 use crate::scene::synthetic::Random;
 
 /// Keys of the sort: two partitions, the second one hardly begun.
@@ -75,39 +78,35 @@ fn sort_cases(gpu: &Gpu, prescanned: bool) -> Result<Vec<KernelCase>> {
     let rows = plan.histogram_rows() as usize * 256;
     let counters = vec![0, 0, KEYS, 0, 0, 0, 0, 0];
     let mut cases = Vec::new();
-    let mut step = |kernel: &'static Kernel, spec: Vec<u32>, push: &[u8], buffers: Vec<Vec<u32>>, groups: u32| {
-        let case = KernelCase { kernel, spec, push: push.to_vec(), buffers: buffers.clone(), groups };
-        let after = twin_of(gpu, &case, buffers);
-        cases.push(case);
-        after
-    };
+    let lanes = |kernel: &Kernel| gpu.subgroup_size_of(kernel);
     let push = plan.histogram_push(COUNT_WORD);
-    let buffers = vec![counters.clone(), keys.clone(), vec![0; rows]];
-    let mut histogram =
-        step(&SORT_HISTOGRAM, Vec::new(), bytemuck::bytes_of(&push), buffers, plan.partitions).swap_remove(2);
+    let buffers = SortHistogramBuffers { counters: counters.clone(), keys: keys.clone(), histogram: vec![0; rows] };
+    cases.push(KernelCase::new(&SORT_HISTOGRAM, (), push, buffers.clone(), plan.partitions));
+    let mut histogram = SORT_HISTOGRAM.run_twin(lanes(&SORT_HISTOGRAM), (), push, buffers, plan.partitions).histogram;
     for pass in 0..plan.digits.len() {
         if prescanned {
             let push = plan.spine_push(COUNT_WORD);
-            let buffers = vec![counters.clone(), histogram];
-            histogram = step(&SORT_SPINE, Vec::new(), bytemuck::bytes_of(&push), buffers, SPINE_GROUPS).swap_remove(1);
+            let buffers = SortSpineBuffers { counters: counters.clone(), histogram };
+            cases.push(KernelCase::new(&SORT_SPINE, (), push, buffers.clone(), SPINE_GROUPS));
+            histogram = SORT_SPINE.run_twin(lanes(&SORT_SPINE), (), push, buffers, SPINE_GROUPS).histogram;
         }
-        let spec = plan.scatter_spec(pass, true, rank_by_ballot(gpu.subgroup_size_of(&SORT_SCATTER))).to_vec();
+        let constants = plan.scatter_constants(pass, true, rank_by_ballot(lanes(&SORT_SCATTER)));
         let push = plan.scatter_push(pass, COUNT_WORD);
         let out = vec![0; KEYS as usize];
-        let buffers = vec![counters.clone(), histogram, keys, values, out.clone(), out, vec![0; rows]];
-        let mut after = step(&SORT_SCATTER, spec, bytemuck::bytes_of(&push), buffers, plan.partitions);
-        histogram = after.swap_remove(6);
-        values = after.swap_remove(5);
-        keys = after.swap_remove(4);
+        let buffers = SortScatterBuffers {
+            counters: counters.clone(),
+            histogram,
+            keys_in: keys,
+            values_in: Some(values),
+            keys_out: out.clone(),
+            values_out: Some(out),
+            next_histogram: Some(vec![0; rows]),
+        };
+        cases.push(KernelCase::new(&SORT_SCATTER, constants, push, buffers.clone(), plan.partitions));
+        let after = SORT_SCATTER.run_twin(lanes(&SORT_SCATTER), constants, push, buffers, plan.partitions);
+        histogram = after.next_histogram.unwrap_or_default();
+        values = after.values_out.unwrap_or_default();
+        keys = after.keys_out;
     }
     Ok(cases)
-}
-
-/// What the twin makes of a case's buffers.
-fn twin_of(gpu: &Gpu, case: &KernelCase, mut buffers: Vec<Vec<u32>>) -> Vec<Vec<u32>> {
-    let mut spec = vec![gpu.subgroup_size_of(case.kernel)];
-    spec.extend(&case.spec);
-    let mut call = TwinCall { groups: [case.groups, 1, 1], spec: &spec, push: &case.push, buffers: &mut buffers };
-    (case.kernel.twin)(&mut call);
-    buffers
 }

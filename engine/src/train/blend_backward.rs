@@ -261,7 +261,7 @@ pub fn record(
         rows.clone(),
     ];
     let spec = spec(accumulation, Stage::of_device(gpu), size, subtiles);
-    r.dispatch(kernel, &spec, &[], &buffers, Groups::Direct(groups(input.tiles, size, subtiles)))?;
+    r.dispatch_untyped(kernel, &spec, &[], &buffers, Groups::Direct(groups(input.tiles, size, subtiles)))?;
     if let BackwardTarget::Instances(slots, rows) = target {
         let push = SumInstanceGradientsPush { gaussians: input.gaussians };
         let buffers = [
@@ -272,7 +272,7 @@ pub fn record(
             splat_gradient.clone(),
         ];
         let groups = (u64::from(input.gaussians) * ROW_PARTS).div_ceil(256).max(1);
-        r.dispatch(&SUM_INSTANCE_GRADIENTS, &[], bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))?;
+        r.dispatch_untyped(&SUM_INSTANCE_GRADIENTS, &[], bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))?;
     }
     Ok(())
 }

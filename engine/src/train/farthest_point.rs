@@ -131,7 +131,7 @@ impl FarthestPoint {
                 position.clone(),
             ];
             let groups = Groups::Direct(groups.into());
-            r.dispatch(&FARTHEST_POINT, &[], bytemuck::bytes_of(&push), &buffers, groups)?;
+            r.dispatch_untyped(&FARTHEST_POINT, &[], bytemuck::bytes_of(&push), &buffers, groups)?;
         }
         Ok(())
     }

@@ -63,7 +63,7 @@ pub fn check_finite(gpu: &Gpu, buffers: &[(&str, Slice, u32)]) -> Result<()> {
         let bound = [values, found.slice(start, 8)];
         let push = CheckFinitePush { count: *words };
         let groups = Groups::Direct(words.div_ceil(CHECK_FINITE_FLOATS).into());
-        r.dispatch(&CHECK_FINITE, &[], bytemuck::bytes_of(&push), &bound, groups)?;
+        r.dispatch_untyped(&CHECK_FINITE, &[], bytemuck::bytes_of(&push), &bound, groups)?;
     }
     if r.is_empty() {
         return Ok(());

@@ -193,7 +193,7 @@ impl Run<'_> {
         let motion = if scene.moves() { MOTION_TABLE } else { MOTION_STATIC };
         let spec = [scene.sh_degree, motion, 0, OUTPUT_GRADIENT, 0];
         let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
-        r.dispatch(&DEFORM_PROJECT_BACKWARD, &spec, &[], &slices, Groups::Direct(groups))?;
+        r.dispatch_untyped(&DEFORM_PROJECT_BACKWARD, &spec, &[], &slices, Groups::Direct(groups))?;
         gpu.run(r)?;
 
         let counters = words(gpu, &work.counters)?;

@@ -97,7 +97,7 @@ impl ImageLoss {
         let slices = |list: &[&Buffer]| list.iter().map(|b| Slice::from(*b)).collect::<Vec<_>>();
         if self.with_ssim {
             let buffers = slices(&[b.frame, b.color, b.target, &self.ssim_maps, &self.loss_partial]);
-            r.dispatch(&SSIM_FORWARD, &[format], &[], &buffers, grid.clone())?;
+            r.dispatch_untyped(&SSIM_FORWARD, &[format], &[], &buffers, grid.clone())?;
         }
         let buffers = slices(&[
             b.frame,
@@ -109,9 +109,9 @@ impl ImageLoss {
             &self.loss_partial,
             b.status,
         ]);
-        r.dispatch(&IMAGE_LOSS, &[format, with_ssim], &[], &buffers, grid)?;
+        r.dispatch_untyped(&IMAGE_LOSS, &[format, with_ssim], &[], &buffers, grid)?;
         let buffers = slices(&[b.frame, b.step, &self.loss_partial, b.loss]);
-        r.dispatch(&IMAGE_LOSS_SUM, &[with_ssim], &[], &buffers, Groups::Direct(1))
+        r.dispatch_untyped(&IMAGE_LOSS_SUM, &[with_ssim], &[], &buffers, Groups::Direct(1))
     }
 
     /// Bytes on the device.

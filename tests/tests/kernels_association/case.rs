@@ -14,7 +14,7 @@ use engine::train::property_loss::residual::*;
 use engine::train::status;
 use engine::train::step::{Step, bias_corrections};
 use glam::DVec3;
-use tests_harness::{KernelCase, TestGpu};
+use tests_harness::{TestGpu, UntypedCase};
 
 pub struct Rng(pub u64);
 
@@ -65,7 +65,7 @@ pub fn run(
     buffers: Vec<Vec<u32>>,
     groups: u32,
 ) -> Vec<Vec<u32>> {
-    let case = KernelCase { kernel, spec: spec.to_vec(), push: push.to_vec(), buffers, groups };
+    let case = UntypedCase { kernel, spec: spec.to_vec(), push: push.to_vec(), buffers, groups };
     let result = case.run(gpu);
     result.assert_equal(kernel, &format!("{groups} groups, spec {spec:?}"));
     result.gpu

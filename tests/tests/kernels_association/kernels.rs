@@ -7,7 +7,7 @@ use engine::train::farthest_point::*;
 use engine::train::property_loss::PropertyLoss;
 use engine::train::property_loss::residual::PROPERTY_TOTAL;
 use engine::train::step::bias_corrections;
-use tests_harness::{KernelCase, gpu};
+use tests_harness::{UntypedCase, gpu};
 
 #[test]
 fn every_kernel_agrees_with_its_twin() {
@@ -93,7 +93,7 @@ fn one_round_agrees_with_its_twin_even_on_poison() {
             vec![0; 3],
             vec![0; 9],
         ];
-        let case = KernelCase {
+        let case = UntypedCase {
             kernel: &FARTHEST_POINT,
             spec: vec![],
             push: bytemuck::bytes_of(&push).to_vec(),
@@ -112,7 +112,7 @@ fn totals_of_the_losses_agree_with_their_twin() {
         let case = Case::new(n, 3, 3, 4, 1);
         let partial = bits((0..4 * n.div_ceil(256)).map(|_| rng.signed().abs()));
         let buffers = vec![case.step_words(), partial, vec![0; 4]];
-        let case = KernelCase { kernel: &PROPERTY_TOTAL, spec: vec![], push: vec![], buffers, groups: 1 };
+        let case = UntypedCase { kernel: &PROPERTY_TOTAL, spec: vec![], push: vec![], buffers, groups: 1 };
         case.run(&gpu).assert_equal(&PROPERTY_TOTAL, &format!("{n} Gaussians"));
     }
 }

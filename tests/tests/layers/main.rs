@@ -27,8 +27,15 @@ const LAYERS: &[&[&str]] = &[
     &["self_test"],
 ];
 /// Names that the crate root re-exports, and where they live.
-const ROOT_NAMES: &[(&str, &str)] =
-    &[("Error", "error"), ("Result", "error"), ("gpu_struct", "gpu"), ("kernels", "self_test")];
+const ROOT_NAMES: &[(&str, &str)] = &[
+    ("Error", "error"),
+    ("Result", "error"),
+    ("gpu_buffers", "gpu"),
+    ("gpu_constants", "gpu"),
+    ("gpu_struct", "gpu"),
+    ("kernel", "gpu"),
+    ("kernels", "self_test"),
+];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
@@ -220,24 +227,22 @@ fn files_and_functions_stay_readable() {
 #[test]
 fn shaders_spirv_and_rust_have_the_same_names() {
     let root = root();
-    let glsl: BTreeSet<String> = std::fs::read_dir(root.join("glsl"))
-        .unwrap()
-        .map(|e| e.unwrap().path())
-        .filter(|p| p.extension().is_some_and(|e| e == "comp"))
-        .map(|p| p.file_stem().unwrap().to_string_lossy().into_owned())
-        .collect();
+    let shaders = files(&root.join("glsl"), "comp");
+    let glsl: BTreeSet<String> =
+        shaders.iter().map(|p| p.file_stem().unwrap().to_string_lossy().into_owned()).collect();
+    assert_eq!(glsl.len(), shaders.len(), "two shaders of one name");
     assert!(!glsl.is_empty());
     // The shaders of the one graphics pipeline keep their stage in the name.
     let painter = ["painter.frag", "painter.vert"].map(str::to_owned);
     let compiled: BTreeSet<String> = glsl.iter().cloned().chain(painter).collect();
-    assert_eq!(compiled, stems("spirv_cache", "spv"), "glsl/*.comp and spirv_cache/*.spv");
+    assert_eq!(compiled, stems("spirv_cache", "spv"), "glsl/*/*.comp and spirv_cache/*.spv");
     let rust: String =
         files(&root.join("engine/src"), "rs").iter().map(|f| std::fs::read_to_string(f).unwrap()).collect();
     for name in &glsl {
-        let include = format!("spirv_cache/{name}.spv");
-        assert!(rust.contains(&include), "{include} is embedded nowhere in engine/src");
-        let declared = format!("static {}: Kernel", name.to_uppercase());
+        let declared = format!("static {}: ", name.to_uppercase());
         assert!(rust.contains(&declared), "no `{declared}` in engine/src");
+        let named = format!("name: \"{name}\"");
+        assert!(rust.contains(&named), "no `{named}` in engine/src");
     }
 }
 

@@ -1,10 +1,12 @@
 //! Faults planted in the SPIR-V of real kernels are found: a barrier removed, a bound off by one.
 
 use engine::gpu::kernel::Kernel;
-use engine::render::radix_sort::{SORT_HISTOGRAM, SORT_SCATTER, SortPlan};
+use engine::render::radix_sort::SortPlan;
+use engine::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers};
+use engine::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
 use engine::train::density::{DENSITY_SCAN, ScanPush};
-use tests_harness::KernelCase;
 use tests_harness::model::{self, ModelError, Options, Program, instructions};
+use tests_harness::{KernelCase, UntypedCase};
 
 const NOP: u32 = 0x0001_0000;
 const CONTROL_BARRIER: u32 = 224;
@@ -17,7 +19,7 @@ fn places(words: &[u32], opcode: u32) -> Vec<usize> {
 }
 
 /// The first error of a kernel with other words, over several orders; and whether a result without one was wrong.
-fn found(case: &KernelCase, words: &[u32], lanes: u32, right: &[Vec<u32>]) -> Result<(), String> {
+fn found(case: &UntypedCase, words: &[u32], lanes: u32, right: &[Vec<u32>]) -> Result<(), String> {
     let program = Program::new(words, &[&[lanes], &case.spec[..]].concat()).unwrap();
     for seed in 0..6 {
         match model::run_program(&program, case, &Options::new(lanes, seed)) {
@@ -30,7 +32,7 @@ fn found(case: &KernelCase, words: &[u32], lanes: u32, right: &[Vec<u32>]) -> Re
 }
 
 /// What is found when each barrier of the kernel is removed in turn.
-fn without_each_barrier(case: &KernelCase, lanes: u32) -> Vec<Option<String>> {
+fn without_each_barrier(case: &UntypedCase, lanes: u32) -> Vec<Option<String>> {
     let words = engine::gpu::spirv::words(case.kernel).unwrap();
     let right = model::run(case, &Options::new(lanes, 0));
     assert_eq!(found(case, &words, lanes, &right), Ok(()), "{} as it is", case.kernel.name);
@@ -42,34 +44,34 @@ fn without_each_barrier(case: &KernelCase, lanes: u32) -> Vec<Option<String>> {
     places(&words, CONTROL_BARRIER).into_iter().map(removed).collect()
 }
 
-fn sort_case() -> KernelCase {
+fn sort_case() -> UntypedCase {
     let n = 5000_u32;
     let keys: Vec<u32> = (0..n).map(|i| i.wrapping_mul(2_654_435_761) >> 3).collect();
     let plan = SortPlan::new(n, 32).unwrap();
     let counters = vec![0, 0, n, 0, 0, 0, 0, 0];
     let rows = plan.histogram_rows() as usize * 256;
-    let histogram = KernelCase {
-        kernel: &SORT_HISTOGRAM,
-        spec: vec![],
-        push: bytemuck::bytes_of(&plan.histogram_push(2)).to_vec(),
-        buffers: vec![counters.clone(), keys.clone(), vec![0; rows]],
-        groups: plan.partitions,
-    };
-    let histogram = model::run(&histogram, &Options::new(32, 0)).swap_remove(2);
+    let buffers = SortHistogramBuffers { counters: counters.clone(), keys: keys.clone(), histogram: vec![0; rows] };
+    let push = plan.histogram_push(2);
+    let histogram = KernelCase { kernel: &SORT_HISTOGRAM, constants: (), push, buffers, groups: plan.partitions };
+    let histogram = histogram.run_model(&Options::new(32, 0)).gpu.histogram;
     let out = vec![0; n as usize];
-    KernelCase {
-        kernel: &SORT_SCATTER,
-        spec: plan.scatter_spec(0, true, true).to_vec(),
-        push: bytemuck::bytes_of(&plan.scatter_push(0, 2)).to_vec(),
-        buffers: vec![counters, histogram, keys.clone(), keys, out.clone(), out, vec![0; rows]],
-        groups: plan.partitions,
-    }
+    let buffers = SortScatterBuffers {
+        counters,
+        histogram,
+        keys_in: keys.clone(),
+        values_in: Some(keys),
+        keys_out: out.clone(),
+        values_out: Some(out),
+        next_histogram: Some(vec![0; rows]),
+    };
+    let (constants, push) = (plan.scatter_constants(0, true, true), plan.scatter_push(0, 2));
+    KernelCase { kernel: &SORT_SCATTER, constants, push, buffers, groups: plan.partitions }.into()
 }
 
 /// Two rounds of 256 blocks: `workgroup_exclusive_add` is called again while its totals may still be read.
-fn scan_case() -> KernelCase {
+fn scan_case() -> UntypedCase {
     let push = ScanPush { blocks: 600 };
-    KernelCase {
+    UntypedCase {
         kernel: &DENSITY_SCAN,
         spec: vec![],
         push: bytemuck::bytes_of(&push).to_vec(),
@@ -107,7 +109,7 @@ fn a_bound_that_is_off_by_one_is_found() {
     let kernel: &'static Kernel = &SORT_HISTOGRAM;
     let n = 5000_u32;
     let plan = SortPlan::new(n, 32).unwrap();
-    let case = KernelCase {
+    let case = UntypedCase {
         kernel,
         spec: vec![],
         push: bytemuck::bytes_of(&plan.histogram_push(2)).to_vec(),

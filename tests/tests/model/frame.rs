@@ -1,6 +1,7 @@
 //! A whole small frame on the model, the output of one kernel as the input of the next, against the twins and the f64
 //! reference.
 
+use engine::gpu::interface::Interface;
 use engine::gpu::kernel::Kernel;
 use engine::image::difference;
 use engine::reference::{self, ReferenceOptions};
@@ -10,22 +11,31 @@ use engine::render::compact::*;
 use engine::render::deform_project::DeformProjectPush;
 use engine::render::frame::Frame;
 use engine::render::radix_sort::*;
+use engine::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
+use engine::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
 use engine::render::tiles::*;
 use engine::scene::Camera;
 use tests_harness::KernelCase;
+use tests_harness::UntypedCase;
 use tests_harness::model::{self, Options};
 use tests_harness::render_case::{RenderInput, test_camera};
 
 /// A kernel on the model, compared with its twin.
-fn run(options: &Options, case: KernelCase) -> Vec<Vec<u32>> {
+fn run(options: &Options, case: UntypedCase) -> Vec<Vec<u32>> {
     let kernel: &'static Kernel = case.kernel;
     let result = case.run_model(options);
     result.assert_equal(kernel, &format!("{options:?}"));
     result.gpu
 }
 
-fn case(kernel: &'static Kernel, spec: &[u32], push: &[u8], buffers: Vec<Vec<u32>>, groups: u32) -> KernelCase {
-    KernelCase { kernel, spec: spec.to_vec(), push: push.to_vec(), buffers, groups: groups.max(1) }
+fn case(kernel: &'static Kernel, spec: &[u32], push: &[u8], buffers: Vec<Vec<u32>>, groups: u32) -> UntypedCase {
+    UntypedCase { kernel, spec: spec.to_vec(), push: push.to_vec(), buffers, groups: groups.max(1) }
+}
+
+fn check<I: Interface>(options: &Options, case: KernelCase<I>) -> I::Buffers<Vec<u32>> {
+    let result = case.run_model(options);
+    result.assert_equal(&format!("{options:?}"));
+    result.gpu
 }
 
 /// Keys and values after all passes.
@@ -39,19 +49,28 @@ fn sort(
 ) -> [Vec<u32>; 2] {
     for pass in 0..plan.digits.len() {
         if plan.prescanned {
+            let buffers = SortSpineBuffers { counters: counters.to_vec(), histogram };
             let push = plan.spine_push(count_word);
-            let buffers = vec![counters.to_vec(), histogram];
-            let done = run(options, case(&SORT_SPINE, &[], bytemuck::bytes_of(&push), buffers, SPINE_GROUPS));
-            histogram = done.into_iter().nth(1).unwrap();
+            let case = KernelCase { kernel: &SORT_SPINE, constants: (), push, buffers, groups: SPINE_GROUPS };
+            histogram = check(options, case).histogram;
         }
-        let push = plan.scatter_push(pass, count_word);
-        let (out, next) = (vec![0; keys.len()], vec![0; histogram.len()]);
-        let buffers = vec![counters.to_vec(), histogram, keys, values, out.clone(), out, next];
-        let spec = plan.scatter_spec(pass, true, rank_by_ballot(options.lanes));
-        let mut done = run(options, case(&SORT_SCATTER, &spec, bytemuck::bytes_of(&push), buffers, groups));
-        histogram = done.swap_remove(6);
-        values = done.swap_remove(5);
-        keys = done.swap_remove(4);
+        let rows = histogram.len();
+        let buffers = SortScatterBuffers {
+            counters: counters.to_vec(),
+            histogram,
+            keys_out: vec![0; keys.len()],
+            values_out: Some(vec![0; keys.len()]),
+            keys_in: keys,
+            values_in: Some(values),
+            next_histogram: (pass + 1 < plan.digits.len()).then(|| vec![0; rows]),
+        };
+        let constants = plan.scatter_constants(pass, true, rank_by_ballot(options.lanes));
+        let (push, groups) = (plan.scatter_push(pass, count_word), groups.max(1));
+        let case = KernelCase { kernel: &SORT_SCATTER, constants, push, buffers, groups };
+        let done = check(options, case);
+        histogram = done.next_histogram.unwrap_or_default();
+        values = done.values_out.unwrap();
+        keys = done.keys_out;
     }
     [keys, values]
 }
@@ -132,7 +151,7 @@ fn blend_case(
     stage: Stage,
     lists: &[Vec<u32>; 4],
     frame: &Frame,
-) -> KernelCase {
+) -> UntypedCase {
     let per_lane = blend::pixels_per_lane(options.lanes);
     let mut buffers = lists.to_vec();
     let pixels = frame.pixels();

@@ -1,4 +1,4 @@
-//! `spgs-dev spirv`: compiles `glsl/*.comp` (and `painter.vert`, `painter.frag`) to `spirv_cache/*.spv` with shaderc and keeps a manifest of hashes, so that
+//! `spgs-dev spirv`: compiles `glsl/*/*.comp` (and `painter.vert`, `painter.frag`) to `spirv_cache/*.spv` with shaderc and keeps a manifest of hashes, so that
 //! users need no shader compiler and CI can prove that what is committed is fresh.
 //!
 //! SPIR-V 1.5 for Vulkan 1.2, not optimised (drivers do that) and without debug information: the dialect that naga reads.
@@ -74,7 +74,7 @@ pub fn write(root: &Path) -> Result<Outcome> {
     for name in orphans(&cache, &kernels)? {
         let path = cache.join(format!("{name}.spv"));
         std::fs::remove_file(&path).map_err(|e| Error::io(&path, "remove", e))?;
-        outcome.lines.push(format!("{name}: removed, no glsl/{name}.comp"));
+        outcome.lines.push(format!("{name}: removed, no {name}.comp in a folder of glsl"));
     }
     outcome.kernels = kernels.len();
     let manifest = Manifest { compiler: compiler.version, flags: flags(), kernels };
@@ -117,7 +117,7 @@ pub fn check(root: &Path) -> Result<Outcome> {
         }
     }
     for name in manifest.kernels.keys().filter(|n| !sources.iter().any(|(s, _)| s == *n)) {
-        outcome.stale(format!("{name}: in the manifest, but there is no glsl/{name}.comp"));
+        outcome.stale(format!("{name}: in the manifest, but there is no {name}.comp in a folder of glsl"));
     }
     for name in orphans(&cache, &manifest.kernels)? {
         outcome.stale(format!("{name}: spirv_cache/{name}.spv is not in the manifest"));
@@ -161,13 +161,21 @@ pub fn read_manifest(path: &Path) -> Result<Manifest> {
     })
 }
 
-/// Name and path of every `glsl/*.comp`, sorted.
+/// Name and path of every `glsl/*/*.comp`, sorted by name.
 /// Kernels by their stem, the shaders of the graphics pipeline by their whole name.
 fn sources(root: &Path) -> Result<Vec<(String, PathBuf)>> {
-    let folder = root.join("glsl");
-    let mut found = stems(&folder, "comp")?;
-    for stage in ["vert", "frag"] {
-        found.extend(stems(&folder, stage)?.into_iter().map(|(stem, path)| (format!("{stem}.{stage}"), path)));
+    let glsl = root.join("glsl");
+    let entries = std::fs::read_dir(&glsl).map_err(|e| Error::io(&glsl, "list", e))?;
+    let mut found = Vec::new();
+    for entry in entries {
+        let folder = entry.map_err(|e| Error::io(&glsl, "list", e))?.path();
+        if !folder.is_dir() {
+            continue;
+        }
+        found.extend(stems(&folder, "comp")?);
+        for stage in ["vert", "frag"] {
+            found.extend(stems(&folder, stage)?.into_iter().map(|(stem, path)| (format!("{stem}.{stage}"), path)));
+        }
     }
     found.sort();
     Ok(found)
@@ -273,15 +281,18 @@ mod tests {
 
     fn project() -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
-        for sub in ["glsl/lib", "spirv_cache"] {
+        for sub in ["glsl/lib", "glsl/render", "spirv_cache"] {
             std::fs::create_dir_all(folder.path().join(sub)).unwrap();
         }
         std::fs::write(folder.path().join("glsl/lib/b.glsl"), "const uint B = 2u;\n").unwrap();
         std::fs::write(folder.path().join("glsl/lib/a.glsl"), "#include \"b.glsl\"\n").unwrap();
-        std::fs::write(folder.path().join("glsl/k.comp"), "#version 460\n#include \"lib/a.glsl\"\nvoid main() {}\n")
-            .unwrap();
+        std::fs::write(
+            folder.path().join("glsl/render/k.comp"),
+            "#version 460\n#include \"lib/a.glsl\"\nvoid main() {}\n",
+        )
+        .unwrap();
         std::fs::write(folder.path().join("spirv_cache/k.spv"), b"module").unwrap();
-        let source = expand(&folder.path().join("glsl/k.comp"), folder.path(), 0).unwrap();
+        let source = expand(&folder.path().join("glsl/render/k.comp"), folder.path(), 0).unwrap();
         assert_eq!(source, "#version 460\nconst uint B = 2u;\nvoid main() {}\n");
         let entry = Entry { source_sha256: sha256(source.as_bytes()), spirv_sha256: sha256(b"module") };
         let kernels = BTreeMap::from([("k".to_owned(), entry)]);
@@ -303,9 +314,9 @@ mod tests {
     fn every_kind_of_staleness_is_seen() {
         let touch: [(&str, &str); 5] = [
             ("glsl/lib/b.glsl", "const uint B = 3u;\n"),
-            ("glsl/k.comp", "#version 460\nvoid main() {}\n"),
+            ("glsl/render/k.comp", "#version 460\nvoid main() {}\n"),
             ("spirv_cache/k.spv", "other"),
-            ("glsl/new.comp", "void main() {}\n"),
+            ("glsl/render/new.comp", "void main() {}\n"),
             ("spirv_cache/orphan.spv", "x"),
         ];
         for (file, content) in touch {
@@ -314,7 +325,7 @@ mod tests {
             assert!(check(folder.path()).unwrap().stale, "{file}");
         }
         let folder = project();
-        std::fs::remove_file(folder.path().join("glsl/k.comp")).unwrap();
+        std::fs::remove_file(folder.path().join("glsl/render/k.comp")).unwrap();
         assert!(check(folder.path()).unwrap().stale, "removed source");
     }
 

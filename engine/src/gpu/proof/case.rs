@@ -3,7 +3,8 @@
 use super::compare::{Mismatch, compare};
 use super::{POISON, words_of};
 use crate::error::{Error, Result};
-use crate::gpu::kernel::{Access, Kernel, TwinCall};
+use crate::gpu::interface::{Buffers as _, Constants as _, Interface, KernelOf};
+use crate::gpu::kernel::{Access, Binding, Kernel, TwinCall};
 use crate::gpu::{Buffer, Gpu, Groups, Slice};
 
 /// Bytes of sentinel before and after each bound range.
@@ -67,6 +68,23 @@ impl Framed {
 }
 
 impl KernelCase {
+    /// A case by name.
+    pub fn new<I: Interface>(
+        kernel: &'static KernelOf<I>,
+        constants: I::Constants,
+        push: I::Push,
+        buffers: I::Buffers<Vec<u32>>,
+        groups: u32,
+    ) -> Self {
+        Self {
+            kernel: &kernel.kernel,
+            spec: constants.to_words(),
+            push: bytemuck::bytes_of(&push).to_vec(),
+            buffers: buffers.into_list().into_iter().map(Option::unwrap_or_default).collect(),
+            groups,
+        }
+    }
+
     /// Runs both sides.
     ///
     /// # Errors
@@ -78,10 +96,11 @@ impl KernelCase {
         Ok(self.with_twin(subgroup_size, device))
     }
 
-    /// Poisons what is only written; empty buffers get four words, because a binding cannot be empty.
+    /// Poisons what is only written; empty buffers get four words, because a binding cannot be empty, but for optional ones,
+    /// which are absent.
     pub fn poison(&mut self) {
         for (words, binding) in self.buffers.iter_mut().zip(self.kernel.bindings) {
-            if words.is_empty() {
+            if words.is_empty() && !binding.optional {
                 words.resize(4, 0);
             }
             if binding.access == Access::Write {
@@ -101,13 +120,18 @@ impl KernelCase {
     }
 
     fn run_device(&self, gpu: &Gpu) -> Result<Vec<Vec<u32>>> {
-        let named = self.buffers.iter().zip(self.kernel.bindings);
-        let framed: Vec<Framed> = named.map(|(w, b)| Framed::upload(gpu, b.name, w)).collect::<Result<_>>()?;
-        let slices: Vec<Slice> = framed.iter().map(Framed::slice).collect();
+        let framed = |(words, binding): (&Vec<u32>, &Binding)| {
+            (!words.is_empty()).then(|| Framed::upload(gpu, binding.name, words)).transpose()
+        };
+        let framed: Vec<Option<Framed>> =
+            self.buffers.iter().zip(self.kernel.bindings).map(framed).collect::<Result<_>>()?;
+        let slices: Vec<Option<Slice>> = framed.iter().map(|f| f.as_ref().map(Framed::slice)).collect();
         let mut r = gpu.recorder(self.kernel.name);
-        r.dispatch(self.kernel, &self.spec, &self.push, &slices, Groups::Direct(self.groups.into()))?;
+        let groups = Groups::Direct(self.groups.into());
+        r.record_dispatch(self.kernel.name, self.kernel, &self.spec, &self.push, &slices, groups)?;
         gpu.run(r)?;
-        framed.iter().map(|f| f.download(gpu, self.kernel)).collect()
+        let download = |f: &Option<Framed>| f.as_ref().map_or(Ok(Vec::new()), |f| f.download(gpu, self.kernel));
+        framed.iter().map(download).collect()
     }
 }
 
@@ -128,4 +152,11 @@ impl KernelResult {
     pub fn mismatch(&self) -> Option<Mismatch> {
         compare(self.kernel, self.kernel.name, &self.gpu, &self.twin)
     }
+}
+
+/// The buffers of a result by name; of an optional one that was absent, none.
+pub fn named<I: Interface>(mut lists: Vec<Vec<u32>>) -> I::Buffers<Vec<u32>> {
+    let present: Vec<bool> = lists.iter().map(|words| !words.is_empty()).collect();
+    let take = |i: usize| lists.get_mut(i).map(std::mem::take).unwrap_or_default();
+    I::Buffers::from_fn(|i| present.get(i).copied().unwrap_or(false), take)
 }

@@ -137,7 +137,7 @@ impl Watch {
         gpu: &Gpu,
         r: &mut Recorder,
         kernel: &Kernel,
-        buffers: &[Slice],
+        buffers: &[Option<Slice>],
         grid: &Grid,
     ) -> Result<Before> {
         let groups = match grid {
@@ -146,6 +146,10 @@ impl Watch {
         };
         let mut copies = Vec::with_capacity(buffers.len());
         for (slice, binding) in buffers.iter().zip(kernel.bindings) {
+            let Some(slice) = slice else {
+                copies.push(None);
+                continue;
+            };
             // Of what is not fresh a kernel that only writes may leave a part as it is.
             let fresh = self.filled(slice.buffer.id());
             let poisoned = binding.access == Access::Write && fresh;
@@ -169,13 +173,13 @@ impl Watch {
         r: &mut Recorder,
         (label, kernel): (&str, &'static Kernel),
         (spec, push): (&[u32], &[u8]),
-        buffers: &[Slice],
+        buffers: &[Option<Slice>],
         before: Before,
     ) -> Result<()> {
         let mut after = Vec::with_capacity(buffers.len());
         for (slice, binding) in buffers.iter().zip(kernel.bindings) {
-            let written = binding.access != Access::Read;
-            after.push(if written { Some(self.copy(gpu, r, slice)?) } else { None });
+            let written = slice.as_ref().filter(|_| binding.access != Access::Read);
+            after.push(written.map(|slice| self.copy(gpu, r, slice)).transpose()?);
         }
         let mut all = vec![gpu.subgroup_size_of(kernel)];
         all.extend(spec);
@@ -190,7 +194,7 @@ impl Watch {
             groups: before.groups,
             before: before.copies,
             after,
-            words: buffers.iter().map(|s| s.bytes as usize / 4).collect(),
+            words: buffers.iter().map(|s| s.as_ref().map_or(0, |s| s.bytes as usize / 4)).collect(),
         });
         Ok(())
     }

@@ -266,7 +266,7 @@ impl Lpips {
     /// Submits one dispatch and waits for it.
     fn run(&self, kernel: &'static Kernel, spec: &[u32], push: &[u8], buffers: &[Bytes], groups: u64) -> Result<()> {
         let mut r = self.gpu.recorder(kernel.name);
-        r.dispatch(kernel, spec, push, buffers, Groups::Direct(groups))?;
+        r.dispatch_untyped(kernel, spec, push, buffers, Groups::Direct(groups))?;
         self.gpu.run(r).map(drop)
     }
 }

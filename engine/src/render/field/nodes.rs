@@ -57,7 +57,7 @@ pub(super) fn record(
     buffers: &[Slice; 9],
 ) -> Result<()> {
     let groups = Groups::Direct(gaussians.div_ceil(THREADS).into());
-    r.dispatch(&FIELD_NODES, &[u32::from(turn)], bytemuck::bytes_of(&push), buffers, groups)
+    r.dispatch_untyped(&FIELD_NODES, &[u32::from(turn)], bytemuck::bytes_of(&push), buffers, groups)
 }
 
 fn nodes_twin(call: &mut TwinCall<'_>) {

@@ -50,7 +50,7 @@ pub static FIELD_OFFSET: Kernel = Kernel {
 /// Records it.
 pub(super) fn record(r: &mut Recorder, rule: FieldRule, push: OffsetPush, buffers: &[Slice; 6]) -> Result<()> {
     let groups = Groups::Direct(push.rows.div_ceil(THREADS).into());
-    r.dispatch(&FIELD_OFFSET, &[rule as u32], bytemuck::bytes_of(&push), buffers, groups)
+    r.dispatch_untyped(&FIELD_OFFSET, &[rule as u32], bytemuck::bytes_of(&push), buffers, groups)
 }
 
 fn screw(w: Vec3, v: Vec3, x: Vec3) -> Vec3 {

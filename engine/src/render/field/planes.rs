@@ -71,7 +71,7 @@ pub static FIELD_PLANES: Kernel = Kernel {
 pub(super) fn record(r: &mut Recorder, push: PlanesPush, buffers: &[Slice; 5]) -> Result<()> {
     let items = u64::from(push.rows) * u64::from(push.channels) * u64::from(push.scales);
     let groups = Groups::Direct(items.div_ceil(THREADS.into()));
-    r.dispatch(&FIELD_PLANES, &[], bytemuck::bytes_of(&push), buffers, groups)
+    r.dispatch_untyped(&FIELD_PLANES, &[], bytemuck::bytes_of(&push), buffers, groups)
 }
 
 /// All planes `[height, width, channels]` one after another, and of each its first float, width and height.

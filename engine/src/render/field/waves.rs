@@ -57,7 +57,7 @@ pub(super) fn record(
     buffers: &[Slice; 4],
 ) -> Result<()> {
     let groups = Groups::Direct(push.rows.div_ceil(GROUP_POINTS).into());
-    r.dispatch(&FIELD_WAVES, &[u32::from(time_network), octaves], bytemuck::bytes_of(&push), buffers, groups)
+    r.dispatch_untyped(&FIELD_WAVES, &[u32::from(time_network), octaves], bytemuck::bytes_of(&push), buffers, groups)
 }
 
 fn waves_twin(call: &mut TwinCall<'_>) {

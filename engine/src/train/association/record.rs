@@ -6,7 +6,10 @@ use super::state::{StepBuffers, SuperpointState};
 use super::update::{POSE_GROUP, SUPERPOINT_COMMIT, SUPERPOINT_GRADIENT};
 use crate::error::Result;
 use crate::gpu::{Buffer, Groups, Recorder, Slice};
-use crate::render::radix_sort::*;
+use crate::render::radix_sort::rank_by_ballot;
+use crate::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers};
+use crate::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
+use crate::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
 use crate::train::property_loss::PropertyLoss;
 use crate::train::property_loss::backward::{PROPERTY_BACKWARD, PROPERTY_VALUES};
 use crate::train::property_loss::residual::{PROPERTY_RESIDUAL, PROPERTY_TOTAL};
@@ -42,7 +45,7 @@ impl SuperpointState {
             b.status.clone(),
         ];
         let groups = Groups::Direct(self.superpoints().div_ceil(256).into());
-        r.dispatch(&SUPERPOINT_GRADIENT, &[form], &[], &buffers, groups)
+        r.dispatch_untyped(&SUPERPOINT_GRADIENT, &[form], &[], &buffers, groups)
     }
 
     /// The end of the step, after everything that reads the assignment or the centres: both become the next step's.
@@ -57,7 +60,7 @@ impl SuperpointState {
             b.status.clone(),
         ];
         let groups = Groups::Direct(self.gaussians().max(self.superpoints()).div_ceil(256).into());
-        r.dispatch(&SUPERPOINT_COMMIT, &[], &[], &buffers, groups)
+        r.dispatch_untyped(&SUPERPOINT_COMMIT, &[], &[], &buffers, groups)
     }
 
     fn per_gaussian(&self) -> Groups {
@@ -90,7 +93,7 @@ impl SuperpointState {
             Slice::from(&self.work.values[0]),
             b.status.clone(),
         ];
-        r.dispatch(&NEAREST_SUPERPOINTS, &self.shape(), &[], &buffers, self.per_gaussian())
+        r.dispatch_untyped(&NEAREST_SUPERPOINTS, &self.shape(), &[], &buffers, self.per_gaussian())
     }
 
     fn record_sort(&self, r: &mut Recorder) -> Result<()> {
@@ -100,41 +103,35 @@ impl SuperpointState {
         for histogram in &w.histograms[1..] {
             r.fill(histogram, 0)?;
         }
-        let buffers = [count.clone(), Slice::from(&w.keys[0]), Slice::from(&w.histograms[0])];
+        let buffers = SortHistogramBuffers {
+            counters: count.clone(),
+            keys: w.keys[0].whole(),
+            histogram: w.histograms[0].whole(),
+        };
         let push = w.plan.histogram_push(0);
-        r.dispatch_labelled(
-            "sort_histogram pairs",
-            &SORT_HISTOGRAM,
-            &[],
-            bytemuck::bytes_of(&push),
-            &buffers,
-            groups(),
-        )?;
+        r.dispatch_labelled("sort_histogram pairs", &SORT_HISTOGRAM, (), push, buffers, groups())?;
         for pass in 0..w.plan.digits.len() {
             let (from, to) = (pass % 2, (pass + 1) % 2);
-            let histogram = Slice::from(&w.histograms[pass]);
+            let histogram = w.histograms[pass].whole();
             if w.plan.prescanned {
-                let push = w.plan.spine_push(0);
-                let buffers = [count.clone(), histogram.clone()];
+                let buffers = SortSpineBuffers { counters: count.clone(), histogram: histogram.clone() };
                 let label = format!("sort_spine pairs {pass}");
                 let spine = Groups::Direct(SPINE_GROUPS.into());
-                r.dispatch_labelled(&label, &SORT_SPINE, &[], bytemuck::bytes_of(&push), &buffers, spine)?;
+                r.dispatch_labelled(&label, &SORT_SPINE, (), w.plan.spine_push(0), buffers, spine)?;
             }
-            // The last pass counts nothing; another buffer stands in for the next histogram.
-            let next = w.histograms.get(pass + 1).unwrap_or(&self.own_sum);
-            let buffers = [
-                count.clone(),
+            let buffers = SortScatterBuffers {
+                counters: count.clone(),
                 histogram,
-                Slice::from(&w.keys[from]),
-                Slice::from(&w.values[from]),
-                Slice::from(&w.keys[to]),
-                Slice::from(&w.values[to]),
-                Slice::from(next),
-            ];
+                keys_in: w.keys[from].whole(),
+                values_in: Some(w.values[from].whole()),
+                keys_out: w.keys[to].whole(),
+                values_out: Some(w.values[to].whole()),
+                next_histogram: w.histograms.get(pass + 1).map(Buffer::whole),
+            };
             let push = w.plan.scatter_push(pass, 0);
-            let spec = w.plan.scatter_spec(pass, true, rank_by_ballot(r.subgroup_size_of(&SORT_SCATTER)));
+            let constants = w.plan.scatter_constants(pass, true, rank_by_ballot(r.subgroup_size_of(&SORT_SCATTER)));
             let label = format!("sort_scatter pairs {pass}");
-            r.dispatch_labelled(&label, &SORT_SCATTER, &spec, bytemuck::bytes_of(&push), &buffers, groups())?;
+            r.dispatch_labelled(&label, &SORT_SCATTER, constants, push, buffers, groups())?;
         }
         Ok(())
     }
@@ -150,7 +147,7 @@ impl SuperpointState {
     fn record_paper(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {
         let (own, residual) = (Slice::from(&self.work.own), Slice::from(&self.work.residual));
         let buffers = [b.step.clone(), b.mean.clone(), b.superpoint_of_gaussian.clone(), b.pose.clone(), own.clone()];
-        r.dispatch(&PROPERTY_VALUES, &[], &[], &buffers, self.per_gaussian())?;
+        r.dispatch_untyped(&PROPERTY_VALUES, &[], &[], &buffers, self.per_gaussian())?;
         self.record_sum(r, b, &self.first_sum, [1, 9, 0, 0], [Some(&own), None])?;
         self.record_residual(r, b, 1)?;
         self.record_sum(r, b, &self.residual_sum, [0, 9, 0, 0], [Some(&residual), None])?;
@@ -173,7 +170,7 @@ impl SuperpointState {
             Slice::from(&self.work.mean_gradient),
             b.status.clone(),
         ];
-        r.dispatch(&PROPERTY_BACKWARD, &self.shape(), &[], &buffers, self.per_gaussian())?;
+        r.dispatch_untyped(&PROPERTY_BACKWARD, &self.shape(), &[], &buffers, self.per_gaussian())?;
         self.record_own_sum(r, b, &self.own_sum, [0, 9], &own, ASSOCIATION_GROUP)?;
         self.record_total(r, b)
     }
@@ -198,12 +195,12 @@ impl SuperpointState {
             b.status.clone(),
         ];
         let [neighbors, slots] = self.shape();
-        r.dispatch(&PROPERTY_RESIDUAL, &[neighbors, slots, paper], &[], &buffers, self.per_gaussian())
+        r.dispatch_untyped(&PROPERTY_RESIDUAL, &[neighbors, slots, paper], &[], &buffers, self.per_gaussian())
     }
 
     fn record_total(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {
         let buffers = [b.step.clone(), Slice::from(&self.work.loss_partial), Slice::from(&self.property_loss)];
-        r.dispatch(&PROPERTY_TOTAL, &[], &[], &buffers, Groups::Direct(1))
+        r.dispatch_untyped(&PROPERTY_TOTAL, &[], &[], &buffers, Groups::Direct(1))
     }
 
     fn record_own_sum(
@@ -257,6 +254,6 @@ impl SuperpointState {
             SuperpointSumPush { neighbors: self.options.neighbors, pairs: w.plan.capacity, status_group: group as u32 };
         let label = format!("superpoint_sum {}", sums.name());
         let groups = Groups::Direct(self.superpoints().into());
-        r.dispatch_labelled(&label, &SUPERPOINT_SUM, &spec, bytemuck::bytes_of(&push), &buffers, groups)
+        r.dispatch_untyped_labelled(&label, &SUPERPOINT_SUM, &spec, bytemuck::bytes_of(&push), &buffers, groups)
     }
 }

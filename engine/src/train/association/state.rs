@@ -156,7 +156,7 @@ impl SuperpointState {
         let spec = [state.options.neighbors, state.options.slots];
         let push = AssociationInitPush { logit, paper };
         let groups = Groups::Direct(gaussians.div_ceil(256).into());
-        r.dispatch(&ASSOCIATION_INIT, &spec, bytemuck::bytes_of(&push), &buffers, groups)?;
+        r.dispatch_untyped(&ASSOCIATION_INIT, &spec, bytemuck::bytes_of(&push), &buffers, groups)?;
         gpu.run(r)?;
         Ok(state)
     }

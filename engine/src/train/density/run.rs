@@ -184,7 +184,7 @@ impl Density {
             Slice::from(&totals),
         ];
         let groups = Groups::Direct(blocks(push.gaussians).into());
-        r.dispatch(&DENSITY_DECIDE, &[], bytemuck::bytes_of(push), &bound, groups)?;
+        r.dispatch_untyped(&DENSITY_DECIDE, &[], bytemuck::bytes_of(push), &bound, groups)?;
         self.gpu.run(r)?;
         let words = self.words(&totals, TOTAL_WORDS)?;
         Ok(Decision { action, row_block, totals: std::array::from_fn(|i| words[i]) })
@@ -234,7 +234,7 @@ impl Density {
             r.fill(&histogram, 0)?;
             let bound = [Slice::from(&buffers.density), Slice::from(&decision.action), Slice::from(&histogram)];
             let groups = Groups::Direct(blocks(gaussians).into());
-            r.dispatch(&DENSITY_HISTOGRAM, &[], bytemuck::bytes_of(&push), &bound, groups)?;
+            r.dispatch_untyped(&DENSITY_HISTOGRAM, &[], bytemuck::bytes_of(&push), &bound, groups)?;
             self.gpu.run(r)?;
             let counts = self.digit_counts(&histogram, digit_mask)?;
             let mut digit = digit_mask;
@@ -265,10 +265,10 @@ impl Density {
         let mut r = self.gpu.recorder("density source");
         let push = ScanPush { blocks };
         let bound = [Slice::from(&decision.row_block)];
-        r.dispatch(&DENSITY_SCAN, &[], bytemuck::bytes_of(&push), &bound, Groups::Direct(1))?;
+        r.dispatch_untyped(&DENSITY_SCAN, &[], bytemuck::bytes_of(&push), &bound, Groups::Direct(1))?;
         let push = EmitPush { gaussians, rows };
         let bound = [Slice::from(&decision.action), Slice::from(&decision.row_block), Slice::from(&source)];
-        r.dispatch(&DENSITY_EMIT, &[], bytemuck::bytes_of(&push), &bound, Groups::Direct(blocks.into()))?;
+        r.dispatch_untyped(&DENSITY_EMIT, &[], bytemuck::bytes_of(&push), &bound, Groups::Direct(blocks.into()))?;
         self.gpu.run(r)?;
         Ok(source)
     }
@@ -292,7 +292,7 @@ impl Density {
             let mut r = self.gpu.recorder("density gather");
             let bound = [Slice::from(source), Slice::from(&old.buffer), Slice::from(&buffer)];
             let groups = Groups::Direct((u64::from(new_count) * u64::from(old.width)).div_ceil(256));
-            r.dispatch(&GATHER_ROWS, &[], bytemuck::bytes_of(&push), &bound, groups)?;
+            r.dispatch_untyped(&GATHER_ROWS, &[], bytemuck::bytes_of(&push), &bound, groups)?;
             self.gpu.run(r)?;
         }
         Ok(RowArray { buffer, ..old })
@@ -335,7 +335,7 @@ impl Density {
             let mut r = self.gpu.recorder("density children");
             let bound = [Slice::from(source), Slice::from(&rotation), Slice::from(&mean), Slice::from(&log_scale)];
             let groups = Groups::Direct(blocks(new_count).into());
-            r.dispatch(&SPLIT_CHILDREN, &[], bytemuck::bytes_of(&push), &bound, groups)?;
+            r.dispatch_untyped(&SPLIT_CHILDREN, &[], bytemuck::bytes_of(&push), &bound, groups)?;
             self.gpu.run(r)?;
         }
         let gather = |old| self.gather(old, source, old_count, new_count);
@@ -367,6 +367,6 @@ pub fn reset_opacity(gpu: &Gpu, opacity_logit: &Buffer, moments: [&Buffer; 2], n
     let push = ResetPush { gaussians: n, limit: logit(max_opacity), plane: OPACITY_PLANE };
     let mut r = gpu.recorder("reset opacity");
     let bound = [Slice::from(opacity_logit), Slice::from(moments[0]), Slice::from(moments[1])];
-    r.dispatch(&RESET_OPACITY, &[], bytemuck::bytes_of(&push), &bound, Groups::Direct(blocks(n).into()))?;
+    r.dispatch_untyped(&RESET_OPACITY, &[], bytemuck::bytes_of(&push), &bound, Groups::Direct(blocks(n).into()))?;
     gpu.run(r).map(drop)
 }

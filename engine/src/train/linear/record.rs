@@ -75,7 +75,7 @@ impl Layer {
             below.output_gradient.clone(),
         ];
         let spec = [self.stage as u32];
-        r.dispatch(&LINEAR_BACKWARD_INPUT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+        r.dispatch_untyped(&LINEAR_BACKWARD_INPUT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
     }
 
     /// Gradient of weights and bias, by slices into `split.gradient`.
@@ -101,7 +101,7 @@ impl Layer {
         );
         let buffers = [self.output_gradient.clone(), self.input.clone(), split.gradient.clone()];
         let spec = [self.stage as u32];
-        r.dispatch(&LINEAR_BACKWARD_WEIGHT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+        r.dispatch_untyped(&LINEAR_BACKWARD_WEIGHT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
     }
 }
 
@@ -120,7 +120,7 @@ impl Pass {
         let buffers = [step, counters, from.clone(), value, moment_1, moment_2, gradient.clone(), status];
         let spec = [self.output as u32, self.network as u32];
         let groups = Groups::Direct(push.weights.div_ceil(THREADS * WEIGHTS_PER_THREAD).into());
-        r.dispatch(&LINEAR_UPDATE, &spec, bytemuck::bytes_of(&push), &buffers, groups)
+        r.dispatch_untyped(&LINEAR_UPDATE, &spec, bytemuck::bytes_of(&push), &buffers, groups)
     }
 
     /// `push.rows` rows of the planes of a head's gradient, 8 columns for F and 12 for G.
@@ -137,6 +137,6 @@ impl Pass {
         };
         let groups = Groups::Direct((u64::from(push.rows) * columns).div_ceil(THREADS.into()));
         let buffers = [planes.clone(), rows.clone(), self.status.clone()];
-        r.dispatch(&GATHER_GRADIENT, &[self.network as u32], bytemuck::bytes_of(&push), &buffers, groups)
+        r.dispatch_untyped(&GATHER_GRADIENT, &[self.network as u32], bytemuck::bytes_of(&push), &buffers, groups)
     }
 }

@@ -40,7 +40,13 @@ pub static ENCODE_SUPERPOINTS: Kernel = Kernel {
 pub(super) fn record(r: &mut Recorder, rows: u32, buffers: [&Slice; 3]) -> Result<()> {
     let groups = (u64::from(rows) * ENCODING_WIDTH as u64).div_ceil(THREADS.into());
     let push = EncodePush { rows };
-    r.dispatch(&ENCODE_SUPERPOINTS, &[], bytemuck::bytes_of(&push), &buffers.map(Clone::clone), Groups::Direct(groups))
+    r.dispatch_untyped(
+        &ENCODE_SUPERPOINTS,
+        &[],
+        bytemuck::bytes_of(&push),
+        &buffers.map(Clone::clone),
+        Groups::Direct(groups),
+    )
 }
 
 fn encode_twin(call: &mut TwinCall<'_>) {

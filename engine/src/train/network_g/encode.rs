@@ -47,7 +47,7 @@ pub static ENCODE_GAUSSIANS: Kernel = Kernel {
 pub(super) fn record(r: &mut Recorder, from: &Inputs<'_>, push: EncodePush, encoding: &Slice) -> Result<()> {
     let buffers = [from.frame, from.mean, from.superpoint_of_gaussian, from.pose, encoding].map(Clone::clone);
     let groups = Groups::Direct(push.rows.div_ceil(GROUP_GAUSSIANS).into());
-    r.dispatch(&ENCODE_GAUSSIANS, &[u32::from(from.moving)], bytemuck::bytes_of(&push), &buffers, groups)
+    r.dispatch_untyped(&ENCODE_GAUSSIANS, &[u32::from(from.moving)], bytemuck::bytes_of(&push), &buffers, groups)
 }
 
 fn encode_twin(call: &mut TwinCall<'_>) {

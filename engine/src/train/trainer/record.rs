@@ -162,7 +162,7 @@ impl Trainer {
             u32::from(mean_gradient.is_some()),
         ];
         let groups = u64::from(p.count().div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
-        r.dispatch(&DEFORM_PROJECT_BACKWARD, &spec, &[], &buffers, Groups::Direct(groups))
+        r.dispatch_untyped(&DEFORM_PROJECT_BACKWARD, &spec, &[], &buffers, Groups::Direct(groups))
     }
 
     fn record_readback(&self, r: &mut Recorder, t: &Target) -> Result<()> {

@@ -104,7 +104,7 @@ impl Device<'_> {
         let buffers =
             [b.step.clone(), b.mean.clone(), b.superpoint_of_gaussian.clone(), b.pose.clone(), Slice::from(&values)];
         let groups = engine::gpu::Groups::Direct((n as u64).div_ceil(256));
-        r.dispatch(&PROPERTY_VALUES, &[], &[], &buffers, groups)?;
+        r.dispatch_untyped(&PROPERTY_VALUES, &[], &[], &buffers, groups)?;
         self.gpu.run(r)?;
         out.outputs.insert("out_mean_t", rows(&floats(self.gpu, &values, 3 * n)?));
         Ok(())
