@@ -29,7 +29,7 @@ vec3 output_vector(uint at) {
 
 void main() {
     uint turn = TURN;
-    uint n = frame.counts.x;
+    uint n = frame.gaussians;
     uint g = workgroup_index() * 256u + gl_LocalInvocationIndex;
     if (g >= n) {
         return;

@@ -49,7 +49,7 @@ void main() {
     if (row >= push.rows) {
         return;
     }
-    uint n = frame.counts.x;
+    uint n = frame.gaussians;
     uint g = push.first_row + row;
     uint at = row * push.outputs;
     uint after = at + (rule == 1u ? 6u : 3u);

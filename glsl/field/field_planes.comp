@@ -67,7 +67,7 @@ void main() {
     vec3 high = vec3(push.high_x, push.high_y, push.high_z);
     vec3 x = vec3(point[p], point[push.points + p], point[2u * push.points + p]);
     // Time is not taken to -1..1, as in the released code.
-    vec4 at = vec4((x - low) * 2.0 / (high - low) - 1.0, frame.background.w);
+    vec4 at = vec4((x - low) * 2.0 / (high - low) - 1.0, frame.time);
     vec2 pairs[6] = vec2[6](at.xy, at.xz, at.xw, at.yz, at.yw, at.zw);
     float product = 1.0;
     for (uint i = 0u; i < 6u; i++) {

@@ -39,7 +39,7 @@ void main() {
     uint time_network = TIME_NETWORK;
     uint thread = gl_LocalInvocationIndex;
     uint first = workgroup_index() * GROUP_POINTS;
-    float time = frame.background.w;
+    float time = frame.time;
     if (thread < GROUP_POINTS) {
         uint p = push.first_row + min(first + thread, push.rows - 1u);
         centres[thread] = vec4(point[p], point[push.points + p], point[2u * push.points + p], time);

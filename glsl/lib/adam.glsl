@@ -4,10 +4,10 @@
 #define SPGS_ADAM
 
 // `adam_update` for kernels with many values, which load adam = step_data.adam once.
-float adam_step(vec4 adam, float value, float gradient, inout vec2 moments, float rate, vec2 bias) {
-    moments.x = adam.x * moments.x + (1.0 - adam.x) * gradient;
-    moments.y = adam.y * moments.y + (1.0 - adam.y) * gradient * gradient;
-    return value - rate * (moments.x * bias.x) / (sqrt(moments.y) * bias.y + adam.z);
+float adam_step(Adam adam, float value, float gradient, inout vec2 moments, float rate, vec2 bias) {
+    moments.x = adam.beta_1 * moments.x + (1.0 - adam.beta_1) * gradient;
+    moments.y = adam.beta_2 * moments.y + (1.0 - adam.beta_2) * gradient * gradient;
+    return value - rate * (moments.x * bias.x) / (sqrt(moments.y) * bias.y + adam.epsilon);
 }
 
 // moments: first and second; bias: 1/(1 - beta_1^t), 1/sqrt(1 - beta_2^t). Returns the new value, updates the moments.

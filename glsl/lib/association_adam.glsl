@@ -6,7 +6,7 @@
 // at: slot of the association; gaussian: for the report when something is not finite, and then nothing changes.
 void update_logit(uint at, float gradient, uint gaussian) {
     vec2 moments = vec2(logit_moment_1[at], logit_moment_2[at]);
-    float value = adam_update(logit[at], gradient, moments, step_data.rate_1.w, step_data.bias_1.xy);
+    float value = adam_update(logit[at], gradient, moments, step_data.rate_association, step_data.bias_association);
     if (number_is_finite(value) && number_is_finite(moments.x) && number_is_finite(moments.y)) {
         logit[at] = value;
         logit_moment_1[at] = moments.x;

@@ -296,10 +296,10 @@ void main() {
     uint per_tile = across * (TILE_SIZE / extent.y) / subtiles; // subgroups
     uint subgroup = workgroup_index() * (128u / size) + gl_SubgroupID;
     uint tile = subgroup / per_tile;
-    uint tiles = frame.limits.y;
+    uint tiles = frame.tile_count;
     bool open = tile < tiles; // the subgroup has pixels that are not opaque
     uint inside = (subgroup - tile * per_tile) * subtiles; // first subtile
-    uvec2 origin = TILE_SIZE * uvec2(tile % frame.size.z, tile / frame.size.z);
+    uvec2 origin = TILE_SIZE * uvec2(tile % frame.tiles.x, tile / frame.tiles.x);
     uint lane = gl_SubgroupInvocationID;
     uvec2 of_lane = uvec2(lane % columns, lane / columns);
     float row_step = float(lane_rows);

@@ -60,10 +60,10 @@ void main() {
     uint subtiles = across * (TILE_SIZE / rows);
     uint subtile = workgroup_index() * (128u / size) + gl_SubgroupID;
     uint tile = subtile / subtiles;
-    uint tiles = frame.limits.y;
+    uint tiles = frame.tile_count;
     bool open = tile < tiles; // the subgroup has pixels that are not opaque
     uint inside = subtile - tile * subtiles;
-    uvec2 corner = TILE_SIZE * uvec2(tile % frame.size.z, tile / frame.size.z)
+    uvec2 corner = TILE_SIZE * uvec2(tile % frame.tiles.x, tile / frame.tiles.x)
         + uvec2(columns * (inside % across), rows * (inside / across));
     vec2 low = vec2(corner) + 0.5;
     vec2 high = low + vec2(columns - 1u, rows - 1u);
@@ -176,7 +176,7 @@ void main() {
         if (tile < tiles && own.x < frame.size.x && y < frame.size.y) {
             uint at = y * frame.size.x + own.x;
             float rest = abs(transmittance[j]);
-            store_pixel(uvec2(own.x, y), at, vec4(sum_colour[j] + rest * frame.background.xyz, 1.0 - rest));
+            store_pixel(uvec2(own.x, y), at, vec4(sum_colour[j] + rest * frame.background, 1.0 - rest));
             if (with_depth == 1u) {
                 depth[at] = sum_depth[j];
             }

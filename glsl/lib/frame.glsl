@@ -7,14 +7,24 @@ struct Frame {
     vec4 world_to_camera_0;    // rows of the rotation world -> camera; w = 0
     vec4 world_to_camera_1;
     vec4 world_to_camera_2;
-    vec4 camera_position_high; // xyz = f32(camera centre), world units; w = near
-    vec4 camera_position_low;  // xyz = camera centre - high; w = key_weight
+    vec3 camera_position_high; // f32(camera centre), world units
+    float near;                // Gaussians at depth z <= near are not drawn
+    vec3 camera_position_low;  // camera centre - high
+    float key_weight;          // of the second motion key
     vec4 intrinsics;           // fx, fy, cx, cy, px
     vec4 tan_limit;            // range in which x/z and y/z enter the Jacobian: x_min, x_max, y_min, y_max
-    vec4 background;           // rgb; w = time
-    uvec4 size;                // width, height (px), tiles_x, tiles_y
-    uvec4 counts;              // gaussians, superpoints, key_first, key_second
-    uvec4 limits;              // instance_capacity, tile_count, tile_passes, sh_degree
+    vec3 background;           // rgb
+    float time;
+    uvec2 size;                // width, height, px
+    uvec2 tiles;               // in x and y
+    uint gaussians;
+    uint superpoints;
+    uint first_key;            // motion keys around the time
+    uint second_key;
+    uint instance_capacity;    // tile instances that the buffers hold
+    uint tile_count;           // tiles.x * tiles.y
+    uint unused_0;             // to a multiple of 16 bytes
+    uint unused_1;
 };
 
 layout(std430, set = 0, binding = 0) readonly buffer FrameBlock { Frame frame; };

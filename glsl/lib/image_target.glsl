@@ -11,7 +11,7 @@ uvec2 image_size;
 float background;
 
 void read_frame(uint channel) {
-    image_size = frame.size.xy;
+    image_size = frame.size;
     background = frame.background[channel];
 }
 

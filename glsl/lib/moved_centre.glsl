@@ -15,14 +15,14 @@ bool centre_within(vec3 v) {
 // Zero where deform_project refuses the Gaussian.
 vec3 moved_centre(uint g) {
     uint motion = MOTION;
-    uint n = frame.counts.x;
+    uint n = frame.gaussians;
     uint superpoint = motion == 1u ? superpoint_of_gaussian[g] : 0u;
     vec3 centre = vec3(mean[g], mean[n + g], mean[2u * n + g]);
-    bool usable = centre_within(centre) && (motion == 0u || superpoint < frame.counts.y);
+    bool usable = centre_within(centre) && (motion == 0u || superpoint < frame.superpoints);
     if (motion == 1u && usable) {
-        uint first = 2u * (frame.counts.z * frame.counts.y + superpoint);
-        uint second = 2u * (frame.counts.w * frame.counts.y + superpoint);
-        float weight = frame.camera_position_low.w;
+        uint first = 2u * (frame.first_key * frame.superpoints + superpoint);
+        uint second = 2u * (frame.second_key * frame.superpoints + superpoint);
+        float weight = frame.key_weight;
         vec3 r = pose[first].xyz * (1.0 - weight) + pose[second].xyz * weight;
         vec3 translation = pose[first + 1u].xyz * (1.0 - weight) + pose[second + 1u].xyz * weight;
         usable = centre_within(r) && centre_within(translation);

@@ -8,13 +8,13 @@
 struct NetworkAdam {
     float rate;
     vec2 bias;
-    vec4 adam;
+    Adam adam;
 };
 
 NetworkAdam network_adam() {
     uint network = NETWORK;
-    float rate = network == 0u ? step_data.rate_1.z : step_data.rate_2.x;
-    vec2 bias = network == 0u ? step_data.bias_0.zw : step_data.bias_1.zw;
+    float rate = network == 0u ? step_data.rate_network_f : step_data.rate_network_g;
+    vec2 bias = network == 0u ? step_data.bias_network_f : step_data.bias_network_g;
     return NetworkAdam(rate, bias, step_data.adam);
 }
 

@@ -9,18 +9,18 @@
 //
 // In two parts, d is exact for a camera and a Gaussian that share a large offset from the origin.
 bool place_mean(uint g, uint n, vec3 canonical, out vec3 d, out vec4 turn) {
-    precise vec3 relative = (canonical - frame.camera_position_high.xyz) - frame.camera_position_low.xyz;
+    precise vec3 relative = (canonical - frame.camera_position_high) - frame.camera_position_low;
     d = relative;
     turn = vec4(1.0, 0.0, 0.0, 0.0);
     bool usable = true;
     uint motion = MOTION;
     if (motion == 1u) {
         uint superpoint = superpoint_of_gaussian[g];
-        usable = superpoint < frame.counts.y;
+        usable = superpoint < frame.superpoints;
         if (usable) {
-            uint first = 2u * (frame.counts.z * frame.counts.y + superpoint);
-            uint second = 2u * (frame.counts.w * frame.counts.y + superpoint);
-            float weight = frame.camera_position_low.w;
+            uint first = 2u * (frame.first_key * frame.superpoints + superpoint);
+            uint second = 2u * (frame.second_key * frame.superpoints + superpoint);
+            float weight = frame.key_weight;
             vec3 r = pose[first].xyz * (1.0 - weight) + pose[second].xyz * weight;
             vec3 translation = pose[first + 1u].xyz * (1.0 - weight) + pose[second + 1u].xyz * weight;
             usable = within(r, MAX_ABS_TRANSLATION) && within(translation, MAX_ABS_TRANSLATION);

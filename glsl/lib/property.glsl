@@ -4,13 +4,13 @@
 #define SPGS_PROPERTY
 
 vec3 canonical_mean(uint i) {
-    uint n = step_data.counts.x;
+    uint n = step_data.gaussians;
     return vec3(mean[i], mean[n + i], mean[2u * n + i]);
 }
 
 // The superpoint Gaussian i moves with, kept in range.
 uint own_superpoint(uint i) {
-    return min(superpoint_of_gaussian[i], step_data.counts.y - 1u);
+    return min(superpoint_of_gaussian[i], step_data.superpoints - 1u);
 }
 
 // Position at the step's time, so(3) vector and translation of a point `x` that moves with superpoint j. `turned` is

@@ -4,7 +4,7 @@
 #define SPGS_PROPERTY_MEAN
 
 vec3 property_plane(uint plane, uint j) {
-    uint m = step_data.counts.y;
+    uint m = step_data.superpoints;
     return vec3(property_sum[plane * m + j], property_sum[(plane + 1u) * m + j], property_sum[(plane + 2u) * m + j]);
 }
 

@@ -3,16 +3,40 @@
 #ifndef SPGS_STEP
 #define SPGS_STEP
 
+struct Adam {
+    float beta_1;
+    float beta_2;
+    float epsilon;
+    float unused; // to 16 bytes
+};
+
+// Learning rates are those of one step; bias: 1/(1 - beta_1^t), 1/sqrt(1 - beta_2^t).
 struct Step {
-    uvec4 counts;   // gaussians, superpoints, neighbours per Gaussian (slots of the association), iteration
-    vec4 rate_0;    // learning rates: mean, log_scale, rotation, opacity_logit
-    vec4 rate_1;    // learning rates: sh_0, sh_1..3, network F, association logits
-    vec4 rate_2;    // learning rates: network G; y, z, w = 0
-    vec4 adam;      // beta_1, beta_2, epsilon, 0
-    vec4 bias_0;    // 1/(1 - beta_1^t), 1/sqrt(1 - beta_2^t): Gaussians in xy, network F in zw
-    vec4 bias_1;    // the same: association in xy, network G in zw
-    vec4 weights;   // lambda of D-SSIM, of the property losses: position, rotation, translation
-    vec4 time;      // time (with noise) given to the networks, exact time, statistics on (1) or off (0), 0
+    uint gaussians;
+    uint superpoints;
+    uint neighbors;           // of a Gaussian: slots of the association
+    uint iteration;
+    float rate_mean;
+    float rate_log_scale;
+    float rate_rotation;
+    float rate_opacity_logit;
+    float rate_sh_0;
+    float rate_sh_rest;       // bands 1 to 3
+    float rate_network_f;
+    float rate_association;
+    float rate_network_g;
+    float weight_dssim;       // lambda of the loss
+    float weight_position;    // of the property losses
+    float weight_rotation;
+    float weight_translation;
+    float time;               // given to the networks, with noise
+    float exact_time;
+    float density_statistics; // kept: 1, not: 0
+    Adam adam;
+    vec2 bias_gaussians;
+    vec2 bias_network_f;
+    vec2 bias_association;
+    vec2 bias_network_g;
 };
 
 layout(std430, set = 0, binding = STEP_BINDING) readonly buffer StepBlock { Step step_data; };

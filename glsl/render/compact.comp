@@ -81,7 +81,7 @@ void main() {
     uint group = workgroup_index();
     uint lane = gl_SubgroupInvocationID;
     uint size = SUBGROUP_SIZE;
-    uint gaussians = frame.counts.x;
+    uint gaussians = frame.gaussians;
 
     // A subgroup takes ROUNDS consecutive runs of its size, so lane order is index order and the result is stable.
     uint first = group * (ROUNDS * SCAN_BLOCK) + gl_SubgroupID * (ROUNDS * size) + lane;
@@ -117,7 +117,7 @@ void main() {
     uint thread = thread_index();
     if (group == 0u && thread < 4u) {
         uint instances = atomicAdd(counters[COUNT_INSTANCES_LOW], 0u);
-        bool failed = atomicAdd(counters[COUNT_INSTANCES_HIGH], 0u) != 0u || instances > frame.limits.x;
+        bool failed = atomicAdd(counters[COUNT_INSTANCES_HIGH], 0u) != 0u || instances > frame.instance_capacity;
         uint visible = failed ? 0u : atomicAdd(counters[COUNT_VISIBLE], 0u);
         instances = failed ? 0u : instances;
         write_arguments(thread, visible, instances);

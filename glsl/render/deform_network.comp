@@ -51,7 +51,7 @@ float encoded_input(uint superpoint, uint e) {
         part = e < 3u ? 0u : 1u + (wave % 6u) / 3u;
     } else {
         uint wave = e == POSITION_INPUTS ? 0u : e - POSITION_INPUTS - 1u;
-        x = frame.background.w;
+        x = frame.time;
         k = wave / 2u;
         part = e == POSITION_INPUTS ? 0u : 1u + wave % 2u;
     }
@@ -74,7 +74,7 @@ void main() {
     uint width = min(WIDTH, THREADS);
     uint skip_layer = SKIP_LAYER;
     bool has_neuron = thread < width;
-    uint count = frame.counts.y;
+    uint count = frame.superpoints;
     uint first_superpoint = workgroup_index() * GROUP_SUPERPOINTS;
 
     for (uint item = thread; item < ENCODING * GROUP_SUPERPOINTS; item += THREADS) {

@@ -220,7 +220,7 @@ uint project(uint g, uint n, out uint tiles) {
     uint outcome = place_centre(g, n, logit, d, turn, p) ? VISIBLE : REJECTED;
     if (outcome == VISIBLE) {
         e.log2_opacity = -log2(1.0 + exp(-logit));
-        outcome = p.z > frame.camera_position_high.w && ellipse_threshold(e) > 0.0 ? VISIBLE : CULLED;
+        outcome = p.z > frame.near && ellipse_threshold(e) > 0.0 ? VISIBLE : CULLED;
     }
     if (outcome == VISIBLE) {
         outcome = project_shape(g, n, turn, p, e, variance_x) ? VISIBLE : REJECTED;
@@ -228,7 +228,7 @@ uint project(uint g, uint n, out uint tiles) {
     if (outcome == VISIBLE) {
         round_conic(e.l11, e.l12, e.l22, e.log2_opacity);
         if (reaches_image(e, variance_x)) {
-            tiles = ellipse_tile_count(e, frame.size.xy);
+            tiles = ellipse_tile_count(e, frame.size);
         }
         outcome = tiles != 0u ? VISIBLE : CULLED;
     }
@@ -243,7 +243,7 @@ void main() {
     uint group = workgroup_index();
     uint thread = thread_index();
     uint g = group * 256u + thread;
-    uint n = frame.counts.x;
+    uint n = frame.gaussians;
     uint tiles = 0u;
     uint outcome = CULLED;
     if (g < n) {

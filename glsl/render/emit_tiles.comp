@@ -104,34 +104,34 @@ void emit(uint to, uint tile, uint gaussian, bool valid) {
 // counted together.
 void emit_serially(uint to, uint gaussian, uint count, uint capacity) {
     Ellipse e = ellipse_of(gaussian);
-    uvec2 rows = count == 0u ? uvec2(0u) : tile_row_range(e, frame.size.xy);
+    uvec2 rows = count == 0u ? uvec2(0u) : tile_row_range(e, frame.size);
     uint end = min(to + count, capacity);
     uint most_rows = subgroupMax(rows.y - rows.x);
     for (uint r = 0u; r < most_rows; r++) {
         uint row = rows.x + r;
-        uvec2 columns = row < rows.y ? tile_columns_of_row(e, row, frame.size.xy) : uvec2(0u);
+        uvec2 columns = row < rows.y ? tile_columns_of_row(e, row, frame.size) : uvec2(0u);
         uint most_columns = subgroupMax(columns.y - columns.x);
         for (uint c = 0u; c < most_columns; c++) {
             bool valid = columns.x + c < columns.y && to < end;
-            emit(to, row * frame.size.z + columns.x + c, gaussian, valid);
+            emit(to, row * frame.tiles.x + columns.x + c, gaussian, valid);
             to += valid ? 1u : 0u;
         }
     }
     uint most_left = subgroupMax(max(end, to) - to);
     for (uint k = 0u; k < most_left; k++) {
-        emit(to + k, frame.limits.y, gaussian, to + k < end);
+        emit(to + k, frame.tile_count, gaussian, to + k < end);
     }
 }
 
 // Tile number k of an ellipse in row-major order; one past the last tile when the count promised more than there are.
 uint tile_of(Ellipse e, uint k) {
-    uint tile = frame.limits.y;
-    uvec2 rows = tile_row_range(e, frame.size.xy);
+    uint tile = frame.tile_count;
+    uvec2 rows = tile_row_range(e, frame.size);
     for (uint row = rows.x; row < rows.y; row++) {
-        uvec2 columns = tile_columns_of_row(e, row, frame.size.xy);
+        uvec2 columns = tile_columns_of_row(e, row, frame.size);
         uint n = columns.y - columns.x;
         if (k < n) {
-            tile = row * frame.size.z + columns.x + k;
+            tile = row * frame.tiles.x + columns.x + k;
             break;
         }
         k -= n;
@@ -143,7 +143,7 @@ void main() {
     uint group = workgroup_index();
     uint t = thread_index();
     uint visible = counters[COUNT_FAILED] == 0u ? counters[COUNT_VISIBLE] : 0u;
-    uint capacity = min(counters[COUNT_INSTANCES], frame.limits.x);
+    uint capacity = min(counters[COUNT_INSTANCES], frame.instance_capacity);
     uint i = group * SCAN_BLOCK + t;
     uint gaussian = i < visible ? order[i] : 0u;
     uint base = instances_before(group);

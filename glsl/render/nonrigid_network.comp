@@ -100,13 +100,13 @@ void main() {
     // With STAGE 0, for subgroups of at most PARTS lanes, the same for the whole subgroup: it decides who shuffles.
     uint size = SUBGROUP_SIZE;
     uint first_output = (stage == 0u ? gl_SubgroupID * size / PARTS : thread / PARTS) * per_thread;
-    uint count = frame.counts.x;
+    uint count = frame.gaussians;
     uint first_gaussian = workgroup_index() * GROUP_GAUSSIANS;
 
     // A thread encodes elements of one Gaussian, its own or the one that 64 threads before it has moved.
     if (thread < GROUP_GAUSSIANS) {
         uint g = min(first_gaussian + thread, max(count, 1u) - 1u);
-        activations[thread] = vec4(moved_centre(g) + vec3(push.origin_x, push.origin_y, push.origin_z), frame.background.w);
+        activations[thread] = vec4(moved_centre(g) + vec3(push.origin_x, push.origin_y, push.origin_z), frame.time);
     }
     barrier();
     vec4 centre = activations[thread % GROUP_GAUSSIANS];

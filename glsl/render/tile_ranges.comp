@@ -23,7 +23,7 @@ void main() {
         uint tile = keys[i];
         uint previous = i == 0u ? 0xffffffffu : keys[i - 1u];
         uint next = i + 1u == instances ? 0xffffffffu : keys[i + 1u];
-        if (tile < frame.limits.y) {
+        if (tile < frame.tile_count) {
             if (previous != tile) {
                 ranges[2u * tile] = i;
             }

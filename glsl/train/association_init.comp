@@ -28,7 +28,7 @@ void main() {
     uint i = workgroup_index() * 256u + gl_LocalInvocationID.x;
     uint neighbors = NEIGHBORS;
     uint slots = SLOTS;
-    if (i < step_data.counts.x) {
+    if (i < step_data.gaussians) {
         superpoint_of_gaussian[i] = neighbor[i * slots];
         for (uint k = 0u; k < neighbors; k++) {
             uint at = i * slots + k;

@@ -79,7 +79,7 @@ struct Gradient {
 struct Target {
     uint g;
     uint n;
-    vec4 adam;
+    Adam adam;
     vec2 bias;
     bool finite; // nothing had to be left out so far
 };
@@ -124,7 +124,7 @@ void sh_term_1(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3
     uint at = 3u * k * t.n + t.g;
     vec3 value = vec3(sh_1[at], sh_1[at + t.n], sh_1[at + 2u * t.n]);
     along += db * dot(value, colour);
-    vec3 next = apply3(t, PLANE_SH_1 + 3u * k, value, b * colour, step_data.rate_1.y);
+    vec3 next = apply3(t, PLANE_SH_1 + 3u * k, value, b * colour, step_data.rate_sh_rest);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_1[at] = next.x;
@@ -137,7 +137,7 @@ void sh_term_2(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3
     uint at = 3u * k * t.n + t.g;
     vec3 value = vec3(sh_2[at], sh_2[at + t.n], sh_2[at + 2u * t.n]);
     along += db * dot(value, colour);
-    vec3 next = apply3(t, PLANE_SH_2 + 3u * k, value, b * colour, step_data.rate_1.y);
+    vec3 next = apply3(t, PLANE_SH_2 + 3u * k, value, b * colour, step_data.rate_sh_rest);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_2[at] = next.x;
@@ -150,7 +150,7 @@ void sh_term_3(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3
     uint at = 3u * k * t.n + t.g;
     vec3 value = vec3(sh_3[at], sh_3[at + t.n], sh_3[at + 2u * t.n]);
     along += db * dot(value, colour);
-    vec3 next = apply3(t, PLANE_SH_3 + 3u * k, value, b * colour, step_data.rate_1.y);
+    vec3 next = apply3(t, PLANE_SH_3 + 3u * k, value, b * colour, step_data.rate_sh_rest);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_3[at] = next.x;
@@ -165,7 +165,7 @@ vec3 sh_backward(inout Target t, vec3 d, vec3 colour) {
     uint g = t.g;
     uint n = t.n;
     vec3 value = vec3(sh_0[g], sh_0[n + g], sh_0[2u * n + g]);
-    vec3 next = apply3(t, PLANE_SH_0, value, SH_0 * colour, step_data.rate_1.x);
+    vec3 next = apply3(t, PLANE_SH_0, value, SH_0 * colour, step_data.rate_sh_0);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_0[g] = next.x;
@@ -212,7 +212,7 @@ vec3 sh_backward(inout Target t, vec3 d, vec3 colour) {
 
 // Density statistics of a visible Gaussian.
 void gather_statistics(uint g, uint n, vec2 mean2d, float radius) {
-    float change = length(mean2d * 0.5 * vec2(frame.size.xy)); // per unit of normalised device coordinates
+    float change = length(mean2d * 0.5 * vec2(frame.size)); // per unit of normalised device coordinates
     density[g] += number_is_finite(change) ? change : 0.0;
     density[n + g] += 1.0;
     float before = max_radius[g];
@@ -239,7 +239,7 @@ Gradient geometry_backward(uint g, uint n, vec3 canonical, vec3 d, vec4 turn, Sh
     vec2 h1 = vec2(splat_gradient[row + 1u], splat_gradient[row + 2u]);
     vec3 h2 = vec3(splat_gradient[row + 3u], splat_gradient[row + 4u], splat_gradient[row + 5u]);
     FootprintGradient f = footprint_backward(footprint, column_0, column_1, column_2, tangent, focal, h1, h2);
-    if (step_data.time.z > 0.0) {
+    if (step_data.density_statistics > 0.0) {
         gather_statistics(g, n, f.mean2d, footprint_radius(footprint));
     }
 
@@ -317,18 +317,17 @@ void write_nonrigid_gradient(uint g, uint n, Gradient o) {
 void apply_geometry(inout Target t, vec3 canonical, Gradient o) {
     uint g = t.g;
     uint n = t.n;
-    vec4 rate = step_data.rate_0;
     uint kind = OUTPUT;
-    vec3 new_mean = apply3(t, PLANE_MEAN, canonical, o.mean, rate.x);
+    vec3 new_mean = apply3(t, PLANE_MEAN, canonical, o.mean, step_data.rate_mean);
     report(t, STATUS_MEAN);
     vec3 log_s = vec3(log_scale[g], log_scale[n + g], log_scale[2u * n + g]);
-    vec3 new_log_scale = apply3(t, PLANE_LOG_SCALE, log_s, o.log_scale, rate.y);
+    vec3 new_log_scale = apply3(t, PLANE_LOG_SCALE, log_s, o.log_scale, step_data.rate_log_scale);
     report(t, STATUS_LOG_SCALE);
     vec4 q = rotation[g];
-    vec3 q_wxy = apply3(t, PLANE_ROTATION, q.xyz, o.rotation.xyz, rate.z);
-    float q_z = apply(t, PLANE_ROTATION + 3u, q.w, o.rotation.w, rate.z);
+    vec3 q_wxy = apply3(t, PLANE_ROTATION, q.xyz, o.rotation.xyz, step_data.rate_rotation);
+    float q_z = apply(t, PLANE_ROTATION + 3u, q.w, o.rotation.w, step_data.rate_rotation);
     report(t, STATUS_ROTATION);
-    float logit = apply(t, PLANE_OPACITY_LOGIT, opacity_logit[g], o.opacity_logit, rate.w);
+    float logit = apply(t, PLANE_OPACITY_LOGIT, opacity_logit[g], o.opacity_logit, step_data.rate_opacity_logit);
     report(t, STATUS_OPACITY_LOGIT);
     if (kind == 1u) {
         mean[g] = new_mean.x;
@@ -344,9 +343,9 @@ void apply_geometry(inout Target t, vec3 canonical, Gradient o) {
 
 void main() {
     uint g = workgroup_index() * 128u + gl_LocalInvocationIndex;
-    uint n = frame.counts.x;
+    uint n = frame.gaussians;
     if (g < n && counters[COUNT_FAILED] == 0u) {
-        Target t = Target(g, n, step_data.adam, step_data.bias_0.xy, true);
+        Target t = Target(g, n, step_data.adam, step_data.bias_gaussians, true);
         vec3 canonical = vec3(mean[g], mean[n + g], mean[2u * n + g]);
         bool visible = tile_count[g] > 0u;
         vec3 d = vec3(0.0, 0.0, 1.0);

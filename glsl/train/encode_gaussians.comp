@@ -30,7 +30,7 @@ void main() {
     uint thread = gl_LocalInvocationIndex;
     uint first = workgroup_index() * GROUP_GAUSSIANS;
     if (thread < GROUP_GAUSSIANS) {
-        centres[thread] = vec4(moved_centre(push.first_row + min(first + thread, push.rows - 1u)), frame.background.w);
+        centres[thread] = vec4(moved_centre(push.first_row + min(first + thread, push.rows - 1u)), frame.time);
     }
     barrier();
     for (uint item = thread; item < ENCODED * GROUP_GAUSSIANS; item += 256u) {

@@ -24,7 +24,7 @@ void main() {
     uint row = item / ENCODED;
     EncodedElement e = encoded_element(item % ENCODED);
     if (row < push.rows) {
-        float x = e.axis < 3u ? superpoint_position[3u * row + e.axis] : step_data.time.x;
+        float x = e.axis < 3u ? superpoint_position[3u * row + e.axis] : step_data.time;
         encoding[item] = encoded_value(e, x);
     }
 }

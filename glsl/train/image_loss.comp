@@ -100,7 +100,7 @@ vec2 store_run(uint task, uvec2 corner, uint channel, vec2 two[COLUMN_RUN], floa
     uint with_ssim = WITH_SSIM;
     uint first = COLUMN_RUN * (task / LOSS_TILE_WIDTH);
     uint x = corner.x + task % LOSS_TILE_WIDTH;
-    float lambda = with_ssim == 1u ? step_data.weights.x : 0.0;
+    float lambda = with_ssim == 1u ? step_data.weight_dssim : 0.0;
     float per_value = 1.0 / (3.0 * float(image_size.x * image_size.y));
     vec2 total = vec2(0.0);
     uint bad_count = 0u;

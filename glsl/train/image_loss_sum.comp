@@ -24,7 +24,7 @@ shared vec3 sums[64]; // one per subgroup: 256 / 4
 void main() {
     uint with_ssim = WITH_SSIM;
     uint size = SUBGROUP_SIZE;
-    uvec2 tiles = loss_tiles(frame.size.xy);
+    uvec2 tiles = loss_tiles(frame.size);
     uint groups = 3u * tiles.x * tiles.y;
     uint thread = thread_index();
     vec3 total = vec3(0.0); // L1, SSIM, MSE
@@ -43,7 +43,7 @@ void main() {
             sum += sums[s];
         }
         vec3 mean = sum / (3.0 * float(frame.size.x * frame.size.y));
-        float lambda = with_ssim == 1u ? step_data.weights.x : 0.0;
+        float lambda = with_ssim == 1u ? step_data.weight_dssim : 0.0;
         loss[0] = (1.0 - lambda) * mean.x + lambda * (1.0 - mean.y);
         loss[1] = mean.x;
         loss[2] = mean.y;

@@ -62,7 +62,7 @@ float squared_distance(vec3 a, vec3 b) {
 void find_nearest(vec3 x, out uint nearest[MAX_NEIGHBORS]) {
     uint size = SUBGROUP_SIZE;
     uint neighbors = NEIGHBORS;
-    uint superpoints = step_data.counts.y;
+    uint superpoints = step_data.superpoints;
     float d_0 = uintBitsToFloat(INFINITE);
     float d_1 = d_0, d_2 = d_0, d_3 = d_0, d_4 = d_0, d_5 = d_0, d_6 = d_0;
     float worst = d_0;
@@ -163,7 +163,7 @@ void update_row(uint row, uint nearest[MAX_NEIGHBORS]) {
 // Softmax over the superpoints in use. All weights are 0 when a logit is not finite.
 void write_weights(uint i, uint row, uint nearest[MAX_NEIGHBORS]) {
     uint neighbors = NEIGHBORS;
-    uint n = step_data.counts.x;
+    uint n = step_data.gaussians;
     float value[MAX_NEIGHBORS];
     bool finite = true;
     float top = 0.0;
@@ -197,21 +197,21 @@ void write_weights(uint i, uint row, uint nearest[MAX_NEIGHBORS]) {
 
 void write_pairs(uint i, uint nearest[MAX_NEIGHBORS]) {
     uint neighbors = NEIGHBORS;
-    uint n = step_data.counts.x;
+    uint n = step_data.gaussians;
     [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
         if (k < neighbors) {
             pair_key[k * n + i] = nearest[k];
             pair_value[k * n + i] = (k << PAIR_SHIFT) | i;
         }
     }
-    pair_key[neighbors * n + i] = min(superpoint_of_gaussian[i], step_data.counts.y - 1u);
+    pair_key[neighbors * n + i] = min(superpoint_of_gaussian[i], step_data.superpoints - 1u);
     pair_value[neighbors * n + i] = (neighbors << PAIR_SHIFT) | i;
 }
 
 void main() {
     uint i = workgroup_index() * 256u + thread_index();
     uint slots = SLOTS;
-    uint n = step_data.counts.x;
+    uint n = step_data.gaussians;
     // A thread without a Gaussian keeps its subgroup company, which shuffles need.
     uint at = min(i, n - 1u);
     vec3 x = vec3(mean[at], mean[n + at], mean[2u * n + at]);

@@ -39,19 +39,19 @@ layout(std430, set = 0, binding = 14) writeonly buffer PropertyMeanGradientBlock
 #include "lib/association_adam.glsl"
 
 vec3 residual_plane(uint plane, uint i) {
-    uint n = step_data.counts.x;
+    uint n = step_data.gaussians;
     return vec3(residual[plane * n + i], residual[(plane + 1u) * n + i], residual[(plane + 2u) * n + i]);
 }
 
 // Gradient of a superpoint's mean property over the weight sum: -Σ a g / Σ a.
 vec3 pulled(uint plane, uint j) {
-    uint m = step_data.counts.y;
+    uint m = step_data.superpoints;
     vec3 sum = vec3(residual_sum[plane * m + j], residual_sum[(plane + 1u) * m + j], residual_sum[(plane + 2u) * m + j]);
     return -inverse_weight(j) * sum;
 }
 
 void write_vector(uint plane, uint i, vec3 value) {
-    uint n = step_data.counts.x;
+    uint n = step_data.gaussians;
     own_gradient[plane * n + i] = value.x;
     own_gradient[(plane + 1u) * n + i] = value.y;
     own_gradient[(plane + 2u) * n + i] = value.z;
@@ -59,7 +59,7 @@ void write_vector(uint plane, uint i, vec3 value) {
 
 void main() {
     uint i = workgroup_index() * 256u + gl_LocalInvocationID.x;
-    uint n = step_data.counts.x;
+    uint n = step_data.gaussians;
     uint neighbors = NEIGHBORS;
     uint slots = SLOTS;
     if (i < n) {
@@ -78,7 +78,7 @@ void main() {
         float d_mean = 0.0;
         [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
             if (k < neighbors) {
-                uint j = min(neighbor[i * slots + k], step_data.counts.y - 1u);
+                uint j = min(neighbor[i * slots + k], step_data.superpoints - 1u);
                 vec3 p, r, t;
                 mean_properties(j, p, r, t);
                 vec3 s_p = pulled(4u, j);

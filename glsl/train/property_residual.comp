@@ -74,7 +74,7 @@ void update_logits(uint i, float gradient[MAX_NEIGHBORS]) {
 void main() {
     uint thread = thread_index();
     uint i = workgroup_index() * 256u + thread;
-    uint n = step_data.counts.x;
+    uint n = step_data.gaussians;
     uint neighbors = NEIGHBORS;
     uint slots = SLOTS;
     uint paper = PAPER;
@@ -94,7 +94,7 @@ void main() {
         vec3 mean_t = vec3(0.0);
         [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
             if (k < neighbors) {
-                superpoint_properties(min(neighbor[i * slots + k], step_data.counts.y - 1u), p[k], r[k], t[k]);
+                superpoint_properties(min(neighbor[i * slots + k], step_data.superpoints - 1u), p[k], r[k], t[k]);
                 a[k] = weight[k * n + i];
                 mean_p += a[k] * p[k];
                 mean_r += a[k] * r[k];
@@ -108,9 +108,9 @@ void main() {
         squares[1] = dot(error_r, error_r);
         squares[2] = dot(error_t, error_t);
         float scale = 2.0 / (3.0 * float(n));
-        vec3 g_p = step_data.weights.y * scale * error_p;
-        vec3 g_r = step_data.weights.z * scale * error_r;
-        vec3 g_t = step_data.weights.w * scale * error_t;
+        vec3 g_p = step_data.weight_position * scale * error_p;
+        vec3 g_r = step_data.weight_rotation * scale * error_r;
+        vec3 g_t = step_data.weight_translation * scale * error_t;
         for (uint c = 0u; c < 3u; c++) {
             residual[c * n + i] = g_p[c];
             residual[(3u + c) * n + i] = g_r[c];

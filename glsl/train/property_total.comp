@@ -22,7 +22,7 @@ layout(std430, set = 0, binding = 2) writeonly buffer PropertyLossBlock { float 
 shared float loss[3];
 
 void main() {
-    uint n = step_data.counts.x;
+    uint n = step_data.gaussians;
     uint groups = n / 256u + (n % 256u == 0u ? 0u : 1u);
     float sums[SUM_VALUES];
     sums[0] = 0.0;
@@ -43,7 +43,7 @@ void main() {
     }
     barrier();
     if (thread == 0u) {
-        vec4 w = step_data.weights;
-        property_loss[3] = w.y * loss[0] + w.z * loss[1] + w.w * loss[2];
+        property_loss[3] = step_data.weight_position * loss[0] + step_data.weight_rotation * loss[1]
+            + step_data.weight_translation * loss[2];
     }
 }

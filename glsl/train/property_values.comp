@@ -22,7 +22,7 @@ layout(std430, set = 0, binding = 4) writeonly buffer PropertyValueBlock { float
 
 void main() {
     uint i = workgroup_index() * 256u + gl_LocalInvocationID.x;
-    uint n = step_data.counts.x;
+    uint n = step_data.gaussians;
     if (i < n) {
         vec3 turned, position, rotation, translation;
         moved_properties(own_superpoint(i), canonical_mean(i), turned, position, rotation, translation);

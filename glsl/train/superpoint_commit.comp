@@ -26,9 +26,9 @@ const float LEAST_WEIGHT = 1e-5;
 
 void main() {
     uint i = workgroup_index() * 256u + gl_LocalInvocationID.x;
-    uint m = step_data.counts.y;
+    uint m = step_data.superpoints;
     bool failed = counters[COUNT_FAILED] != 0u;
-    if (i < step_data.counts.x && !failed) {
+    if (i < step_data.gaussians && !failed) {
         superpoint_of_gaussian[i] = next_superpoint[i];
     }
     if (i < m && !failed) {

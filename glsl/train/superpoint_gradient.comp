@@ -23,12 +23,12 @@ layout(std430, set = 0, binding = 4) readonly buffer PoseSumBlock { float pose_s
 layout(std430, set = 0, binding = 5) writeonly buffer SuperpointGradientBlock { float superpoint_gradient[]; };
 
 vec3 property_sums(uint plane, uint j) {
-    uint m = step_data.counts.y;
+    uint m = step_data.superpoints;
     return vec3(property_sum[plane * m + j], property_sum[(plane + 1u) * m + j], property_sum[(plane + 2u) * m + j]);
 }
 
 vec3 pose_sums(uint plane, uint j) {
-    uint m = step_data.counts.y;
+    uint m = step_data.superpoints;
     return vec3(pose_sum[plane * m + j], pose_sum[(plane + 1u) * m + j], pose_sum[(plane + 2u) * m + j]);
 }
 
@@ -47,7 +47,7 @@ vec3 left_jacobian_transposed(vec3 r, vec3 w) {
 
 void main() {
     uint j = workgroup_index() * 256u + gl_LocalInvocationID.x;
-    uint m = step_data.counts.y;
+    uint m = step_data.superpoints;
     uint properties = PROPERTIES;
     if (j < m) {
         vec3 r = pose[2u * j].xyz;

@@ -76,7 +76,7 @@ bool add_if_finite(inout float sums[SUM_VALUES], float addend[SUM_VALUES], uint 
 void add_pair(inout float sums[SUM_VALUES], uint pair) {
     uint moments = MOMENTS;
     uint planes = PAIR_PLANES;
-    uint n = step_data.counts.x;
+    uint n = step_data.gaussians;
     uint value = pair_value[pair];
     uint i = value & PAIR_MASK;
     float a = weight[(value >> PAIR_SHIFT) * n + i];
@@ -103,7 +103,7 @@ void add_pair(inout float sums[SUM_VALUES], uint pair) {
 void add_own(inout float sums[SUM_VALUES], uint pair) {
     uint planes = OWN_PLANES;
     uint first = OWN_FIRST;
-    uint n = step_data.counts.x;
+    uint n = step_data.gaussians;
     uint i = pair_value[pair] & PAIR_MASK;
     float addend[SUM_VALUES];
     [[unroll]] for (uint c = 0u; c < 9u; c++) {
@@ -116,7 +116,7 @@ void add_own(inout float sums[SUM_VALUES], uint pair) {
 
 void main() {
     uint superpoint = workgroup_index();
-    uint superpoints = step_data.counts.y;
+    uint superpoints = step_data.superpoints;
     uint moments = MOMENTS;
     uint pair_planes = PAIR_PLANES;
     uint own_planes = OWN_PLANES;

@@ -211,16 +211,16 @@ pub fn test_camera(width: u32, height: u32) -> Camera {
 
 /// `ranges` and `values`: per tile the visible Gaussians by depth, ties by index.
 pub fn tile_lists(frame: &Frame, splats: &[u32], tile_count: &[u32]) -> (Vec<u32>, Vec<u32>) {
-    let size = [frame.size[0], frame.size[1]];
+    let size = frame.size;
     let mut visible: Vec<usize> = (0..tile_count.len()).filter(|&g| tile_count[g] > 0).collect();
     visible.sort_by_key(|&g| splats[12 * g + 6]);
-    let mut lists = vec![Vec::new(); frame.limits[1] as usize];
+    let mut lists = vec![Vec::new(); frame.tile_count as usize];
     for g in visible {
         let e = Ellipse::of_splat(vec4_at(splats, 3 * g), vec4_at(splats, 3 * g + 1));
         let rows = e.tile_row_range(size);
         for row in rows[0]..rows[1] {
             let columns = e.tile_columns_of_row(row, size);
-            (columns[0]..columns[1]).for_each(|c| lists[(row * frame.size[2] + c) as usize].push(g as u32));
+            (columns[0]..columns[1]).for_each(|c| lists[(row * frame.tiles[0] + c) as usize].push(g as u32));
         }
     }
     let (mut ranges, mut values) = (Vec::new(), Vec::new());

@@ -130,7 +130,7 @@ impl Rendered {
                 self.image_gradient.clone(),
                 vec![0; ROW_WORDS as usize * rows],
             ],
-            groups: blend_backward::groups(self.frame.limits[1], size, subtiles) as u32,
+            groups: blend_backward::groups(self.frame.tile_count, size, subtiles) as u32,
         }
     }
 

@@ -24,7 +24,7 @@ fn random(r: &mut Random, count: usize, bound: f32) -> Vec<f32> {
 fn input(count: usize) -> (RenderInput, Vec<u32>) {
     let input = RenderInput::random(count, 0, count as u64);
     let mut frame: Frame = input.frame(&test_camera(8, 8));
-    frame.background[3] = 0.42;
+    frame.time = 0.42;
     (input, bytemuck::cast_slice(&[frame]).to_vec())
 }
 

@@ -233,7 +233,7 @@ fn moving_input(count: usize) -> (RenderInput, Frame) {
     let mut input = RenderInput::random(count, 0, count as u64).moving(7, 3);
     input.spoil(2);
     let mut frame = input.frame(&test_camera(8, 8));
-    frame.background[3] = 0.42;
+    frame.time = 0.42;
     (input, frame)
 }
 

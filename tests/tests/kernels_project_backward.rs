@@ -317,19 +317,19 @@ fn adam_takes_the_step_of_the_gradient() {
             let mut culled_moved = 0;
             for p in 0..planes {
                 let rate = match p {
-                    0..3 => step.rate_0[0],
-                    3..6 => step.rate_0[1],
-                    6..10 => step.rate_0[2],
-                    10 => step.rate_0[3],
-                    11..14 => step.rate_1[0],
-                    _ => step.rate_1[1],
+                    0..3 => step.rate_mean,
+                    3..6 => step.rate_log_scale,
+                    6..10 => step.rate_rotation,
+                    10 => step.rate_opacity_logit,
+                    11..14 => step.rate_sh_0,
+                    _ => step.rate_sh_rest,
                 };
                 for g in 0..n {
                     let word = |side: &[Vec<u32>], binding: usize| f32::from_bits(side[binding][p * n + g]);
                     let mut moments = [word(&before, at::MOMENT_1), word(&before, at::MOMENT_2)];
                     let old = parameter(&before, p, n, g);
                     let slope = word(&gradients, at::GRADIENT);
-                    let bias = [step.bias_0[0], step.bias_0[1]];
+                    let bias = step.bias_gaussians;
                     let new = engine::train::adam::update(&step, old, slope, &mut moments, rate, bias);
                     let found = parameter(&result.gpu, p, n, g);
                     assert!(

@@ -108,7 +108,7 @@ fn blend_case(frame: &Frame, splats: &[u32], tile_count: &[u32], spec: [u32; 3],
             vec![0; if spec[0] == 1 { pixels } else { 4 }],
             Vec::new(),
         ],
-        groups: blend::groups(frame.limits[1], size, spec[2]) as u32,
+        groups: blend::groups(frame.tile_count, size, spec[2]) as u32,
     }
 }
 
@@ -343,8 +343,8 @@ fn deform_network_matches_twin_and_reference() {
             let mut r = Random(u64::from(count));
             let position: Vec<[f32; 3]> = (0..count).map(|_| std::array::from_fn(|_| r.range(-10.0, 10.0))).collect();
             let mut frame = RenderInput::random(0, 0, 0).frame(&test_camera(8, 8));
-            frame.counts[1] = count;
-            frame.background[3] = 0.617;
+            frame.superpoints = count;
+            frame.time = 0.617;
             let weights = deform_network::pack_weights(&network, fp16).unwrap();
             let case = UntypedCase {
                 kernel: &DEFORM_NETWORK,

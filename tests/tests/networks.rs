@@ -263,7 +263,7 @@ impl PassG {
     fn new(gpu: &Gpu, input: &RenderInput, frame: &Frame, gradient: &[f32]) -> Self {
         let buffer = |name: &str, bytes: &[u8]| Slice::from(gpu.buffer_with(name, bytes).unwrap());
         Self {
-            common: Common::new(gpu, frame.background[3]),
+            common: Common::new(gpu, frame.time),
             frame: buffer("frame", bytemuck::bytes_of(frame)),
             mean: buffer("mean", bytemuck::cast_slice(&input.mean)),
             group: buffer("superpoint_of_gaussian", bytemuck::cast_slice(&input.superpoint_of_gaussian)),
@@ -299,7 +299,7 @@ impl PassG {
 fn input_g(count: usize) -> (RenderInput, Frame) {
     let input = RenderInput::random(count, 0, count as u64).moving(7, 3);
     let mut frame = input.frame(&test_camera(8, 8));
-    frame.background[3] = 0.42;
+    frame.time = 0.42;
     (input, frame)
 }
 
@@ -318,14 +318,14 @@ fn weights_g() -> NonrigidNetwork {
 /// Rigidly moved centres in f64.
 fn centres(input: &RenderInput, frame: &Frame) -> Vec<DVec3> {
     let (n, m) = (input.count, input.superpoints as usize);
-    let weight = f64::from(frame.camera_position_low[3]);
+    let weight = f64::from(frame.key_weight);
     let centre = |g: usize| {
         let s = input.superpoint_of_gaussian[g] as usize;
         let vector = |key: u32, part: usize| {
             let at = 8 * (key as usize * m + s) + 4 * part;
             DVec3::from_array(std::array::from_fn(|c| f64::from(input.pose[at + c])))
         };
-        let lerp = |part| vector(frame.counts[2], part) * (1.0 - weight) + vector(frame.counts[3], part) * weight;
+        let lerp = |part| vector(frame.first_key, part) * (1.0 - weight) + vector(frame.second_key, part) * weight;
         let mean = DVec3::from_array(std::array::from_fn(|c| f64::from(input.mean[c * n + g])));
         reference::exp(lerp(0)) * mean + lerp(1)
     };
@@ -340,7 +340,7 @@ fn network_g_agrees_with_the_reference() {
     for count in [1, 130, 1500] {
         let (input, frame) = input_g(count);
         let planes = upstream(&mut r, 10 * count);
-        let (centres, time) = (centres(&input, &frame), f64::from(frame.background[3]));
+        let (centres, time) = (centres(&input, &frame), f64::from(frame.time));
         let d: Vec<[f64; 10]> = (0..count).map(|g| std::array::from_fn(|p| f64::from(planes[p * count + g]))).collect();
         let truth = nonrigid_network_gradient(&weights, &centres, time, &d);
         let offsets = reference::nonrigid_offsets(&weights, &centres, time);

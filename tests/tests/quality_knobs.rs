@@ -84,7 +84,7 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
     let (size, packing) = (gpu.subgroup_size_of(&BLEND), q.packing_constant());
     let input = RenderInput::random(COUNT, 3, 5).moving(7, 11);
     let mut frame = input.frame(&test_camera(150, 91));
-    (frame.world_to_camera_0[3], frame.world_to_camera_1[3], frame.limits[0]) = (1.5, 11.0, 40_000);
+    (frame.world_to_camera_0[3], frame.world_to_camera_1[3], frame.instance_capacity) = (1.5, 11.0, 40_000);
 
     // Projection: the device's splats decode to the twin's within the packing's last place.
     let case = project_case(&input, &frame, q);
@@ -102,7 +102,7 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
             assert!((x - y).abs() <= coarse * (1.0 + y.abs()), "{name}: splat {g}: {a:?} {b:?}");
         }
         let e = Ellipse::of_splat(a[0], a[1]).with_constants(q.alpha_cut_constant(), q.cull_constant());
-        let tiles = e.tile_count([frame.size[0], frame.size[1]]);
+        let tiles = e.tile_count(frame.size);
         flips += usize::from(tiles != device[12][g]);
     }
     assert!(flips <= 2 + COUNT / 100, "{name}: {flips} stored splats reach other tiles than were counted");
@@ -168,7 +168,7 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
     let result = case.run(gpu);
     result.assert_equal(&EMIT_TILES, &name);
 
-    let mut lists = vec![Vec::new(); frame.limits[1] as usize];
+    let mut lists = vec![Vec::new(); frame.tile_count as usize];
     for (tile, g) in result.twin[6].iter().zip(&result.twin[7]) {
         lists[*tile as usize].push(*g);
     }
@@ -193,7 +193,7 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
                 vec![0; frame.pixels()],
                 Vec::new(),
             ],
-            groups: blend::groups(frame.limits[1], size, pixels_per_lane) as u32,
+            groups: blend::groups(frame.tile_count, size, pixels_per_lane) as u32,
         };
         case.run(gpu).assert_equal(&BLEND, &format!("{name}, {stage:?}"));
     }

@@ -51,7 +51,7 @@ impl Bounds {
         if bits >= 32 {
             return;
         }
-        let near = frame.camera_position_high[3];
+        let near = frame.near;
         let position = |i: usize| f64::from(frame.camera_position_high[i]) + f64::from(frame.camera_position_low[i]);
         let position = DVec3::new(position(0), position(1), position(2));
         let [x, y, z, _] = frame.world_to_camera_2.map(f64::from);

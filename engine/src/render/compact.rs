@@ -64,7 +64,7 @@ fn compact_twin(call: &mut TwinCall<'_>) {
         return;
     };
     let frame: Frame = twin::struct_at(frame, 0);
-    let gaussians = frame.counts[0];
+    let gaussians = frame.gaussians;
     let mask = (1 << push.digit_bits) - 1;
     for group in 0..groups {
         let mut to = sum_before(visible_block, group * (COMPACT_GAUSSIANS / SCAN_BLOCK), push.block_capacity);
@@ -79,7 +79,7 @@ fn compact_twin(call: &mut TwinCall<'_>) {
             }
         }
         if group == 0 {
-            write_arguments(frame.limits[0], counters, indirect);
+            write_arguments(frame.instance_capacity, counters, indirect);
         }
     }
 }

@@ -197,9 +197,9 @@ fn deform_network_twin(call: &mut TwinCall<'_>) {
     let fp16 = spec(call, 1) == 1;
     let size = DeformSize { layers: spec(call, 2) as usize, width: spec(call, 3) as usize };
     let reached = group_count(call) * DEFORM_NETWORK_SUPERPOINTS;
-    for m in 0..frame.counts[1].min(reached) as usize {
+    for m in 0..frame.superpoints.min(reached) as usize {
         let position = std::array::from_fn(|c| f32_at(&call.buffers[1], 3 * m + c));
-        let [r0, r1, r2, t0, t1, t2] = evaluate(&call.buffers[2], size, fp16, position, frame.background[3]);
+        let [r0, r1, r2, t0, t1, t2] = evaluate(&call.buffers[2], size, fp16, position, frame.time);
         set_vec4(&mut call.buffers[3], 2 * m, [r0, r1, r2, 0.0]);
         set_vec4(&mut call.buffers[3], 2 * m + 1, [t0, t1, t2, 0.0]);
     }

@@ -226,12 +226,12 @@ fn reaches_image(e: &Ellipse, variance_x: f32, width: u32) -> bool {
 /// Pose of Gaussian `g` at the frame's time: the unit quaternion of Exp(r), and τ.
 fn pose_of(buffers: &[Vec<u32>], frame: &Frame, g: usize) -> Option<([f32; 4], [f32; 3])> {
     let superpoint = buffers[5][g];
-    if superpoint >= frame.counts[1] {
+    if superpoint >= frame.superpoints {
         return None;
     }
-    let key = |k: u32| (2 * (k * frame.counts[1] + superpoint)) as usize;
-    let (first, second) = (key(frame.counts[2]), key(frame.counts[3]));
-    let weight = frame.camera_position_low[3];
+    let key = |k: u32| (2 * (k * frame.superpoints + superpoint)) as usize;
+    let (first, second) = (key(frame.first_key), key(frame.second_key));
+    let weight = frame.key_weight;
     let lerp = |offset: usize| -> [f32; 3] {
         let (a, b) = (vec4_at(&buffers[6], first + offset), vec4_at(&buffers[6], second + offset));
         std::array::from_fn(|i| a[i] * (1.0 - weight) + b[i] * weight)
@@ -271,7 +271,7 @@ fn dot4(a: [f32; 4], b: [f32; 4]) -> f32 {
 
 fn project(buffers: &[Vec<u32>], frame: &Frame, constants: &Constants, g: usize) -> Outcome {
     let Constants { motion, nonrigid, packing, .. } = *constants;
-    let n = frame.counts[0] as usize;
+    let n = frame.gaussians as usize;
     let canonical = mean_storage::centre(&buffers[1], constants.mean_storage, n, g);
     let logit = f32_at(&buffers[4], g);
     if !within(canonical, MAX_ABS_MEAN) || logit.is_nan() {
@@ -319,7 +319,7 @@ fn project(buffers: &[Vec<u32>], frame: &Frame, constants: &Constants, g: usize)
     }
     let (conic, log2_opacity) = round_conic(packing, [e.l11, e.l12, e.l22], log2_opacity);
     e = Ellipse { l11: conic[0], l12: conic[1], l22: conic[2], log2_opacity, ..e };
-    let size = [frame.size[0], frame.size[1]];
+    let size = frame.size;
     let tiles = if reaches_image(&e, root[3], size[0]) { e.tile_count(size) } else { 0 };
     if tiles == 0 {
         return Outcome::Culled;
@@ -351,7 +351,7 @@ fn deform_project_twin(call: &mut TwinCall<'_>) {
     let words = splat_words(constants.packing);
     for group in 0..group_count(call) as usize {
         let first = group * DEFORM_PROJECT_THREADS as usize;
-        let last = (first + DEFORM_PROJECT_THREADS as usize).min(frame.counts[0] as usize);
+        let last = (first + DEFORM_PROJECT_THREADS as usize).min(frame.gaussians as usize);
         if first >= last {
             continue;
         }

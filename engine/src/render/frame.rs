@@ -20,22 +20,42 @@ crate::gpu_struct! {
         pub world_to_camera_1: [f32; 4],
         /// Third row.
         pub world_to_camera_2: [f32; 4],
-        /// xyz = camera centre rounded to f32, world units; w = near plane.
-        pub camera_position_high: [f32; 4],
-        /// xyz = camera centre − high; w = weight of the second motion key.
-        pub camera_position_low: [f32; 4],
+        /// Camera centre rounded to f32, world units.
+        pub camera_position_high: [f32; 3],
+        /// Gaussians at camera depth z ≤ near are not drawn; world units.
+        pub near: f32,
+        /// Camera centre − high.
+        pub camera_position_low: [f32; 3],
+        /// Weight of the second motion key.
+        pub key_weight: f32,
         /// fx, fy, cx, cy, pixels.
         pub intrinsics: [f32; 4],
         /// Range in which x/z and y/z enter the Jacobian: x min, x max, y min, y max.
         pub tan_limit: [f32; 4],
-        /// Background colour; w = time.
-        pub background: [f32; 4],
-        /// Width, height (pixels), tiles in x, tiles in y.
-        pub size: [u32; 4],
-        /// Gaussians, superpoints, first and second motion key.
-        pub counts: [u32; 4],
-        /// Instance capacity, tiles, passes of the tile sort, SH degree.
-        pub limits: [u32; 4],
+        /// Background colour.
+        pub background: [f32; 3],
+        /// Time for the networks.
+        pub time: f32,
+        /// Width and height, pixels.
+        pub size: [u32; 2],
+        /// Tiles in x and y.
+        pub tiles: [u32; 2],
+        /// Gaussians.
+        pub gaussians: u32,
+        /// Superpoints.
+        pub superpoints: u32,
+        /// The motion key at or before the time.
+        pub first_key: u32,
+        /// The motion key after it.
+        pub second_key: u32,
+        /// Tile instances that the buffers hold.
+        pub instance_capacity: u32,
+        /// Tiles of the image.
+        pub tile_count: u32,
+        /// To a multiple of 16 bytes.
+        pub unused_0: u32,
+        /// To a multiple of 16 bytes.
+        pub unused_1: u32,
     }
 }
 
@@ -116,19 +136,24 @@ impl Frame {
             world_to_camera_0: row(0),
             world_to_camera_1: row(1),
             world_to_camera_2: row(2),
-            camera_position_high: high.extend(options.near).to_array(),
-            camera_position_low: low.extend(interval.weight as f32).to_array(),
+            camera_position_high: high.to_array(),
+            near: options.near,
+            camera_position_low: low.to_array(),
+            key_weight: interval.weight as f32,
             intrinsics: intrinsics.map(|v| v as f32),
             tan_limit: tan_limit(camera).map(|v| v as f32),
-            background: [options.background[0], options.background[1], options.background[2], options.time as f32],
-            size: [camera.width, camera.height, tiles[0], tiles[1]],
-            counts: [options.gaussians, options.superpoints, interval.first, interval.second],
-            limits: [
-                options.instance_capacity,
-                tiles[0] * tiles[1],
-                tile_passes(tiles[0] * tiles[1]),
-                options.sh_degree,
-            ],
+            background: options.background,
+            time: options.time as f32,
+            size: [camera.width, camera.height],
+            tiles,
+            gaussians: options.gaussians,
+            superpoints: options.superpoints,
+            first_key: interval.first,
+            second_key: interval.second,
+            instance_capacity: options.instance_capacity,
+            tile_count: tiles[0] * tiles[1],
+            unused_0: 0,
+            unused_1: 0,
         })
     }
 
@@ -136,12 +161,6 @@ impl Frame {
     pub fn pixels(&self) -> usize {
         self.size[0] as usize * self.size[1] as usize
     }
-}
-
-/// 8-bit passes that sort the ids of `tiles` tiles: ⌈bits / 8⌉, at least 1.
-pub fn tile_passes(tiles: u32) -> u32 {
-    let bits = u32::BITS - tiles.saturating_sub(1).leading_zeros();
-    bits.div_ceil(8).max(1)
 }
 
 /// Range of x/z and of y/z in the Jacobian: the image's own, widened by 0.3 of its half extent on each side.
@@ -189,8 +208,7 @@ mod tests {
     #[test]
     fn is_176_bytes_in_std430_order() {
         assert_eq!(size_of::<Frame>(), 176);
-        assert_eq!(Frame::FIELDS[8], ("size", 128));
-        assert_eq!(Frame::FIELDS.len(), 11);
+        assert_eq!(Frame::FIELDS[10], ("size", 128));
     }
 
     #[test]
@@ -203,7 +221,7 @@ mod tests {
             assert!((sum - c.position[i]).abs() <= 1e-7, "{sum} {}", c.position[i]);
         }
         let moved = Frame::new(&c, c.position, &FrameOptions::default()).unwrap();
-        assert_eq!(moved.camera_position_high, [0.0, 0.0, 0.0, 0.2]);
+        assert_eq!((moved.camera_position_high, moved.near), ([0.0; 3], 0.2));
     }
 
     #[test]
@@ -216,15 +234,7 @@ mod tests {
         let tan = 0.5 * 400.0 / c.fx;
         assert!((f64::from(f.tan_limit[0]) + 1.3 * tan).abs() < 1e-6);
         assert!((f64::from(f.tan_limit[1]) - 1.3 * tan).abs() < 1e-6);
-        assert_eq!(f.size, [400, 300, 25, 19]);
-        assert_eq!(f.limits[1..3], [475, 2]);
-    }
-
-    #[test]
-    fn tile_passes_cover_exactly_the_bits_of_the_ids() {
-        for (tiles, passes) in [(1, 1), (2, 1), (256, 1), (257, 2), (65_536, 2), (65_537, 3), (1 << 20, 3)] {
-            assert_eq!(tile_passes(tiles), passes, "{tiles}");
-        }
+        assert_eq!((f.size, f.tiles, f.tile_count), ([400, 300], [25, 19], 475));
     }
 
     #[test]

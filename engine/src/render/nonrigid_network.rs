@@ -114,19 +114,19 @@ fn within(v: [f32; 3]) -> bool {
 /// Twin of `glsl/lib/moved_centre.glsl`; `buffers`: frame, mean, superpoint_of_gaussian, pose.
 pub(crate) fn moved_centre(buffers: &[Vec<u32>], motion: u32, g: usize) -> [f32; 3] {
     let frame: Frame = struct_at(&buffers[0], 0);
-    let n = frame.counts[0] as usize;
+    let n = frame.gaussians as usize;
     let mean: [f32; 3] = std::array::from_fn(|axis| f32_at(&buffers[1], axis * n + g));
     if motion == 0 || !within(mean) {
         return if within(mean) { mean } else { [0.0; 3] };
     }
     let superpoint = buffers[2][g];
-    if superpoint >= frame.counts[1] {
+    if superpoint >= frame.superpoints {
         return [0.0; 3];
     }
-    let key = |k: u32| (2 * (k * frame.counts[1] + superpoint)) as usize;
-    let weight = frame.camera_position_low[3];
+    let key = |k: u32| (2 * (k * frame.superpoints + superpoint)) as usize;
+    let weight = frame.key_weight;
     let lerp = |offset: usize| -> [f32; 3] {
-        let pair = [frame.counts[2], frame.counts[3]].map(|k| vec4_at(&buffers[3], key(k) + offset));
+        let pair = [frame.first_key, frame.second_key].map(|k| vec4_at(&buffers[3], key(k) + offset));
         std::array::from_fn(|i| pair[0][i] * (1.0 - weight) + pair[1][i] * weight)
     };
     let (r, translation) = (lerp(0), lerp(1));
@@ -153,11 +153,11 @@ fn nonrigid_network_twin(call: &mut TwinCall<'_>) {
     let frame: Frame = struct_at(&call.buffers[0], 0);
     let p: NonrigidPush = push(call);
     let motion = spec(call, 1);
-    let n = frame.counts[0] as usize;
+    let n = frame.gaussians as usize;
     for g in 0..n.min((group_count(call) * NONRIGID_GAUSSIANS) as usize) {
         let centre = moved_centre(call.buffers, motion, g);
         let centre = [centre[0] + p.origin_x, centre[1] + p.origin_y, centre[2] + p.origin_z];
-        let time = frame.background[3];
+        let time = frame.time;
         let mut values: Vec<f32> = (0..NONRIGID_ENCODING).map(|e| encoded(centre, time, e)).collect();
         let mut base = 0;
         for layer in 0..=NONRIGID_LAYERS {

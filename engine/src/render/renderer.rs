@@ -193,7 +193,7 @@ impl Renderer {
         let Some(targets) = &mut self.targets else {
             return Err(Error::usage("renderer", "no targets", "targets after prepare"));
         };
-        frame.limits[0] = targets.capacity;
+        frame.instance_capacity = targets.capacity;
         let slot = &mut targets.slots[slot];
         self.gpu.wait_for(&slot.commands)?;
         slot.buffers.frame.write(0, bytemuck::bytes_of(&frame))?;

@@ -140,7 +140,7 @@ fn emit_tiles_twin(call: &mut TwinCall<'_>) {
     };
     let visible = visible_of(counters);
     let frame: Frame = twin::struct_at(frame, 0);
-    let capacity = counters[COUNT_INSTANCES as usize].min(frame.limits[0]);
+    let capacity = counters[COUNT_INSTANCES as usize].min(frame.instance_capacity);
     let mask = (1 << push.digit_bits) - 1;
     for group in 0..groups.min(visible.div_ceil(SCAN_BLOCK)) {
         let mut to = sum_before(instance_block, group, push.block_capacity);
@@ -152,7 +152,7 @@ fn emit_tiles_twin(call: &mut TwinCall<'_>) {
             if with_slots {
                 first_slot[g] = to;
             }
-            for tile in tiles_of(&e, tile_count[g], frame.size, frame.limits[1]) {
+            for tile in tiles_of(&e, tile_count[g], frame.size, frame.tile_count) {
                 if to < capacity {
                     keys[to as usize] = tile;
                     values[to as usize] = if with_slots { to } else { gaussian };
@@ -206,7 +206,7 @@ fn tile_ranges_twin(call: &mut TwinCall<'_>) {
     let n = counters[COUNT_INSTANCES as usize] as usize;
     for i in 0..n.min(threads as usize) {
         let tile = keys[i];
-        if tile >= frame.limits[1] {
+        if tile >= frame.tile_count {
             continue;
         }
         if i == 0 || keys[i - 1] != tile {

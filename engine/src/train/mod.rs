@@ -78,7 +78,6 @@ static BY_MODULE: &[&[&Kernel]] = &[
     blend_backward::KERNELS,
     deform_project_backward::KERNELS,
     image_loss::KERNELS,
-    adam::KERNELS,
     density::KERNELS,
     finite::KERNELS,
     linear::KERNELS,

@@ -61,8 +61,8 @@ pub(crate) fn update_logit(
 ) {
     let [logit, m1, m2] = buffers;
     let mut moments = [twin::f32_at(m1, at), twin::f32_at(m2, at)];
-    let bias = [step.bias_1[0], step.bias_1[1]];
-    let value = adam::update(step, twin::f32_at(logit, at), gradient, &mut moments, step.rate_1[3], bias);
+    let bias = step.bias_association;
+    let value = adam::update(step, twin::f32_at(logit, at), gradient, &mut moments, step.rate_association, bias);
     if value.is_finite() && moments.iter().all(|m| m.is_finite()) {
         twin::set_f32(logit, at, value);
         twin::set_f32(m1, at, moments[0]);

@@ -2,7 +2,7 @@
 //! code counts). Resuming needs nothing but that number.
 
 use super::config::{Config, decayed};
-use super::step::{Step, bias_corrections};
+use super::step::{Adam, Step, bias_corrections};
 
 /// The part of the method that a run is in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -163,15 +163,36 @@ impl Schedule {
         let motion = bias((iteration + 1).saturating_sub(c.schedule.warm_up.max(1)).max(1));
         let all = bias(iteration);
         Step {
-            counts: [counts.gaussians, counts.superpoints, counts.slots, iteration as u32],
-            rate_0: [mean, r.log_scale * scale, r.rotation, r.opacity_logit].map(|v| v as f32),
-            rate_1: [r.sh_0, r.sh_rest, deform, association].map(|v| v as f32),
-            rate_2: [nonrigid as f32, 0.0, 0.0, 0.0],
-            adam: [c.adam.beta_1 as f32, c.adam.beta_2 as f32, c.adam.epsilon as f32, 0.0],
-            bias_0: [all[0], all[1], motion[0], motion[1]],
-            bias_1: [motion[0], motion[1], all[0], all[1]],
-            weights: [c.loss.lambda_dssim, c.loss.lambda_position, c.loss.lambda_rotation, c.loss.lambda_translation],
-            time: [time[0] as f32, time[1] as f32, f32::from(u8::from(self.density_statistics(iteration))), 0.0],
+            gaussians: counts.gaussians,
+            superpoints: counts.superpoints,
+            neighbors: counts.slots,
+            iteration: iteration as u32,
+            rate_mean: mean as f32,
+            rate_log_scale: (r.log_scale * scale) as f32,
+            rate_rotation: r.rotation as f32,
+            rate_opacity_logit: r.opacity_logit as f32,
+            rate_sh_0: r.sh_0 as f32,
+            rate_sh_rest: r.sh_rest as f32,
+            rate_network_f: deform as f32,
+            rate_association: association as f32,
+            rate_network_g: nonrigid as f32,
+            weight_dssim: c.loss.lambda_dssim,
+            weight_position: c.loss.lambda_position,
+            weight_rotation: c.loss.lambda_rotation,
+            weight_translation: c.loss.lambda_translation,
+            time: time[0] as f32,
+            exact_time: time[1] as f32,
+            density_statistics: f32::from(u8::from(self.density_statistics(iteration))),
+            adam: Adam {
+                beta_1: c.adam.beta_1 as f32,
+                beta_2: c.adam.beta_2 as f32,
+                epsilon: c.adam.epsilon as f32,
+                unused: 0.0,
+            },
+            bias_gaussians: all,
+            bias_network_f: motion,
+            bias_association: motion,
+            bias_network_g: all,
         }
     }
 
@@ -208,13 +229,13 @@ mod tests {
         let s = schedule(Stage::Rigid);
         let at = |i: u64| s.step(i, Counts::default(), [0.0; 2]);
         let near = |a: f32, b: f64| assert!((f64::from(a) / b - 1.0).abs() < 1e-3, "{a} {b}");
-        near(at(1).rate_0[0], 8e-4);
-        near(at(30_001).rate_0[0], 8e-6);
-        near(at(1).rate_0[1], 5e-3);
-        near(at(1).rate_1[2], 1e-3);
-        near(at(40_001).rate_1[2], 1e-5);
-        near(at(1).bias_0[0], 10.0);
-        near(at(3000).bias_0[2], 10.0);
+        near(at(1).rate_mean, 8e-4);
+        near(at(30_001).rate_mean, 8e-6);
+        near(at(1).rate_log_scale, 5e-3);
+        near(at(1).rate_network_f, 1e-3);
+        near(at(40_001).rate_network_f, 1e-5);
+        near(at(1).bias_gaussians[0], 10.0);
+        near(at(3000).bias_network_f[0], 10.0);
     }
 
     #[test]

@@ -1,26 +1,73 @@
 //! What a training step is, as the kernels see it: the Rust mirror of `glsl/lib/step.glsl`.
 
 crate::gpu_struct! {
-    /// Counts, learning rates, Adam's corrections and loss weights of one step; written by the host before it.
+    /// Adam's constants.
+    pub struct Adam {
+        /// Decay of the first moment.
+        pub beta_1: f32,
+        /// Decay of the second moment.
+        pub beta_2: f32,
+        /// Added to the root of the second moment.
+        pub epsilon: f32,
+        /// To 16 bytes.
+        pub unused: f32,
+    }
+}
+
+crate::gpu_struct! {
+    /// Counts, learning rates, Adam's corrections and loss weights of one step; written by the host before it. Corrections:
+    /// 1/(1−β₁ᵗ), 1/√(1−β₂ᵗ).
     pub struct Step {
-        /// Gaussians, superpoints, association slots per Gaussian, iteration.
-        pub counts: [u32; 4],
-        /// Learning rates: mean, log_scale, rotation, opacity_logit.
-        pub rate_0: [f32; 4],
-        /// Learning rates: sh_0, sh_1..3, network F, association logits.
-        pub rate_1: [f32; 4],
-        /// Learning rate of network G; the rest is 0.
-        pub rate_2: [f32; 4],
-        /// β₁, β₂, ε, 0.
-        pub adam: [f32; 4],
-        /// 1/(1−β₁ᵗ), 1/√(1−β₂ᵗ) of the Gaussians, then of network F.
-        pub bias_0: [f32; 4],
-        /// The same of the association, then of network G.
-        pub bias_1: [f32; 4],
-        /// λ of D-SSIM, then of the property losses: position, rotation, translation.
-        pub weights: [f32; 4],
-        /// Time given to the networks (with noise), exact time, whether density statistics are kept (1 or 0), 0.
-        pub time: [f32; 4],
+        /// Gaussians.
+        pub gaussians: u32,
+        /// Superpoints.
+        pub superpoints: u32,
+        /// Association slots per Gaussian.
+        pub neighbors: u32,
+        /// Number of the step, from 1.
+        pub iteration: u32,
+        /// Learning rate of the centres.
+        pub rate_mean: f32,
+        /// Learning rate of the log scales.
+        pub rate_log_scale: f32,
+        /// Learning rate of the rotations.
+        pub rate_rotation: f32,
+        /// Learning rate of the opacity logits.
+        pub rate_opacity_logit: f32,
+        /// Learning rate of SH band 0.
+        pub rate_sh_0: f32,
+        /// Learning rate of SH bands 1 to 3.
+        pub rate_sh_rest: f32,
+        /// Learning rate of network F.
+        pub rate_network_f: f32,
+        /// Learning rate of the association logits.
+        pub rate_association: f32,
+        /// Learning rate of network G.
+        pub rate_network_g: f32,
+        /// λ of D-SSIM.
+        pub weight_dssim: f32,
+        /// λ of the property loss of positions.
+        pub weight_position: f32,
+        /// λ of the property loss of rotations.
+        pub weight_rotation: f32,
+        /// λ of the property loss of translations.
+        pub weight_translation: f32,
+        /// Time given to the networks, with noise.
+        pub time: f32,
+        /// Time of the image.
+        pub exact_time: f32,
+        /// Whether density statistics are kept, 1 or 0.
+        pub density_statistics: f32,
+        /// Adam's constants.
+        pub adam: Adam,
+        /// Corrections of the Gaussians.
+        pub bias_gaussians: [f32; 2],
+        /// Corrections of network F.
+        pub bias_network_f: [f32; 2],
+        /// Corrections of the association.
+        pub bias_association: [f32; 2],
+        /// Corrections of network G.
+        pub bias_network_g: [f32; 2],
     }
 }
 

@@ -136,13 +136,13 @@ impl Dense {
         for (at, g) in gradient.iter().enumerate() {
             dense[at / k * self.m + near[at] as usize] = *g;
         }
-        let (b1, b2) = (f64::from(step.adam[0]), f64::from(step.adam[1]));
+        let (b1, b2) = (f64::from(step.adam.beta_1), f64::from(step.adam.beta_2));
         for (at, g) in dense.into_iter().enumerate() {
             let [first, second] = &mut self.moments[at];
             *first = b1 * *first + (1.0 - b1) * g;
             *second = b2 * *second + (1.0 - b2) * g * g;
             let (m, v) = (*first / (1.0 - b1.powi(t)), *second / (1.0 - b2.powi(t)));
-            self.logit[at] -= f64::from(step.rate_1[3]) * m / (v.sqrt() + 1e-15);
+            self.logit[at] -= f64::from(step.rate_association) * m / (v.sqrt() + 1e-15);
         }
     }
 }

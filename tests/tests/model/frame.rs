@@ -78,7 +78,7 @@ fn sort(
 /// What `blend` reads: frame, ranges, values, splats.
 fn lists(options: &Options, input: &RenderInput, frame: &Frame, capacity: u32) -> [Vec<u32>; 4] {
     let mut frame = *frame;
-    frame.limits[0] = capacity;
+    frame.instance_capacity = capacity;
     let n = input.count as u32;
     let (words, block_capacity) = block_words(n);
     let mut project = input.deform_project(&frame);
@@ -93,7 +93,7 @@ fn lists(options: &Options, input: &RenderInput, frame: &Frame, capacity: u32) -
     let frame_words: Vec<u32> = bytemuck::cast_slice(&[frame]).to_vec();
 
     let depth = SortPlan::new(n, 32).unwrap();
-    let tile = SortPlan::new(capacity, tile_key_bits(frame.limits[1])).unwrap();
+    let tile = SortPlan::new(capacity, tile_key_bits(frame.tile_count)).unwrap();
     let out = vec![0; n as usize];
     let buffers = vec![
         frame_words.clone(),
@@ -140,7 +140,7 @@ fn lists(options: &Options, input: &RenderInput, frame: &Frame, capacity: u32) -
     let histogram = done.swap_remove(8);
     let pairs = [done[6].clone(), done[7].clone()];
     let [keys, values] = sort(options, &tile, pairs, histogram, &counters, (5, groups(INDIRECT_TILE_SORT)));
-    let buffers = vec![frame_words.clone(), counters, keys, vec![0; 2 * frame.limits[1] as usize]];
+    let buffers = vec![frame_words.clone(), counters, keys, vec![0; 2 * frame.tile_count as usize]];
     let ranges = case(&TILE_RANGES, &[], &[], buffers, groups(INDIRECT_RANGES));
     [frame_words, run(options, ranges).swap_remove(3), values, splats]
 }
@@ -156,7 +156,7 @@ fn blend_case(
     let mut buffers = lists.to_vec();
     let pixels = frame.pixels();
     buffers.extend([vec![0; 4 * pixels], vec![0; pixels], Vec::new()]);
-    let groups = blend::groups(frame.limits[1], options.lanes, per_lane) as u32;
+    let groups = blend::groups(frame.tile_count, options.lanes, per_lane) as u32;
     case(kernel, &[1, stage as u32, per_lane, 0, 0, 0, 0], &[], buffers, groups)
 }
 

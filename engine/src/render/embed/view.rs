@@ -292,7 +292,7 @@ impl View {
             self.targets = Some(made);
         }
         self.scene.buffers.write_host_poses(time, &mut self.host_pose);
-        frame.limits[0] = capacity;
+        frame.instance_capacity = capacity;
         Ok(frame)
     }
 

@@ -64,7 +64,7 @@ fn nodes_twin(call: &mut TwinCall<'_>) {
     let p: NodesPush = push(call);
     let frame: Frame = struct_at(&call.buffers[0], 0);
     let turn = spec(call, 1) == 1;
-    let (n, k, m) = (frame.counts[0] as usize, p.neighbors as usize, p.nodes as usize);
+    let (n, k, m) = (frame.gaussians as usize, p.neighbors as usize, p.nodes as usize);
     for g in 0..n {
         let x = Vec3::from_array([0, 1, 2].map(|axis| f32_at(&call.buffers[2], axis * n + g)));
         let mut sum = [0.0_f32; 10];

@@ -70,7 +70,7 @@ fn offset_twin(call: &mut TwinCall<'_>) {
     let p: OffsetPush = push(call);
     let frame: Frame = struct_at(&call.buffers[0], 0);
     let rule = spec(call, 1);
-    let n = frame.counts[0] as usize;
+    let n = frame.gaussians as usize;
     for row in 0..p.rows as usize {
         let g = p.first_row as usize + row;
         let output = |i: usize| f32_at(&call.buffers[1], row * p.outputs as usize + i);

@@ -103,7 +103,7 @@ fn planes_twin(call: &mut TwinCall<'_>) {
             let x = f32_at(&call.buffers[1], axis * p.points as usize + (p.first_row + row) as usize);
             (x - low[axis]) * 2.0 / (high[axis] - low[axis]) - 1.0
         };
-        let place = [at(0), at(1), at(2), frame.background[3]];
+        let place = [at(0), at(1), at(2), frame.time];
         for column in 0..columns {
             let (scale, channel) = (column / p.channels, column % p.channels);
             let sample = |i: usize| {

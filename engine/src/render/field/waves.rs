@@ -63,7 +63,7 @@ pub(super) fn record(
 fn waves_twin(call: &mut TwinCall<'_>) {
     let p: WavesPush = push(call);
     let frame: Frame = struct_at(&call.buffers[0], 0);
-    let time = frame.background[3];
+    let time = frame.time;
     let direct = |count: usize| (0..count).map(|e| encoded([0.0; 3], time, TIME_ELEMENT + e)).collect::<Vec<_>>();
     let code = if spec(call, 1) == 1 {
         time_network(&call.buffers[2], &direct(TIME_INPUTS))

@@ -124,7 +124,7 @@ fn nearest_superpoints_twin(call: &mut TwinCall<'_>) {
         return;
     };
     let step: Step = twin::struct_at(step, 0);
-    let (n, m) = (step.counts[0] as usize, step.counts[1] as usize);
+    let (n, m) = (step.gaussians as usize, step.superpoints as usize);
     for i in 0..n {
         let x = [0, 1, 2].map(|c| twin::f32_at(mean, c * n + i));
         let near = nearest(x, position, m, k);
@@ -154,7 +154,7 @@ fn nearest_superpoints_twin(call: &mut TwinCall<'_>) {
             key[s * n + i] = near[s];
             value[s * n + i] = (s as u32) << PAIR_SHIFT | i as u32;
         }
-        key[k * n + i] = own[i].min(step.counts[1] - 1);
+        key[k * n + i] = own[i].min(step.superpoints - 1);
         value[k * n + i] = (k as u32) << PAIR_SHIFT | i as u32;
     }
 }
@@ -167,7 +167,7 @@ fn association_init_twin(call: &mut TwinCall<'_>) {
     let push: AssociationInitPush = twin::push(call);
     let [step, neighbor, chosen, logit, own] = call.buffers else { return };
     let step: Step = twin::struct_at(step, 0);
-    for i in 0..step.counts[0] as usize {
+    for i in 0..step.gaussians as usize {
         own[i] = neighbor[i * slots];
         for s in 0..k {
             let at = i * slots + s;

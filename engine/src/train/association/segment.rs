@@ -54,7 +54,7 @@ fn superpoint_sum_twin(call: &mut TwinCall<'_>) {
     let [moments, pair_planes, own_first, own_planes] = [1, 2, 3, 4].map(|id| twin::spec(call, id) as usize);
     let [step, key, value, weight, mean, pair_data, own_data, sums, words] = call.buffers else { return };
     let step: Step = twin::struct_at(step, 0);
-    let (n, m) = (step.counts[0] as usize, step.counts[1] as usize);
+    let (n, m) = (step.gaussians as usize, step.superpoints as usize);
     let mut total = vec![[0.0_f64; SUM_PLANES]; m];
     for p in 0..push.pairs as usize {
         let (slot, i) = ((value[p] >> PAIR_SHIFT) as usize, (value[p] & ((1 << PAIR_SHIFT) - 1)) as usize);

@@ -75,7 +75,7 @@ fn superpoint_gradient_twin(call: &mut TwinCall<'_>) {
     let properties = twin::spec(call, 1);
     let [step, pose, position, property_sum, pose_sum, gradient, words] = call.buffers else { return };
     let step: Step = twin::struct_at(step, 0);
-    let m = step.counts[1] as usize;
+    let m = step.superpoints as usize;
     for j in 0..m {
         let sums = |words: &[u32], plane: usize| [0, 1, 2].map(|c| twin::f32_at(words, (plane + c) * m + j));
         let property = |plane: usize| sums(property_sum, plane);
@@ -121,7 +121,7 @@ fn superpoint_gradient_twin(call: &mut TwinCall<'_>) {
 fn superpoint_commit_twin(call: &mut TwinCall<'_>) {
     let [step, counters, sums, next, own, position, words] = call.buffers else { return };
     let step: Step = twin::struct_at(step, 0);
-    let (n, m) = (step.counts[0] as usize, step.counts[1] as usize);
+    let (n, m) = (step.gaussians as usize, step.superpoints as usize);
     if counters[COUNT_FAILED as usize] != 0 {
         return;
     }

@@ -41,7 +41,7 @@ impl Step {
             ..FrameOptions::default()
         };
         let frame = Frame::new(camera, DVec3::ZERO, &options).unwrap();
-        let tiles = frame.limits[1];
+        let tiles = frame.tile_count;
         let buffer = |name: &str, bytes: u64| gpu.buffer(name, bytes, Memory::Device).unwrap();
         let buffers = FrameBuffers {
             frame: gpu.buffer_with("frame", bytemuck::bytes_of(&frame)).unwrap(),

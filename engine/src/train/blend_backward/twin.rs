@@ -63,7 +63,7 @@ pub(super) fn blend_backward_twin(call: &mut TwinCall<'_>) {
     let [_, ranges, values, gaussian_of_slot, splats, color, image_gradient, rows] = call.buffers else { return };
     let [width, height, tiles_x, _] = frame.size;
     let mut target: Vec<f64> = (0..rows.len()).map(|i| f64::from(f32_at(rows, i))).collect();
-    for tile in 0..frame.limits[1] {
+    for tile in 0..frame.tile_count {
         let [x0, y0] = [tile % tiles_x * TILE_SIZE, tile / tiles_x * TILE_SIZE];
         let range = ranges[2 * tile as usize] as usize..ranges[2 * tile as usize + 1] as usize;
         let mut sums = vec![[0.0; SUMS]; range.len()];

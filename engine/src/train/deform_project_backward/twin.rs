@@ -56,7 +56,7 @@ pub(super) fn deform_project_backward_twin(call: &mut TwinCall<'_>) {
     let job = Job {
         frame,
         step: struct_at(&call.buffers[1], 0),
-        n: frame.counts[0] as usize,
+        n: frame.gaussians as usize,
         degree: spec(call, 1) as usize,
         moving: spec(call, 2) == 1,
         nonrigid: spec(call, 3) == 1,
@@ -76,7 +76,7 @@ impl Job {
     fn one(&self, buffers: &mut [Vec<u32>], g: usize) {
         let visible = buffers[at::TILE_COUNT][g] > 0;
         let gradient = if visible { self.read(buffers, g).map(|one| self.gradient(buffers, g, &one)) } else { None };
-        if let Some(gradient) = gradient.as_ref().filter(|_| self.step.time[2] > 0.0) {
+        if let Some(gradient) = gradient.as_ref().filter(|_| self.step.density_statistics > 0.0) {
             self.statistics(buffers, g, gradient);
         }
         let sh_values = 3 * (self.degree + 1) * (self.degree + 1);
@@ -156,7 +156,7 @@ impl Job {
             let [x, y, z, _] = vec4_at(&buffers[at::POSE], (2 * (key * superpoints + superpoint) + part) as usize);
             DVec3::new(x.into(), y.into(), z.into())
         };
-        let weight = f64::from(self.frame.camera_position_low[3]);
+        let weight = f64::from(self.frame.key_weight);
         let lerp = |part: u32| vector(first, part) * (1.0 - weight) + vector(second, part) * weight;
         Some(Pose { rotation: lerp(0), translation: lerp(1) })
     }
@@ -215,7 +215,7 @@ impl Job {
             }
             let mut moments = [f32_at(&buffers[at::MOMENT_1], plane), f32_at(&buffers[at::MOMENT_2], plane)];
             let value = f32_at(&buffers[binding], word);
-            let bias = [self.step.bias_0[0], self.step.bias_0[1]];
+            let bias = self.step.bias_gaussians;
             let next = adam::update(&self.step, value, slope, &mut moments, rate, bias);
             if [slope, next, moments[0], moments[1]].iter().all(|x| x.is_finite()) {
                 set_f32(&mut buffers[binding], word, next);

@@ -42,10 +42,10 @@ fn image_loss_twin(call: &mut TwinCall<'_>) {
     };
     let frame: Frame = struct_at(frame, 0);
     let step: Step = struct_at(step, 0);
-    let [width, height] = [frame.size[0], frame.size[1]];
+    let [width, height] = frame.size;
     let pixels = (width * height) as usize;
     let groups = super::groups(width, height);
-    let lambda = if with_ssim { step.weights[0] } else { 0.0 };
+    let lambda = if with_ssim { step.weight_dssim } else { 0.0 };
     let per_value = 1.0 / (3.0 * pixels as f32);
     for channel in 0..3 {
         let by_moment: Vec<[f32; 3]> = if with_ssim {

@@ -46,7 +46,7 @@ fn ssim_forward_twin(call: &mut TwinCall<'_>) {
     let kind = twin::spec(call, 1);
     let [frame, color, target, ssim_maps, loss_partial] = call.buffers else { return };
     let frame: Frame = struct_at(frame, 0);
-    let [width, height] = [frame.size[0], frame.size[1]];
+    let [width, height] = frame.size;
     let pixels = (width * height) as usize;
     let groups = super::groups(width, height);
     for channel in 0..3 {

@@ -37,7 +37,7 @@ fn image_loss_sum_twin(call: &mut TwinCall<'_>) {
         (sum / values) as f32
     };
     let ssim = if with_ssim { mean(0) } else { 0.0 };
-    let lambda = if with_ssim { step.weights[0] } else { 0.0 };
+    let lambda = if with_ssim { step.weight_dssim } else { 0.0 };
     loss[..8].fill(0);
     set_f32(loss, 0, (1.0 - lambda) * mean(1) + lambda * (1.0 - ssim));
     set_f32(loss, 1, mean(1));

@@ -77,7 +77,7 @@ fn update_weight(buffers: UpdateBuffers<'_>, network: u32, at: u32, index: u32, 
     let at = at as usize;
     let [_, _, f0, f1] = step.bias_0;
     let [_, _, g0, g1] = step.bias_1;
-    let (rate, bias, group) = if network == 0 { (step.rate_1[2], [f0, f1], 5) } else { (step.rate_2[0], [g0, g1], 7) };
+    let (rate, bias, group) = if network == 0 { (step.rate_network_f, [f0, f1], 5) } else { (step.rate_network_g, [g0, g1], 7) };
     let mut moments = [f32_at(&values[1], at), f32_at(&values[2], at)];
     let value = adam::update(&step, f32_at(&values[0], at), gradient, &mut moments, rate, bias);
     if [gradient, value, moments[0], moments[1]].iter().all(|v| v.is_finite()) {

@@ -55,7 +55,7 @@ fn encode_twin(call: &mut TwinCall<'_>) {
     for row in 0..rows as usize {
         let position = std::array::from_fn(|axis| f32_at(&call.buffers[1], 3 * row + axis));
         for e in 0..ENCODING_WIDTH {
-            set_f32(&mut call.buffers[2], row * ENCODING_WIDTH + e, encoded(position, step.time[0], e));
+            set_f32(&mut call.buffers[2], row * ENCODING_WIDTH + e, encoded(position, step.time, e));
         }
     }
 }

@@ -57,7 +57,7 @@ fn encode_twin(call: &mut TwinCall<'_>) {
     for row in 0..rows as usize {
         let centre = moved_centre(call.buffers, motion, first_row as usize + row);
         for e in 0..NONRIGID_ENCODING {
-            let value = encoded(centre, frame.background[3], e);
+            let value = encoded(centre, frame.time, e);
             set_f32(&mut call.buffers[4], row * NONRIGID_ENCODING + e, value);
         }
     }

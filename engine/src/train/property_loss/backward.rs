@@ -64,9 +64,9 @@ pub static PROPERTY_BACKWARD: Kernel = Kernel {
 fn property_values_twin(call: &mut TwinCall<'_>) {
     let [step, mean, own, pose, value] = call.buffers else { return };
     let step: Step = twin::struct_at(step, 0);
-    let n = step.counts[0] as usize;
+    let n = step.gaussians as usize;
     for i in 0..n {
-        let s = own[i].min(step.counts[1] - 1) as usize;
+        let s = own[i].min(step.superpoints - 1) as usize;
         let v = moved_properties(pose, s, planes(mean, 0, n, i)).value;
         v.as_flattened().iter().enumerate().for_each(|(c, x)| twin::set_f32(value, c * n + i, *x));
     }
@@ -96,16 +96,16 @@ fn property_backward_twin(call: &mut TwinCall<'_>) {
         return;
     };
     let step: Step = twin::struct_at(step, 0);
-    let (n, m) = (step.counts[0] as usize, step.counts[1] as usize);
+    let (n, m) = (step.gaussians as usize, step.superpoints as usize);
     for i in 0..n {
-        let s = own[i].min(step.counts[1] - 1) as usize;
+        let s = own[i].min(step.superpoints - 1) as usize;
         let Properties { turned, value } = moved_properties(pose, s, planes(mean, 0, n, i));
         let g = [0, 3, 6].map(|p| planes(residual, p, n, i));
         let mut d = g;
         let (mut d_a, mut d_total) = (vec![0.0_f32; k], 0.0);
         let a: Vec<f32> = (0..k).map(|k| twin::f32_at(weight, k * n + i)).collect();
         for k in 0..k {
-            let j = neighbor[i * slots + k].min(step.counts[1] - 1) as usize;
+            let j = neighbor[i * slots + k].min(step.superpoints - 1) as usize;
             let u = mean_properties(sums, m, j);
             let inverse = inverse_weight(sums, j);
             for p in 0..3 {

@@ -77,14 +77,14 @@ fn property_residual_twin(call: &mut TwinCall<'_>) {
         return;
     };
     let step: Step = twin::struct_at(step, 0);
-    let (n, m) = (step.counts[0] as usize, step.counts[1] as usize);
+    let (n, m) = (step.gaussians as usize, step.superpoints as usize);
     let mut squares = vec![[0.0_f64; 3]; n.div_ceil(256)];
     for i in 0..n {
-        let s = own[i].min(step.counts[1] - 1) as usize;
+        let s = own[i].min(step.superpoints - 1) as usize;
         let Properties { value, .. } = moved_properties(pose, s, planes(mean, 0, n, i));
         let a: Vec<f32> = (0..k).map(|k| twin::f32_at(weight, k * n + i)).collect();
         let u: Vec<[[f32; 3]; 3]> = (0..k)
-            .map(|k| match neighbor[i * slots + k].min(step.counts[1] - 1) as usize {
+            .map(|k| match neighbor[i * slots + k].min(step.superpoints - 1) as usize {
                 j if paper != 0 => mean_properties(sums, m, j),
                 j => moved_properties(pose, j, [0, 1, 2].map(|c| twin::f32_at(position, 3 * j + c))).value,
             })
@@ -118,7 +118,7 @@ fn property_residual_twin(call: &mut TwinCall<'_>) {
 fn property_total_twin(call: &mut TwinCall<'_>) {
     let [step, partial, loss] = call.buffers else { return };
     let step: Step = twin::struct_at(step, 0);
-    let n = step.counts[0];
+    let n = step.gaussians;
     let mut total = 0.0;
     for c in 0..3 {
         let sum: f64 = (0..n.div_ceil(256) as usize).map(|g| f64::from(twin::f32_at(partial, 4 * g + c))).sum();
