@@ -9,7 +9,7 @@ use std::path::Path;
 use engine::gpu::{Buffer, Gpu, Memory};
 use engine::reference::gradient::loss::image_loss;
 use engine::render::frame::Frame;
-use engine::train::image_loss::{ImageLoss, ImageLossBuffers, LOSS_WORDS, TargetFormat};
+use engine::train::image_loss::{LOSS_WORDS, LossPass, LossPassBuffers, TargetFormat};
 use engine::train::status;
 use engine::train::step::Step;
 use engine::{Error, Result};
@@ -124,8 +124,8 @@ fn on_device(gpu: &Gpu, case: &LossCase) -> Result<LossErrors> {
     let status = upload("status", bytemuck::cast_slice(&status::clear()))?;
     let image_gradient = gpu.buffer("image_gradient", color.bytes(), Memory::Device)?;
     let loss = gpu.buffer("loss", 4 * LOSS_WORDS as u64, Memory::Device)?;
-    let image_loss = ImageLoss::new(gpu, width, height, true)?;
-    let buffers = ImageLossBuffers {
+    let image_loss = LossPass::new(gpu, width, height, true)?;
+    let buffers = LossPassBuffers {
         frame: &frame,
         step: &step,
         color: &color,
