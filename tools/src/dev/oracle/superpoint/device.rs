@@ -7,7 +7,7 @@ use engine::train::association::{AssociationOptions, StepBuffers, SuperpointStat
 use engine::train::linear::Output;
 use engine::train::network_f::{Backward, NetworkF};
 use engine::train::property_loss::PropertyLoss;
-use engine::train::property_loss::backward::PROPERTY_VALUES;
+use engine::train::property_loss::property_values::{PROPERTY_VALUES, PropertyValuesBuffers};
 use engine::train::status;
 use engine::train::step::Step;
 
@@ -101,10 +101,15 @@ impl Device<'_> {
         out.outputs.insert("out_translation", vectors(4));
         let values = self.gpu.buffer("property_value", 36 * n as u64, Memory::Device)?;
         let mut r = self.gpu.recorder("moved means");
-        let buffers =
-            [b.step.clone(), b.mean.clone(), b.superpoint_of_gaussian.clone(), b.pose.clone(), Slice::from(&values)];
+        let buffers = PropertyValuesBuffers {
+            step: b.step.clone(),
+            mean: b.mean.clone(),
+            superpoint_of_gaussian: b.superpoint_of_gaussian.clone(),
+            pose: b.pose.clone(),
+            property_value: values.whole(),
+        };
         let groups = engine::gpu::Groups::Direct((n as u64).div_ceil(256));
-        r.dispatch_untyped(&PROPERTY_VALUES, &[], &[], &buffers, groups)?;
+        r.dispatch(&PROPERTY_VALUES, (), (), buffers, groups)?;
         self.gpu.run(r)?;
         out.outputs.insert("out_mean_t", rows(&floats(self.gpu, &values, 3 * n)?));
         Ok(())
