@@ -2,16 +2,17 @@
 
 use super::Inputs;
 use crate::error::Result;
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::Tolerance;
 use crate::gpu::{Groups, Recorder, Slice};
 use crate::render::frame::Frame;
-use crate::render::nonrigid_network::{encoded, moved_centre};
-use crate::render::twin::{push, set_f32, spec, struct_at};
+use crate::render::nonrigid_network::{RigidMotion, encoded, moved_centre};
+use crate::render::twin::{set_f32, struct_at};
 use crate::scene::network::NONRIGID_ENCODING;
 
 crate::gpu_struct! {
     /// Push constants of [`ENCODE_GAUSSIANS`].
-    pub struct EncodePush {
+    pub struct EncodeGaussiansPush {
         /// Gaussian of the first row.
         pub first_row: u32,
         /// Rows to write.
@@ -22,43 +23,73 @@ crate::gpu_struct! {
 /// Gaussians per workgroup.
 const GROUP_GAUSSIANS: u32 = 64;
 
-/// Positional encoding of the moved centres and the time, `[rows, 84]`.
-pub static ENCODE_GAUSSIANS: Kernel = Kernel {
-    name: "encode_gaussians",
-    doc: "positional encoding of moved centres and time",
-    local_size: 256,
-    spec: &["SUBGROUP_SIZE", "MOTION"],
-    push: EncodePush::FIELDS,
-    bindings: &[
-        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
-        Binding::new("mean", Access::Read, Element::F32),
-        Binding::new("superpoint_of_gaussian", Access::Read, Element::U32),
-        Binding::new("pose", Access::Read, Element::F32),
-        Binding::new("encoding", Access::Write, Element::F32),
-    ],
-    twin: encode_twin,
-    // Slopes of 2^9 times a few ulps of the moved centre.
-    tolerance: Tolerance { absolute: 1e-3, relative: 0.0, flips: 0.0 },
-    bytes: |work| work.get("gaussians") * 4 * (4 + NONRIGID_ENCODING as u64),
-    spirv: include_bytes!("../../../../spirv_cache/encode_gaussians.spv"),
-};
-
-/// Records it.
-pub(super) fn record(r: &mut Recorder, from: &Inputs<'_>, push: EncodePush, encoding: &Slice) -> Result<()> {
-    let buffers = [from.frame, from.mean, from.superpoint_of_gaussian, from.pose, encoding].map(Clone::clone);
-    let groups = Groups::Direct(push.rows.div_ceil(GROUP_GAUSSIANS).into());
-    r.dispatch_untyped(&ENCODE_GAUSSIANS, &[u32::from(from.moving)], bytemuck::bytes_of(&push), &buffers, groups)
+crate::gpu_constants! {
+    /// Specialisation constants of [`ENCODE_GAUSSIANS`].
+    pub struct EncodeGaussiansConstants {
+        /// 1: superpoints move the Gaussians.
+        motion,
+    }
 }
 
-fn encode_twin(call: &mut TwinCall<'_>) {
-    let EncodePush { first_row, rows } = push(call);
-    let frame: Frame = struct_at(&call.buffers[0], 0);
-    let motion = spec(call, 1);
+crate::gpu_buffers! {
+    /// Buffers of [`ENCODE_GAUSSIANS`].
+    pub struct EncodeGaussiansBuffers {
+        /// Time, counts and keys.
+        frame: Read Struct(Frame),
+        /// `[3][N]` canonical centres.
+        mean: Read F32,
+        /// `[N]`, of a moving scene.
+        superpoint_of_gaussian: optional Read U32,
+        /// `vec4[T][M][2]`, of a moving scene.
+        pose: optional Read F32,
+        /// `[rows, 84]`.
+        encoding: Write F32,
+    }
+}
+
+crate::kernel! {
+    /// Positional encoding of the moved centres and the time. Dispatch ceil(rows / 64) workgroups.
+    pub static ENCODE_GAUSSIANS: EncodeGaussians = {
+        name: "encode_gaussians",
+        doc: "positional encoding of moved centres and time",
+        local_size: 256,
+        constants: EncodeGaussiansConstants,
+        push: EncodeGaussiansPush,
+        buffers: EncodeGaussiansBuffers,
+        twin: encode_gaussians_twin,
+        // Slopes of 2^9 times a few ulps of the moved centre.
+        tolerance: Tolerance { absolute: 1e-3, relative: 0.0, flips: 0.0 },
+        bytes: |work| work.get("gaussians") * 4 * (4 + NONRIGID_ENCODING as u64),
+    }
+}
+
+/// Records it.
+pub(super) fn record(r: &mut Recorder, from: &Inputs<'_>, push: EncodeGaussiansPush, encoding: Slice) -> Result<()> {
+    let buffers = EncodeGaussiansBuffers {
+        frame: from.frame.clone(),
+        mean: from.mean.clone(),
+        superpoint_of_gaussian: from.moving.then(|| from.superpoint_of_gaussian.clone()),
+        pose: from.moving.then(|| from.pose.clone()),
+        encoding,
+    };
+    let groups = Groups::Direct(push.rows.div_ceil(GROUP_GAUSSIANS).into());
+    r.dispatch(&ENCODE_GAUSSIANS, EncodeGaussiansConstants { motion: from.moving.into() }, push, buffers, groups)
+}
+
+fn encode_gaussians_twin(call: Call<'_, EncodeGaussians>) {
+    let Call { constants, push: EncodeGaussiansPush { first_row, rows }, buffers: b, .. } = call;
+    let frame: Frame = struct_at(b.frame, 0);
+    let motion = match (&b.superpoint_of_gaussian, &b.pose) {
+        (Some(superpoint_of_gaussian), Some(pose)) if constants.motion != 0 => {
+            Some(RigidMotion { superpoint_of_gaussian, pose })
+        }
+        _ => None,
+    };
     for row in 0..rows as usize {
-        let centre = moved_centre(call.buffers, motion, first_row as usize + row);
+        let centre = moved_centre(&frame, b.mean, motion, first_row as usize + row);
         for e in 0..NONRIGID_ENCODING {
             let value = encoded(centre, frame.background[3], e);
-            set_f32(&mut call.buffers[4], row * NONRIGID_ENCODING + e, value);
+            set_f32(b.encoding, row * NONRIGID_ENCODING + e, value);
         }
     }
 }
