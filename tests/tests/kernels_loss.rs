@@ -5,10 +5,12 @@ use engine::gpu::{Gpu, Memory};
 use engine::reference::gradient::loss::image_loss;
 use engine::render::frame::Frame;
 use engine::scene::synthetic::Random;
+use engine::train::image_loss::image_loss_sum::{IMAGE_LOSS_SUM, ImageLossSumBuffers, ImageLossSumConstants};
+use engine::train::image_loss::ssim_forward::{SSIM_FORWARD, SsimForwardBuffers, SsimForwardConstants};
 use engine::train::image_loss::*;
 use engine::train::status;
 use engine::train::step::Step;
-use tests_harness::{TestGpu, UntypedCase, UntypedResult, widths};
+use tests_harness::{KernelCase, TestGpu, widths};
 
 const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.125];
 
@@ -18,7 +20,7 @@ fn frame(size: [u32; 2]) -> Frame {
 }
 
 fn step(lambda: f32) -> Step {
-    Step { weights: [lambda, 0.0, 0.0, 0.0], ..Step::default() }
+    Step { weight_dssim: lambda, ..Step::default() }
 }
 
 fn words<T: bytemuck::Pod>(values: &[T]) -> Vec<u32> {
@@ -54,12 +56,6 @@ fn target_values(target: &[u32]) -> Vec<f64> {
     target.iter().flat_map(|word| [value(word, 0), value(word, 1), value(word, 2)]).collect()
 }
 
-fn run(gpu: &Gpu, kernel: &'static engine::gpu::Kernel, spec: &[u32], buffers: Vec<Vec<u32>>, n: u32) -> UntypedResult {
-    let result = UntypedCase { kernel, spec: spec.to_vec(), push: vec![], buffers, groups: n }.run(gpu);
-    result.assert_equal(kernel, &format!("{spec:?}, {n} groups"));
-    result
-}
-
 /// Every kernel of the chain against its twin, on what the device's own kernels before it left. Gradient and loss.
 fn chain(gpu: &Gpu, size: [u32; 2], lambda: f32, color: &[u32], target: &[u32], kind: u32) -> (Vec<f32>, Vec<f32>) {
     let pixels = (size[0] * size[1]) as usize;
@@ -67,34 +63,47 @@ fn chain(gpu: &Gpu, size: [u32; 2], lambda: f32, color: &[u32], target: &[u32], 
     let (needed, n) = (groups(size[0], size[1]), groups(size[0], size[1]) + 1);
     let (frame, step) = (words(&[frame(size)]), words(&[step(lambda)]));
     let with_ssim = u32::from(lambda != 0.0);
+    let context = format!("{size:?}, target {kind}, SSIM {with_ssim}");
     let partial = || vec![0; 3 * needed as usize];
-    let mut maps = vec![0; 4];
+    let mut ssim_maps = None;
     let mut sums = partial();
     if with_ssim == 1 {
-        let buffers = vec![frame.clone(), color.to_vec(), target.to_vec(), vec![0; 9 * pixels], partial()];
-        let mut done = run(gpu, &SSIM_FORWARD, &[kind], buffers, n);
-        let relative = relative_l2(&words_to_floats(&done.gpu[3]), &words_to_floats(&done.twin[3]));
+        let buffers = SsimForwardBuffers {
+            frame: frame.clone(),
+            color: color.to_vec(),
+            target: target.to_vec(),
+            ssim_maps: vec![0; 9 * pixels],
+            loss_partial: partial(),
+        };
+        let constants = SsimForwardConstants { target: kind };
+        let done = KernelCase { kernel: &SSIM_FORWARD, constants, push: (), buffers, groups: n }.run(gpu);
+        done.assert_equal(&context);
+        let relative = relative_l2(&words_to_floats(&done.gpu.ssim_maps), &words_to_floats(&done.twin.ssim_maps));
         assert!(relative < 2e-4, "{size:?}: maps {relative:e} from the twin");
-        (sums, maps) = (done.gpu.swap_remove(4), done.gpu.swap_remove(3));
+        (sums, ssim_maps) = (done.gpu.loss_partial, Some(done.gpu.ssim_maps));
     }
-    let buffers = vec![
-        frame.clone(),
-        step.clone(),
-        color.to_vec(),
-        target.to_vec(),
-        maps,
-        vec![0; 4 * pixels],
-        partial(),
-        status::clear().to_vec(),
-    ];
-    let done = run(gpu, &IMAGE_LOSS, &[kind, with_ssim], buffers, n);
-    sums[needed as usize..].copy_from_slice(&done.gpu[6][needed as usize..]);
-    let gradient = words_to_floats(&done.gpu[5]);
-    let twin = words_to_floats(&done.twin[5]);
+    let buffers = ImageLossBuffers {
+        frame: frame.clone(),
+        step: step.clone(),
+        color: color.to_vec(),
+        target: target.to_vec(),
+        ssim_maps,
+        image_gradient: vec![0; 4 * pixels],
+        loss_partial: partial(),
+        status: status::clear().to_vec(),
+    };
+    let constants = ImageLossConstants { target: kind, with_ssim };
+    let done = KernelCase { kernel: &IMAGE_LOSS, constants, push: (), buffers, groups: n }.run(gpu);
+    done.assert_equal(&context);
+    sums[needed as usize..].copy_from_slice(&done.gpu.loss_partial[needed as usize..]);
+    let gradient = words_to_floats(&done.gpu.image_gradient);
+    let twin = words_to_floats(&done.twin.image_gradient);
     let relative = relative_l2(&gradient, &twin);
     assert!(relative < 1e-4, "{size:?}: gradient {relative:e} from the twin");
-    let loss = run(gpu, &IMAGE_LOSS_SUM, &[with_ssim], vec![frame, step, sums, vec![0; 8]], 1);
-    (gradient, words_to_floats(&loss.gpu[3]))
+    let buffers = ImageLossSumBuffers { frame, step, loss_partial: sums, loss: vec![0; 8] };
+    let constants = ImageLossSumConstants { with_ssim };
+    let loss = KernelCase { kernel: &IMAGE_LOSS_SUM, constants, push: (), buffers, groups: 1 }.check(gpu, &context);
+    (gradient, words_to_floats(&loss.loss))
 }
 
 fn words_to_floats(words: &[u32]) -> Vec<f32> {
@@ -126,8 +135,8 @@ fn device_loss(
     let image_gradient = gpu.buffer("image_gradient", 16 * pixels, Memory::Device).unwrap();
     let loss = gpu.buffer("loss", 32, Memory::Device).unwrap();
     let status = upload("status", &status::clear());
-    let image_loss = ImageLoss::new(gpu, size[0], size[1], lambda != 0.0).unwrap();
-    let buffers = ImageLossBuffers {
+    let image_loss = LossPass::new(gpu, size[0], size[1], lambda != 0.0).unwrap();
+    let buffers = LossPassBuffers {
         frame: &frame,
         step: &step,
         color: &color,

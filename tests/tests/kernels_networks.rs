@@ -4,16 +4,17 @@ use engine::render::frame::Frame;
 use engine::render::linear_forward::{ForwardPush, LINEAR_FORWARD};
 use engine::render::nonrigid_network::{self, NONRIGID_NETWORK, NonrigidPush};
 use engine::scene::NonrigidNetwork;
-use engine::train::linear::{
-    self, GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_UPDATE, Output,
-    Stage, UpdatePush, WeightPush,
-};
-use engine::train::network_f::{ENCODE_SUPERPOINTS, EncodePush};
-use engine::train::network_g::ENCODE_GAUSSIANS;
+use engine::train::linear::gather_gradient::*;
+use engine::train::linear::linear_backward_input::*;
+use engine::train::linear::linear_backward_weight::*;
+use engine::train::linear::linear_update::*;
+use engine::train::linear::{self, LinearConstants, Output, Stage};
+use engine::train::network_f::encode_superpoints::*;
+use engine::train::network_g::encode_gaussians::*;
 use engine::train::status;
-use engine::train::step::{Step, bias_corrections};
-use tests_harness::UntypedCase;
+use engine::train::step::{Adam, Step, bias_corrections};
 use tests_harness::render_case::{Random, RenderInput, test_camera};
+use tests_harness::{KernelCase, UntypedCase};
 
 const STAGES: [Stage; 2] = [Stage::Shuffle, Stage::Shared];
 
@@ -22,14 +23,15 @@ fn floats(r: &mut Random, count: usize, bound: f32) -> Vec<u32> {
 }
 
 fn step() -> Step {
-    let [m, v] = bias_corrections(0.9, 0.999, 5);
+    let bias = bias_corrections(0.9, 0.999, 5);
     Step {
-        rate_1: [0.0, 0.0, 1e-2, 0.0],
-        rate_2: [2e-2, 0.0, 0.0, 0.0],
-        adam: [0.9, 0.999, 1e-15, 0.0],
-        bias_0: [0.0, 0.0, m, v],
-        bias_1: [0.0, 0.0, m, v],
-        time: [0.37, 0.37, 0.0, 0.0],
+        rate_network_f: 1e-2,
+        rate_network_g: 2e-2,
+        adam: Adam::USUAL,
+        bias_network_f: bias,
+        bias_network_g: bias,
+        time: 0.37,
+        exact_time: 0.37,
         ..Step::default()
     }
 }
@@ -97,21 +99,17 @@ fn forward_and_backward_input_match_their_twins() {
                 case.run(&gpu).assert_equal(&LINEAR_FORWARD, &format!("{rows} x {inputs} -> {outputs}, {stage:?}"));
             }
             let (first_input, columns) = if i1 > 0 { (i0, i1) } else { (0, i0) };
-            let push = InputPush { rows, outputs, inputs: columns, weight_stride: inputs, first_input };
-            let case = UntypedCase {
-                kernel: &LINEAR_BACKWARD_INPUT,
-                spec: vec![stage as u32],
-                push: bytemuck::bytes_of(&push).to_vec(),
-                buffers: vec![
-                    floats(&mut r, (rows * outputs) as usize, 1.0),
-                    parameter,
-                    floats(&mut r, (rows * columns) as usize, 1.0),
-                    vec![0; (rows * columns) as usize],
-                ],
-                groups: linear::product_groups(stage, gpu.subgroup_size_of(&LINEAR_BACKWARD_INPUT), rows, columns, 1)
-                    as u32,
+            let kernel = &LINEAR_BACKWARD_INPUT;
+            let push = LinearBackwardInputPush { rows, outputs, inputs: columns, weight_stride: inputs, first_input };
+            let buffers = LinearBackwardInputBuffers {
+                output_gradient: floats(&mut r, (rows * outputs) as usize, 1.0),
+                parameter,
+                layer_input: floats(&mut r, (rows * columns) as usize, 1.0),
+                input_gradient: vec![0; (rows * columns) as usize],
             };
-            case.run(&gpu).assert_equal(&LINEAR_BACKWARD_INPUT, &format!("{rows} x {outputs} -> {columns}, {stage:?}"));
+            let groups = linear::product_groups(stage, gpu.subgroup_size_of(kernel), rows, columns, 1) as u32;
+            let case = KernelCase { kernel, constants: LinearConstants { stage: stage as u32 }, push, buffers, groups };
+            case.check(&gpu, &format!("{rows} x {outputs} -> {columns}, {stage:?}"));
         }
     }
 }
@@ -127,7 +125,7 @@ fn weight_gradients_match_their_twins() {
             let weights = outputs * (i0 + i1 + 1);
             let slices = rows.div_ceil(rows_per_slice);
             let input_1_at = rows * i0 + 3;
-            let push = WeightPush {
+            let push = LinearBackwardWeightPush {
                 rows,
                 outputs,
                 inputs_0: i0,
@@ -137,25 +135,15 @@ fn weight_gradients_match_their_twins() {
                 first_slice: 1,
                 slice_stride: weights,
             };
-            let case = UntypedCase {
-                kernel: &LINEAR_BACKWARD_WEIGHT,
-                spec: vec![stage as u32],
-                push: bytemuck::bytes_of(&push).to_vec(),
-                buffers: vec![
-                    floats(&mut r, (rows * outputs) as usize, 1.0),
-                    floats(&mut r, (input_1_at + rows * i1) as usize, 1.0),
-                    vec![0; ((slices + 1) * weights) as usize],
-                ],
-                groups: linear::product_groups(
-                    stage,
-                    gpu.subgroup_size_of(&LINEAR_BACKWARD_WEIGHT),
-                    outputs,
-                    i0 + i1,
-                    slices,
-                ) as u32,
+            let kernel = &LINEAR_BACKWARD_WEIGHT;
+            let buffers = LinearBackwardWeightBuffers {
+                output_gradient: floats(&mut r, (rows * outputs) as usize, 1.0),
+                layer_input: floats(&mut r, (input_1_at + rows * i1) as usize, 1.0),
+                gradient: vec![0; ((slices + 1) * weights) as usize],
             };
-            let context = format!("{rows} rows, {} -> {outputs}, {stage:?}", i0 + i1);
-            case.run(&gpu).assert_equal(&LINEAR_BACKWARD_WEIGHT, &context);
+            let groups = linear::product_groups(stage, gpu.subgroup_size_of(kernel), outputs, i0 + i1, slices) as u32;
+            let case = KernelCase { kernel, constants: LinearConstants { stage: stage as u32 }, push, buffers, groups };
+            case.check(&gpu, &format!("{rows} rows, {} -> {outputs}, {stage:?}", i0 + i1));
         }
     }
 }
@@ -166,49 +154,42 @@ fn update_and_gather_match_their_twins() {
     let mut r = Random(9);
     for (weights, slices) in [(1_u32, 1_u32), (300, 7), (1025, 64)] {
         for (output, network) in [(Output::Gradient, 0), (Output::Adam, 0), (Output::Adam, 1)] {
-            let push = UpdatePush { weights, slices, slice_stride: weights + 7, first_index: 128 };
+            let push = LinearUpdatePush { weights, slices, slice_stride: weights + 7, first_index: 128 };
             let mut gradient = floats(&mut r, (slices * (weights + 7)) as usize, 0.1);
             gradient[0] = f32::NAN.to_bits();
-            let case = UntypedCase {
-                kernel: &LINEAR_UPDATE,
-                spec: vec![output as u32, network],
-                push: bytemuck::bytes_of(&push).to_vec(),
-                buffers: vec![
-                    step_words(),
-                    vec![0; 8],
-                    gradient,
-                    floats(&mut r, weights as usize, 1.0),
-                    floats(&mut r, weights as usize, 1.0),
-                    (0..weights).map(|_| r.range(0.5, 1.0).to_bits()).collect(),
-                    vec![0; weights as usize],
-                    status::clear().to_vec(),
-                ],
-                groups: weights.div_ceil(256),
+            let buffers = LinearUpdateBuffers {
+                step: step_words(),
+                counters: vec![0; 8],
+                slice_gradient: gradient,
+                parameter: floats(&mut r, weights as usize, 1.0),
+                moment_1: floats(&mut r, weights as usize, 1.0),
+                moment_2: (0..weights).map(|_| r.range(0.5, 1.0).to_bits()).collect(),
+                // Given to Adam too: it must not write there.
+                gradient: Some(vec![0; weights as usize]),
+                status: status::clear().to_vec(),
             };
-            let result = case.run(&gpu);
-            result.assert_equal(&LINEAR_UPDATE, &format!("{weights} weights, {slices} slices, {output:?}"));
+            let constants = LinearUpdateConstants { output: output as u32, network };
+            let groups = weights.div_ceil(256);
+            let case = KernelCase { kernel: &LINEAR_UPDATE, constants, push, buffers, groups };
+            let done = case.check(&gpu, &format!("{weights} weights, {slices} slices, {output:?}"));
             if output == Output::Adam {
                 let name = ["network F", "network G"][network as usize];
-                assert_eq!(status::first(&result.gpu[7]), Some((name, 1, 128)));
-                assert!(result.gpu[3].iter().all(|w| f32::from_bits(*w).is_finite()));
+                assert_eq!(status::first(&done.status), Some((name, 1, 128)));
+                assert!(done.parameter.iter().all(|w| f32::from_bits(*w).is_finite()));
             }
         }
     }
     for (network, planes, columns, used) in [(0, 6, 8, 8), (1, 10, 12, 10), (1, 10, 12, 7)] {
         let mut plane = floats(&mut r, planes * 100, 1.0);
         plane[30] = f32::INFINITY.to_bits();
-        let case = UntypedCase {
-            kernel: &GATHER_GRADIENT,
-            spec: vec![network],
-            push: bytemuck::bytes_of(&GatherPush { rows: 70, first_row: 20, plane_stride: 100, columns: used })
-                .to_vec(),
-            buffers: vec![plane, vec![0; 70 * columns], status::clear().to_vec()],
-            groups: (70 * columns as u32).div_ceil(256),
-        };
-        let result = case.run(&gpu);
-        result.assert_equal(&GATHER_GRADIENT, &format!("network {network}"));
-        assert_eq!(status::first(&result.gpu[2]), Some((["pose", "network G"][network as usize], 1, 30)));
-        assert!(result.gpu[1].iter().all(|w| f32::from_bits(*w).is_finite()));
+        let buffers =
+            GatherGradientBuffers { plane, row_gradient: vec![0; 70 * columns], status: status::clear().to_vec() };
+        let push = GatherGradientPush { rows: 70, first_row: 20, plane_stride: 100, columns: used };
+        let (constants, groups) = (GatherGradientConstants { network }, (70 * columns as u32).div_ceil(256));
+        let case = KernelCase { kernel: &GATHER_GRADIENT, constants, push, buffers, groups };
+        let done = case.check(&gpu, &format!("network {network}"));
+        assert_eq!(status::first(&done.status), Some((["pose", "network G"][network as usize], 1, 30)));
+        assert!(done.row_gradient.iter().all(|w| f32::from_bits(*w).is_finite()));
     }
 }
 
@@ -217,14 +198,14 @@ fn encoding_matches_its_twin() {
     let gpu = tests_harness::gpu();
     let mut r = Random(4);
     for rows in [1_u32, 20, 300] {
-        let case = UntypedCase {
-            kernel: &ENCODE_SUPERPOINTS,
-            spec: Vec::new(),
-            push: bytemuck::bytes_of(&EncodePush { rows }).to_vec(),
-            buffers: vec![step_words(), floats(&mut r, 3 * rows as usize, 8.0), vec![0; 76 * rows as usize]],
-            groups: (76 * rows).div_ceil(256),
+        let buffers = EncodeSuperpointsBuffers {
+            step: step_words(),
+            superpoint_position: floats(&mut r, 3 * rows as usize, 8.0),
+            encoding: vec![0; 76 * rows as usize],
         };
-        case.run(&gpu).assert_equal(&ENCODE_SUPERPOINTS, &format!("{rows} rows"));
+        let (push, groups) = (EncodeSuperpointsPush { rows }, (76 * rows).div_ceil(256));
+        let case = KernelCase { kernel: &ENCODE_SUPERPOINTS, constants: (), push, buffers, groups };
+        case.check(&gpu, &format!("{rows} rows"));
     }
 }
 
@@ -296,17 +277,17 @@ fn encoding_of_gaussians_matches_its_twin() {
     let (input, frame) = moving_input(300);
     for (first_row, rows) in [(0, 300_u32), (64, 100), (299, 1)] {
         for motion in [0, 1] {
-            let mut buffers = input_words(&input, &frame);
-            buffers.push(vec![0; 84 * rows as usize]);
-            let push = engine::train::network_g::EncodePush { first_row, rows };
-            let case = UntypedCase {
-                kernel: &ENCODE_GAUSSIANS,
-                spec: vec![motion],
-                push: bytemuck::bytes_of(&push).to_vec(),
-                buffers,
-                groups: rows.div_ceil(64),
+            let words = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<u32>>();
+            let buffers = EncodeGaussiansBuffers {
+                frame: bytemuck::cast_slice(&[frame]).to_vec(),
+                mean: words(&input.mean),
+                superpoint_of_gaussian: (motion == 1).then(|| input.superpoint_of_gaussian.clone()),
+                pose: (motion == 1).then(|| words(&input.pose)),
+                encoding: vec![0; 84 * rows as usize],
             };
-            case.run(&gpu).assert_equal(&ENCODE_GAUSSIANS, &format!("{rows} rows, motion {motion}"));
+            let (constants, push) = (EncodeGaussiansConstants { motion }, EncodeGaussiansPush { first_row, rows });
+            let case = KernelCase { kernel: &ENCODE_GAUSSIANS, constants, push, buffers, groups: rows.div_ceil(64) };
+            case.check(&gpu, &format!("{rows} rows, motion {motion}"));
         }
     }
 }

@@ -10,7 +10,7 @@ use engine::train::deform_project_backward::{
     DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, OUTPUT_ADAM, OUTPUT_GRADIENT, parameter_planes,
 };
 use engine::train::status;
-use engine::train::step::{Step, bias_corrections};
+use engine::train::step::{Adam, Step, bias_corrections};
 use glam::DVec3;
 use tests_harness::render_case::{Random, RenderInput, test_camera};
 use tests_harness::{UntypedCase, UntypedResult};
@@ -48,13 +48,17 @@ fn floats(v: &[u32]) -> Vec<f32> {
 }
 
 fn step(statistics: bool) -> Step {
-    let [m, v] = bias_corrections(0.9, 0.999, 7);
+    let bias = bias_corrections(0.9, 0.999, 7);
     Step {
-        rate_0: [1.6e-3, 5e-3, 1e-3, 5e-2],
-        rate_1: [2.5e-3, 1.25e-4, 0.0, 0.0],
-        adam: [0.9, 0.999, 1e-15, 0.0],
-        bias_0: [m, v, m, v],
-        time: [0.0, 0.0, f32::from(u8::from(statistics)), 0.0],
+        rate_mean: 1.6e-3,
+        rate_log_scale: 5e-3,
+        rate_rotation: 1e-3,
+        rate_opacity_logit: 5e-2,
+        rate_sh_0: 2.5e-3,
+        rate_sh_rest: 1.25e-4,
+        adam: Adam::USUAL,
+        bias_gaussians: bias,
+        density_statistics: f32::from(u8::from(statistics)),
         ..Step::default()
     }
 }

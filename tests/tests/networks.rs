@@ -13,7 +13,7 @@ use engine::train::linear::{Output, Stage};
 use engine::train::network_f::{self, NetworkF};
 use engine::train::network_g::{self, NetworkG};
 use engine::train::status;
-use engine::train::step::{Step, bias_corrections};
+use engine::train::step::{Adam, Step, bias_corrections};
 use glam::{DMat3, DVec3};
 use tests_harness::gradient::assert_gradients_close;
 use tests_harness::render_case::{Random, RenderInput, test_camera};
@@ -22,14 +22,15 @@ use tools::dev::oracle;
 const STAGES: [Stage; 2] = [Stage::Shuffle, Stage::Shared];
 
 fn step(time: f32) -> Step {
-    let [m, v] = bias_corrections(0.9, 0.999, 1);
+    let bias = bias_corrections(0.9, 0.999, 1);
     Step {
-        rate_1: [0.0, 0.0, 1e-3, 0.0],
-        rate_2: [1e-3, 0.0, 0.0, 0.0],
-        adam: [0.9, 0.999, 1e-15, 0.0],
-        bias_0: [0.0, 0.0, m, v],
-        bias_1: [0.0, 0.0, m, v],
-        time: [time, time, 0.0, 0.0],
+        rate_network_f: 1e-3,
+        rate_network_g: 1e-3,
+        adam: Adam::USUAL,
+        bias_network_f: bias,
+        bias_network_g: bias,
+        time,
+        exact_time: time,
         ..Step::default()
     }
 }

@@ -248,7 +248,7 @@ fn blend_tiles(call: &mut TwinCall<'_>, store_pixel: impl Fn(&mut [u32], usize, 
     let min_transmittance = if stop == 0 { MIN_TRANSMITTANCE } else { f32::from_bits(stop) };
     let limits = Limits { log2_cut: log2_cut(alpha_cut), min_transmittance };
     let [columns, _, rows] = subtile(spec(call, 0), spec(call, 3));
-    let [width, height, tiles_x, _] = frame.size;
+    let ([width, height], tiles_x) = (frame.size, frame.tiles[0]);
     for tile in 0..frame.tile_count {
         let (tile_x, tile_y) = (tile % tiles_x * TILE_SIZE, tile / tiles_x * TILE_SIZE);
         let range = call.buffers[1][2 * tile as usize] as usize..call.buffers[1][2 * tile as usize + 1] as usize;

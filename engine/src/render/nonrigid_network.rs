@@ -111,22 +111,30 @@ fn within(v: [f32; 3]) -> bool {
     v.iter().all(|x| x.is_finite() && x.abs() <= MAX_ABS_CENTRE)
 }
 
-/// Twin of `glsl/lib/moved_centre.glsl`; `buffers`: frame, mean, superpoint_of_gaussian, pose.
-pub(crate) fn moved_centre(buffers: &[Vec<u32>], motion: u32, g: usize) -> [f32; 3] {
-    let frame: Frame = struct_at(&buffers[0], 0);
+/// Superpoint of each Gaussian and the table of poses, for twins.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct RigidMotion<'a> {
+    /// `[N]`
+    pub(crate) superpoint_of_gaussian: &'a [u32],
+    /// `vec4[T][M][2]`
+    pub(crate) pose: &'a [u32],
+}
+
+/// Twin of `glsl/lib/moved_centre.glsl`; `motion` is `None` for a scene that stands still.
+pub(crate) fn moved_centre(frame: &Frame, mean: &[u32], motion: Option<RigidMotion<'_>>, g: usize) -> [f32; 3] {
     let n = frame.gaussians as usize;
-    let mean: [f32; 3] = std::array::from_fn(|axis| f32_at(&buffers[1], axis * n + g));
-    if motion == 0 || !within(mean) {
+    let mean: [f32; 3] = std::array::from_fn(|axis| f32_at(mean, axis * n + g));
+    let Some(motion) = motion.filter(|_| within(mean)) else {
         return if within(mean) { mean } else { [0.0; 3] };
-    }
-    let superpoint = buffers[2][g];
+    };
+    let superpoint = motion.superpoint_of_gaussian[g];
     if superpoint >= frame.superpoints {
         return [0.0; 3];
     }
     let key = |k: u32| (2 * (k * frame.superpoints + superpoint)) as usize;
     let weight = frame.key_weight;
     let lerp = |offset: usize| -> [f32; 3] {
-        let pair = [frame.first_key, frame.second_key].map(|k| vec4_at(&buffers[3], key(k) + offset));
+        let pair = [frame.first_key, frame.second_key].map(|k| vec4_at(motion.pose, key(k) + offset));
         std::array::from_fn(|i| pair[0][i] * (1.0 - weight) + pair[1][i] * weight)
     };
     let (r, translation) = (lerp(0), lerp(1));
@@ -155,7 +163,8 @@ fn nonrigid_network_twin(call: &mut TwinCall<'_>) {
     let motion = spec(call, 1);
     let n = frame.gaussians as usize;
     for g in 0..n.min((group_count(call) * NONRIGID_GAUSSIANS) as usize) {
-        let centre = moved_centre(call.buffers, motion, g);
+        let rigid = RigidMotion { superpoint_of_gaussian: &call.buffers[2], pose: &call.buffers[3] };
+        let centre = moved_centre(&frame, &call.buffers[1], (motion != 0).then_some(rigid), g);
         let centre = [centre[0] + p.origin_x, centre[1] + p.origin_y, centre[2] + p.origin_z];
         let time = frame.time;
         let mut values: Vec<f32> = (0..NONRIGID_ENCODING).map(|e| encoded(centre, time, e)).collect();

@@ -16,11 +16,13 @@
 //!             → record_commit:       assignment and centres of the next step
 //! ```
 
-pub mod nearest;
+pub mod association_init;
+pub mod nearest_superpoints;
 mod record;
-pub mod segment;
 mod state;
-pub mod update;
+pub mod superpoint_commit;
+pub mod superpoint_gradient;
+pub mod superpoint_sum;
 
 use crate::gpu::kernel::Kernel;
 
@@ -28,12 +30,22 @@ pub use state::{AssociationOptions, Rows, StepBuffers, SuperpointState};
 
 /// Kernels of this module.
 pub static KERNELS: &[&Kernel] = &[
-    &nearest::NEAREST_SUPERPOINTS,
-    &nearest::ASSOCIATION_INIT,
-    &segment::SUPERPOINT_SUM,
-    &update::SUPERPOINT_GRADIENT,
-    &update::SUPERPOINT_COMMIT,
+    &nearest_superpoints::NEAREST_SUPERPOINTS.kernel,
+    &association_init::ASSOCIATION_INIT.kernel,
+    &superpoint_sum::SUPERPOINT_SUM.kernel,
+    &superpoint_gradient::SUPERPOINT_GRADIENT.kernel,
+    &superpoint_commit::SUPERPOINT_COMMIT.kernel,
 ];
+
+crate::gpu_constants! {
+    /// Specialisation constants of the kernels that read the association's rows.
+    pub struct AssociationConstants {
+        /// K, superpoints in use per Gaussian.
+        neighbors,
+        /// K', superpoints remembered per Gaussian.
+        slots,
+    }
+}
 
 /// Most superpoints in use per Gaussian.
 pub const MAX_NEIGHBORS: u32 = 7;
@@ -45,6 +57,11 @@ pub const NO_SUPERPOINT: u32 = u32::MAX;
 pub const NEW_LOGIT: f32 = 0.1;
 /// A pair's value is `slot << PAIR_SHIFT | gaussian`; slot K is the Gaussian's own superpoint.
 pub const PAIR_SHIFT: u32 = 28;
+
+/// Group of `status` for reports about the association.
+pub const ASSOCIATION_GROUP: usize = 6;
+/// Group of `status` for reports about poses.
+pub const POSE_GROUP: usize = 9;
 
 /// Logits of a superpoint initialisation.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]

@@ -1,30 +1,33 @@
-//! Image loss L = (1 − λ)·L1 + λ·(1 − SSIM) and its gradient by the rendered image (Kerbl et al. 2023, eq. 7; SSIM of Wang
+//! Kernel `image_loss`, and its family: image loss L = (1 − λ)·L1 + λ·(1 − SSIM) and its gradient by the rendered image (Kerbl et al. 2023, eq. 7; SSIM of Wang
 //! et al. 2004).
 //!
 //! L1 and SSIM are means over H·W·3 values. SSIM has an 11×11 Gaussian window of σ = 1.5 px, zeros outside the image,
-//! C1 = 0.01², C2 = 0.03². The rendered image is not clamped. Three kernels: [`SSIM_FORWARD`] computes local moments and
-//! the derivatives of SSIM by them, [`IMAGE_LOSS`] convolves those back and adds the sign of L1, [`IMAGE_LOSS_SUM`] adds
+//! C1 = 0.01², C2 = 0.03². The rendered image is not clamped. Three kernels: [`ssim_forward`] computes local moments and
+//! the derivatives of SSIM by them, [`IMAGE_LOSS`] convolves those back and adds the sign of L1, [`image_loss_sum`] adds
 //! up the workgroups' sums in a fixed order. Without SSIM (λ = 0) the first is skipped.
 //!
 //! A rendered value that is not finite (or beyond ±[`MAX_COLOR`]) takes no part: its gradient is 0, it is reported to
 //! `status`, and its neighbours see the target's value in its place.
 
-mod gradient;
+pub mod image_loss_sum;
 mod pixels;
-mod ssim_forward;
-mod sum;
+mod record;
+pub mod ssim_forward;
 
-pub use gradient::IMAGE_LOSS;
 pub use pixels::{MAX_COLOR, SSIM_C1, SSIM_C2, WINDOW};
-pub use ssim_forward::SSIM_FORWARD;
-pub use sum::IMAGE_LOSS_SUM;
+pub use record::{LossPass, LossPassBuffers};
 
-use crate::error::Result;
-use crate::gpu::kernel::Kernel;
-use crate::gpu::{Buffer, Gpu, Groups, Memory, Recorder, Slice};
+use self::pixels::{convolve, image_and_target, sum_of_tile, target_value, usable};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::{Kernel, Tolerance};
+use crate::render::frame::Frame;
+use crate::render::twin::{f32_at, set_f32, struct_at};
+use crate::train::status;
+use crate::train::step::Step;
 
 /// Kernels of this module.
-pub static KERNELS: &[&Kernel] = &[&SSIM_FORWARD, &IMAGE_LOSS, &IMAGE_LOSS_SUM];
+pub static KERNELS: &[&Kernel] =
+    &[&ssim_forward::SSIM_FORWARD.kernel, &IMAGE_LOSS.kernel, &image_loss_sum::IMAGE_LOSS_SUM.kernel];
 
 /// Width and height of a workgroup's tile, px.
 pub const LOSS_TILE: [u32; 2] = [32, 48];
@@ -46,76 +49,100 @@ pub fn groups(width: u32, height: u32) -> u32 {
     3 * width.div_ceil(LOSS_TILE[0]) * height.div_ceil(LOSS_TILE[1])
 }
 
-/// Buffers that a recording of the loss binds.
-#[derive(Debug, Clone, Copy)]
-pub struct ImageLossBuffers<'a> {
-    /// [`crate::render::frame::Frame`]: size and background.
-    pub frame: &'a Buffer,
-    /// [`crate::train::step::Step`]: λ.
-    pub step: &'a Buffer,
-    /// `vec4[H·W]` rendered image.
-    pub color: &'a Buffer,
-    /// Target image, as [`TargetFormat`] says.
-    pub target: &'a Buffer,
-    /// `vec4[H·W]` result: gradient by the channels, w = 0.
-    pub image_gradient: &'a Buffer,
-    /// float[[`LOSS_WORDS`]] result.
-    pub loss: &'a Buffer,
-    /// Reports of numbers that are not finite.
-    pub status: &'a Buffer,
-}
+/// Place of `image_gradient` in [`status::GROUPS`].
+const STATUS_IMAGE_GRADIENT: usize = 8;
 
-/// Scratch of the loss for one image size.
-#[derive(Debug)]
-pub struct ImageLoss {
-    width: u32,
-    height: u32,
-    with_ssim: bool,
-    /// float[3 channels][3 derivatives][H·W], or a dummy without SSIM.
-    ssim_maps: Buffer,
-    /// float[3 sums][workgroups].
-    loss_partial: Buffer,
-}
-
-impl ImageLoss {
-    /// Scratch for images of this size, px. `with_ssim` false skips all work of SSIM (for λ = 0): λ is then taken as 0.
-    pub fn new(gpu: &Gpu, width: u32, height: u32, with_ssim: bool) -> Result<Self> {
-        let pixels = if with_ssim { u64::from(width) * u64::from(height) } else { 1 };
-        Ok(Self {
-            width,
-            height,
-            with_ssim,
-            ssim_maps: gpu.buffer("ssim_maps", 36 * pixels, Memory::Device)?,
-            loss_partial: gpu.buffer("loss_partial", 12 * u64::from(groups(width, height)), Memory::Device)?,
-        })
+crate::gpu_constants! {
+    /// Specialisation constants of [`IMAGE_LOSS`].
+    pub struct ImageLossConstants {
+        /// A [`TargetFormat`].
+        target,
+        /// 0: λ is taken as 0.
+        with_ssim,
     }
+}
 
-    /// Records the loss and its gradient.
-    pub fn record(&self, r: &mut Recorder, b: &ImageLossBuffers<'_>, target: TargetFormat) -> Result<()> {
-        let (format, with_ssim) = (target as u32, u32::from(self.with_ssim));
-        let grid = Groups::Direct(groups(self.width, self.height).into());
-        let slices = |list: &[&Buffer]| list.iter().map(|b| Slice::from(*b)).collect::<Vec<_>>();
-        if self.with_ssim {
-            let buffers = slices(&[b.frame, b.color, b.target, &self.ssim_maps, &self.loss_partial]);
-            r.dispatch_untyped(&SSIM_FORWARD, &[format], &[], &buffers, grid.clone())?;
+crate::gpu_buffers! {
+    /// Buffers of [`IMAGE_LOSS`].
+    pub struct ImageLossBuffers {
+        /// Size and background.
+        frame: Read Struct(Frame),
+        /// λ.
+        step: Read Struct(Step),
+        /// `vec4[H·W]` rendered image.
+        color: Read F32,
+        /// Target image, as [`TargetFormat`] says.
+        target: Read U32,
+        /// `float[3 channels][3][H·W]` of [`ssim_forward`]; absent without SSIM.
+        ssim_maps: optional Read F32,
+        /// `vec4[H·W]`, w = 0.
+        image_gradient: Write F32,
+        /// `float[3][workgroups]`: sums of |x − y| in plane 1 and of (x − y)² in plane 2.
+        loss_partial: Write F32,
+        status: Atomic U32,
+    }
+}
+
+crate::kernel! {
+    /// Gradient by the rendered image. Dispatch [`groups`] workgroups.
+    pub static IMAGE_LOSS: ImageLoss = {
+        name: "image_loss",
+        doc: "gradient of (1 - lambda) L1 + lambda (1 - SSIM) by the rendered image, sums of L1 and MSE",
+        local_size: 128,
+        constants: ImageLossConstants,
+        push: (),
+        buffers: ImageLossBuffers,
+        twin: image_loss_twin,
+        tolerance: Tolerance { absolute: 1e-7, relative: 1e-4, flips: 0.0 },
+        bytes: |w| 72 * w.get("pixels"),
+    }
+}
+
+fn image_loss_twin(call: Call<'_, ImageLoss>) {
+    let Call { constants, buffers: b, .. } = call;
+    let (kind, with_ssim) = (constants.target, constants.with_ssim == 1);
+    let frame: Frame = struct_at(b.frame, 0);
+    let step: Step = struct_at(b.step, 0);
+    let [width, height] = frame.size;
+    let pixels = (width * height) as usize;
+    let groups = groups(width, height);
+    let lambda = if with_ssim { step.weight_dssim } else { 0.0 };
+    let per_value = 1.0 / (3.0 * pixels as f32);
+    for channel in 0..3 {
+        let by_moment: Vec<[f32; 3]> = if let (true, Some(ssim_maps)) = (with_ssim, &b.ssim_maps) {
+            let at = |plane: usize, i: usize| f32_at(ssim_maps, (3 * channel + plane) * pixels + i);
+            let maps: Vec<[f32; 3]> = (0..pixels).map(|i| [at(0, i), at(1, i), at(2, i)]).collect();
+            convolve(&maps, width as usize, height as usize)
+        } else {
+            vec![[0.0; 3]; pixels]
+        };
+        for i in 0..pixels {
+            let [x, y] = image_and_target(&frame, [b.color, b.target], kind, i, channel);
+            let d = x - y;
+            let m = by_moment[i];
+            let by_ssim = m[0] + 2.0 * x * m[1] + 2.0 * d * m[2];
+            let sign = if d == 0.0 { 0.0 } else { d.signum() };
+            let gradient = per_value * ((1.0 - lambda) * sign - lambda * by_ssim);
+            let good = usable(f32_at(b.color, 4 * i + channel))
+                && usable(target_value(&frame, b.target, kind, i, channel))
+                && gradient.is_finite();
+            if !good {
+                status::report(b.status, STATUS_IMAGE_GRADIENT, i as u32);
+            }
+            set_f32(b.image_gradient, 4 * i + channel, if good { gradient } else { 0.0 });
+            set_f32(b.image_gradient, 4 * i + 3, 0.0);
         }
-        let buffers = slices(&[
-            b.frame,
-            b.step,
-            b.color,
-            b.target,
-            &self.ssim_maps,
-            b.image_gradient,
-            &self.loss_partial,
-            b.status,
-        ]);
-        r.dispatch_untyped(&IMAGE_LOSS, &[format, with_ssim], &[], &buffers, grid)?;
-        let buffers = slices(&[b.frame, b.step, &self.loss_partial, b.loss]);
-        r.dispatch_untyped(&IMAGE_LOSS_SUM, &[with_ssim], &[], &buffers, Groups::Direct(1))
-    }
-
-    /// Bytes on the device.
-    pub fn bytes(&self) -> u64 {
-        self.ssim_maps.bytes() + self.loss_partial.bytes()
+        let difference = |i: usize| {
+            let [x, y] = image_and_target(&frame, [b.color, b.target], kind, i, channel);
+            x - y
+        };
+        for group in (channel as u32..groups).step_by(3) {
+            let sums = [
+                sum_of_tile(&frame, group / 3, |i| difference(i).abs()),
+                sum_of_tile(&frame, group / 3, |i| difference(i) * difference(i)),
+            ];
+            set_f32(b.loss_partial, (groups + group) as usize, sums[0]);
+            set_f32(b.loss_partial, (2 * groups + group) as usize, sums[1]);
+        }
     }
 }

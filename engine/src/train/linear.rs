@@ -12,23 +12,38 @@
 //! Every sum has a fixed order, so equal input gives equal bits on one device. A pass runs all `linear_backward_input` from
 //! the last layer down before `linear_update`, so gradients use the weights of the forward pass.
 
-mod kernels;
+pub mod gather_gradient;
+pub mod linear_backward_input;
+pub mod linear_backward_weight;
+pub mod linear_update;
 mod parameters;
 mod record;
-mod twins;
 
 use crate::gpu::kernel::Kernel;
+use crate::gpu::product::PRODUCT_THREADS;
 
 pub use crate::gpu::product::{Stage, product_groups};
-pub use kernels::{
-    GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_UPDATE, UpdatePush,
-    WeightPush,
-};
 pub use parameters::Parameters;
 pub(super) use record::{Layer, Pass, Split};
 
 /// Kernels of this module.
-pub static KERNELS: &[&Kernel] = &[&LINEAR_BACKWARD_INPUT, &LINEAR_BACKWARD_WEIGHT, &LINEAR_UPDATE, &GATHER_GRADIENT];
+pub static KERNELS: &[&Kernel] = &[
+    &linear_backward_input::LINEAR_BACKWARD_INPUT.kernel,
+    &linear_backward_weight::LINEAR_BACKWARD_WEIGHT.kernel,
+    &linear_update::LINEAR_UPDATE.kernel,
+    &gather_gradient::GATHER_GRADIENT.kernel,
+];
+
+/// Threads per workgroup.
+const THREADS: u32 = PRODUCT_THREADS;
+
+crate::gpu_constants! {
+    /// Specialisation constants of the backward products.
+    pub struct LinearConstants {
+        /// A [`Stage`].
+        stage,
+    }
+}
 
 /// Whose learning rate, corrections and reports a kernel uses (specialisation constant `NETWORK`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -7,21 +7,22 @@
 //! `linear_backward_weight`, one `linear_update` for all weights. Device memory: 16 bytes per weight and
 //! (76 + 2·8·256 + 8)·4 ≈ 16.7 KB per superpoint.
 
-mod encode;
+pub mod encode_superpoints;
 #[cfg(test)]
 mod tests;
 
-use super::linear::{GatherPush, Layer, Network, Output, Parameters, Pass, Shape, Split, Stage, UpdatePush};
+use self::encode_superpoints::{ENCODE_SUPERPOINTS, EncodeSuperpointsBuffers};
+use super::linear::gather_gradient::GatherGradientPush;
+use super::linear::linear_update::LinearUpdatePush;
+use super::linear::{Layer, Network, Output, Parameters, Pass, Shape, Split, Stage};
 use crate::error::{Error, Result};
 use crate::gpu::kernel::Kernel;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
 use crate::scene::DeformNetwork;
 use crate::scene::network::{DeformSize, ENCODING_WIDTH, Linear};
 
-pub use encode::{ENCODE_SUPERPOINTS, EncodePush};
-
 /// Kernels of this module.
-pub static KERNELS: &[&Kernel] = &[&ENCODE_SUPERPOINTS];
+pub static KERNELS: &[&Kernel] = &[&ENCODE_SUPERPOINTS.kernel];
 
 /// Outputs of the layer of both heads: r, 0, τ, 0.
 const HEADS: u32 = 8;
@@ -55,8 +56,6 @@ pub struct NetworkF {
     activation_gradient: Buffer,
     /// Gradients of the weights, laid out as the parameters; the padding stays 0.
     gradient: Buffer,
-    /// Stands for the sums that Adam does not write.
-    unused: Slice,
 }
 
 /// Shapes of the hidden layers and of the heads.
@@ -88,7 +87,6 @@ impl NetworkF {
             activation: buffer("activation", bytes(ENCODING_WIDTH + hidden))?,
             activation_gradient: buffer("activation_gradient", bytes(hidden + HEADS as usize))?,
             gradient: gpu.buffer_with("network_f.gradient", &vec![0; (parameters.bytes() / 3) as usize])?,
-            unused: Slice::from(buffer("unused", 16)?),
             parameters,
         })
     }
@@ -125,7 +123,12 @@ impl NetworkF {
             return Ok(());
         }
         self.check_count(superpoints)?;
-        encode::record(r, superpoints, [step, superpoint_position, &self.activation(None, superpoints)])?;
+        let buffers = EncodeSuperpointsBuffers {
+            step: step.clone(),
+            superpoint_position: superpoint_position.clone(),
+            encoding: self.activation(None, superpoints),
+        };
+        encode_superpoints::record(r, superpoints, buffers)?;
         (0..=self.size.layers).try_for_each(|i| self.layer(i, superpoints, Some(pose)).forward(r))
     }
 
@@ -150,7 +153,8 @@ impl NetworkF {
             status: from.status.clone(),
         };
         let layers: Vec<Layer> = (0..=self.size.layers).map(|i| self.layer(i, superpoints, None)).collect();
-        let push = GatherPush { rows: superpoints, first_row: 0, plane_stride: from.plane_stride, columns: HEADS };
+        let push =
+            GatherGradientPush { rows: superpoints, first_row: 0, plane_stride: from.plane_stride, columns: HEADS };
         pass.gather(r, push, from.superpoint_gradient, &self.activation_gradient(self.size.layers, superpoints))?;
         for pair in layers.windows(2).rev() {
             pair[1].backward_input(r, &pair[0])?;
@@ -165,8 +169,8 @@ impl NetworkF {
             return Ok(());
         }
         let weights = (self.gradient.bytes() / 4) as u32;
-        let push = UpdatePush { weights, slices: 1, slice_stride: weights, first_index: 0 };
-        pass.update(r, push, &Slice::from(&self.gradient), self.parameters.all(), &self.unused)
+        let push = LinearUpdatePush { weights, slices: 1, slice_stride: weights, first_index: 0 };
+        pass.update(r, push, self.gradient.whole(), self.parameters.all(), None)
     }
 
     /// The weights.

@@ -6,11 +6,14 @@
 //! `linear_forward`, `gather_gradient`, three `linear_backward_input`, then four `linear_backward_weight` that write sums over
 //! slices of rows; after the last chunk four `linear_update` add the slices in order and apply Adam.
 
-mod encode;
+pub mod encode_gaussians;
 #[cfg(test)]
 mod tests;
 
-use super::linear::{GatherPush, Layer, Network, Output, Parameters, Pass, Shape, Split, Stage, UpdatePush};
+use self::encode_gaussians::{ENCODE_GAUSSIANS, EncodeGaussiansPush};
+use super::linear::gather_gradient::GatherGradientPush;
+use super::linear::linear_update::LinearUpdatePush;
+use super::linear::{Layer, Network, Output, Parameters, Pass, Shape, Split, Stage};
 use crate::error::{Error, Result};
 use crate::gpu::kernel::Kernel;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
@@ -18,10 +21,8 @@ use crate::render::nonrigid_network;
 use crate::scene::NonrigidNetwork;
 use crate::scene::network::{NONRIGID_ENCODING, NONRIGID_LAYERS, NONRIGID_ROWS, NONRIGID_WIDTH};
 
-pub use encode::{ENCODE_GAUSSIANS, EncodePush};
-
 /// Kernels of this module.
-pub static KERNELS: &[&Kernel] = &[&ENCODE_GAUSSIANS];
+pub static KERNELS: &[&Kernel] = &[&ENCODE_GAUSSIANS.kernel];
 
 /// Gaussians whose activations are kept at a time.
 pub const CHUNK: u32 = 65_536;
@@ -221,10 +222,11 @@ impl NetworkG {
         }
         (0..=NONRIGID_LAYERS).try_for_each(|i| {
             let (stride, first_index) = (self.parameters.padded(i), self.parameters.first_index(i));
-            let gradient = self.gradient.slice(self.start(i), u64::from(stride) * 4);
+            let kept = || self.gradient.slice(self.start(i), u64::from(stride) * 4);
+            let gradient = (output == Output::Gradient).then(kept);
             let weights = self.parameters.shapes()[i].parameters();
-            let push = UpdatePush { weights, slices: used, slice_stride: stride, first_index };
-            pass.update(r, push, &self.split(i, 0).gradient, self.parameters.slices(i), &gradient)
+            let push = LinearUpdatePush { weights, slices: used, slice_stride: stride, first_index };
+            pass.update(r, push, self.split(i, 0).gradient, self.parameters.slices(i), gradient)
         })
     }
 
@@ -237,10 +239,11 @@ impl NetworkG {
         from: &Backward<'_>,
         [first, rows, gaussians, slice]: [u32; 4],
     ) -> Result<()> {
-        encode::record(r, inputs, EncodePush { first_row: first, rows }, &self.activation(None, rows))?;
+        let push = EncodeGaussiansPush { first_row: first, rows };
+        encode_gaussians::record(r, inputs, push, self.activation(None, rows))?;
         let layers: Vec<Layer> = (0..=NONRIGID_LAYERS).map(|i| self.layer(i, rows)).collect();
         layers[..NONRIGID_LAYERS].iter().try_for_each(|layer| layer.forward(r))?;
-        let push = GatherPush { rows, first_row: first, plane_stride: gaussians, columns: self.columns };
+        let push = GatherGradientPush { rows, first_row: first, plane_stride: gaussians, columns: self.columns };
         pass.gather(r, push, from.nonrigid_gradient, &layers[NONRIGID_LAYERS].output_gradient)?;
         for pair in layers.windows(2).rev() {
             pair[1].backward_input(r, &pair[0])?;

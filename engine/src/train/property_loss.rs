@@ -7,23 +7,26 @@
 //! - [`PropertyLoss::Paper`]: v' = R_sp→g(R_g→sp(v)): u_j = Σ_i a_ij v_i / Σ_i a_ij over all Gaussians that have superpoint
 //!   j as a neighbour. Nothing is a constant. Weights 1e-3, 1, 1.
 
-pub mod backward;
-pub mod residual;
+pub mod property_backward;
+pub mod property_residual;
+pub mod property_total;
+pub mod property_values;
 
 use crate::gpu::kernel::Kernel;
 use crate::render::{quaternion, twin};
 pub use crate::scene::motion::PropertyLoss;
 use crate::train::adam;
-use crate::train::association::nearest::ASSOCIATION_GROUP;
+use crate::train::association::ASSOCIATION_GROUP;
+use crate::train::association::superpoint_sum::FIRST_PAIR_VALUE;
 use crate::train::status;
 use crate::train::step::Step;
 
 /// Kernels of this module.
 pub static KERNELS: &[&Kernel] = &[
-    &residual::PROPERTY_RESIDUAL,
-    &residual::PROPERTY_TOTAL,
-    &backward::PROPERTY_VALUES,
-    &backward::PROPERTY_BACKWARD,
+    &property_residual::PROPERTY_RESIDUAL.kernel,
+    &property_total::PROPERTY_TOTAL.kernel,
+    &property_values::PROPERTY_VALUES.kernel,
+    &property_backward::PROPERTY_BACKWARD.kernel,
 ];
 
 /// A Gaussian's or superpoint's properties in f32.
@@ -50,16 +53,28 @@ pub(crate) fn planes(words: &[u32], plane: usize, stride: usize, i: usize) -> [f
     [0, 1, 2].map(|c| twin::f32_at(words, (plane + c) * stride + i))
 }
 
+/// A superpoint's mean properties from the planes of `superpoint_sum`.
+fn mean_properties(sums: &[u32], m: usize, j: usize) -> [[f32; 3]; 3] {
+    let inverse = inverse_weight(sums, j);
+    [0, 3, 6].map(|p| planes(sums, FIRST_PAIR_VALUE + p, m, j).map(|v| inverse * v))
+}
+
+/// 1 / Σa, 0 for a superpoint that is nobody's neighbour.
+fn inverse_weight(sums: &[u32], j: usize) -> f32 {
+    let total = twin::f32_at(sums, j);
+    if total > 0.0 { 1.0 / total } else { 0.0 }
+}
+
 /// Twin of `update_logit`: one step of Adam unless something is not finite.
 pub(crate) fn update_logit(
     step: &Step,
-    buffers: [&mut Vec<u32>; 3],
+    logit_and_moments: [&mut [u32]; 3],
     at: usize,
     gradient: f32,
     words: &mut [u32],
     gaussian: usize,
 ) {
-    let [logit, m1, m2] = buffers;
+    let [logit, m1, m2] = logit_and_moments;
     let mut moments = [twin::f32_at(m1, at), twin::f32_at(m2, at)];
     let bias = step.bias_association;
     let value = adam::update(step, twin::f32_at(logit, at), gradient, &mut moments, step.rate_association, bias);

@@ -71,6 +71,18 @@ crate::gpu_struct! {
     }
 }
 
+impl Adam {
+    /// The usual constants of training Gaussians: 0.9, 0.999, 1e-15 (3D Gaussian Splatting).
+    pub const USUAL: Self = Self { beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, unused: 0.0 };
+}
+
+impl Step {
+    /// λ of the property losses: position, rotation, translation.
+    pub fn property_weights(&self) -> [f32; 3] {
+        [self.weight_position, self.weight_rotation, self.weight_translation]
+    }
+}
+
 /// Adam's corrections at update `t` (from 1): 1/(1−β₁ᵗ), 1/√(1−β₂ᵗ).
 pub fn bias_corrections(beta_1: f64, beta_2: f64, t: u64) -> [f32; 2] {
     let t = t.max(1) as f64;

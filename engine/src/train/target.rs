@@ -1,7 +1,7 @@
 //! Everything of a training step whose size follows the image: one [`Target`] per image size of the data set.
 
 use super::blend_backward::ROW_WORDS;
-use super::image_loss::{ImageLoss, LOSS_WORDS};
+use super::image_loss::{LOSS_WORDS, LossPass};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Commands, Gpu, Memory};
 use crate::render::limits::TILE_SIZE;
@@ -33,7 +33,7 @@ pub(crate) struct Target {
     pub(crate) photo: Buffer,
     pub(crate) image_gradient: Buffer,
     pub(crate) loss: Buffer,
-    pub(crate) image_loss: ImageLoss,
+    pub(crate) image_loss: LossPass,
     pub(crate) commands: Option<(RecordingKey, Commands)>,
 }
 
@@ -79,7 +79,7 @@ impl Target {
             photo: device("target", pixels * 4)?,
             image_gradient: device("image_gradient", pixels * 16)?,
             loss: device("loss", LOSS_WORDS as u64 * 4)?,
-            image_loss: ImageLoss::new(gpu, width, height, size.with_ssim)?,
+            image_loss: LossPass::new(gpu, width, height, size.with_ssim)?,
             commands: None,
         })
     }

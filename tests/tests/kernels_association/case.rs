@@ -1,20 +1,14 @@
-//! Random cases: inputs, the chain of kernels one by one, and a whole step on the device.
+//! Random cases: inputs, and a whole step on the device.
 
 use engine::gpu::Slice;
-use engine::gpu::kernel::Kernel;
 use engine::reference::Pose;
 use engine::reference::gradient::association::nearest;
-use engine::train::association::nearest::*;
-use engine::train::association::segment::*;
-use engine::train::association::update::*;
 use engine::train::association::*;
 use engine::train::property_loss::PropertyLoss;
-use engine::train::property_loss::backward::*;
-use engine::train::property_loss::residual::*;
 use engine::train::status;
-use engine::train::step::{Step, bias_corrections};
+use engine::train::step::{Adam, Step, bias_corrections};
 use glam::DVec3;
-use tests_harness::{TestGpu, UntypedCase};
+use tests_harness::TestGpu;
 
 pub struct Rng(pub u64);
 
@@ -57,20 +51,6 @@ pub fn relative(truth: &[f64], test: &[f64]) -> f64 {
     error / norm.max(1e-300)
 }
 
-pub fn run(
-    gpu: &TestGpu,
-    kernel: &'static Kernel,
-    spec: &[u32],
-    push: &[u8],
-    buffers: Vec<Vec<u32>>,
-    groups: u32,
-) -> Vec<Vec<u32>> {
-    let case = UntypedCase { kernel, spec: spec.to_vec(), push: push.to_vec(), buffers, groups };
-    let result = case.run(gpu);
-    result.assert_equal(kernel, &format!("{groups} groups, spec {spec:?}"));
-    result.gpu
-}
-
 /// Random Gaussians, superpoints and poses, and a step.
 pub struct Case {
     pub mean: Vec<[f32; 3]>,
@@ -86,14 +66,17 @@ impl Case {
     pub fn new(n: usize, m: usize, neighbors: u32, slots: u32, seed: u64) -> Self {
         let mut rng = Rng(seed);
         let step = Step {
-            counts: [n as u32, m as u32, slots, 7],
-            rate_1: [0.0, 0.0, 0.0, 1e-2],
-            adam: [0.9, 0.999, 1e-15, 0.0],
-            bias_1: {
-                let b = bias_corrections(0.9, 0.999, 3);
-                [b[0], b[1], 0.0, 0.0]
-            },
-            weights: [0.2, 1e-3, 100.0, 10.0],
+            gaussians: n as u32,
+            superpoints: m as u32,
+            neighbors: slots,
+            iteration: 7,
+            rate_association: 1e-2,
+            adam: Adam::USUAL,
+            bias_association: bias_corrections(0.9, 0.999, 3),
+            weight_dssim: 0.2,
+            weight_position: 1e-3,
+            weight_rotation: 100.0,
+            weight_translation: 10.0,
             ..Step::default()
         };
         Self {
@@ -113,6 +96,14 @@ impl Case {
 
     pub fn pose_words(&self) -> Vec<u32> {
         bits(self.pose.iter().flatten().flat_map(|v| [v[0], v[1], v[2], 0.0]))
+    }
+
+    pub fn position_words(&self) -> Vec<u32> {
+        bits(self.position.as_flattened().iter().copied())
+    }
+
+    pub fn constants(&self) -> AssociationConstants {
+        AssociationConstants { neighbors: self.neighbors, slots: self.slots }
     }
 
     pub fn groups(&self) -> u32 {
@@ -136,128 +127,6 @@ impl Case {
             }
         }
         rows
-    }
-
-    /// Runs the whole chain kernel by kernel, each against its twin. Returns logits after it.
-    pub fn chain(&self, gpu: &TestGpu, form: PropertyLoss, failed: u32) -> Vec<u32> {
-        let (n, m) = (self.mean.len(), self.position.len());
-        let words = self.step_words();
-        let counters = vec![0, 0, 0, failed, 0, 0, 0, 0];
-        let mean = bits(planes(&self.mean));
-        let position = bits(self.position.as_flattened().iter().copied());
-        let shape = [self.neighbors, self.slots];
-        let k = self.neighbors as usize;
-        let pairs = n * (k + 1);
-        let clear = status::clear().to_vec();
-        let [neighbor, logit, m1, m2] = self.rows(5);
-        let done = run(
-            gpu,
-            &NEAREST_SUPERPOINTS,
-            &shape,
-            &[],
-            vec![
-                words.clone(),
-                counters.clone(),
-                mean.clone(),
-                position.clone(),
-                self.own.clone(),
-                neighbor,
-                logit,
-                m1,
-                m2,
-                vec![0; n * k],
-                vec![0; n],
-                vec![0; pairs],
-                vec![0; pairs],
-                clear.clone(),
-            ],
-            self.groups(),
-        );
-        let [_, _, _, _, _, neighbor, logit, m1, m2, weight, next, key, value, _] = done.try_into().unwrap();
-        // The sort is tested on its own: here the order comes from the host.
-        let mut order: Vec<usize> = (0..pairs).collect();
-        order.sort_by_key(|&p| key[p]);
-        let key: Vec<u32> = order.iter().map(|&p| key[p]).collect();
-        let value: Vec<u32> = order.iter().map(|&p| value[p]).collect();
-        let sum = |spec: [u32; 4], pair_data: &Vec<u32>, own_data: &Vec<u32>| {
-            let push = SuperpointSumPush { neighbors: self.neighbors, pairs: pairs as u32, status_group: 6 };
-            let buffers = vec![
-                words.clone(),
-                key.clone(),
-                value.clone(),
-                weight.clone(),
-                mean.clone(),
-                pair_data.clone(),
-                own_data.clone(),
-                vec![0; SUM_PLANES * m],
-                clear.clone(),
-            ];
-            run(gpu, &SUPERPOINT_SUM, &spec, bytemuck::bytes_of(&push), buffers, m as u32).swap_remove(7)
-        };
-        let residual = |sums: &Vec<u32>, paper: u32| {
-            let spec = [self.neighbors, self.slots, paper];
-            let buffers = vec![
-                words.clone(),
-                counters.clone(),
-                mean.clone(),
-                self.own.clone(),
-                self.pose_words(),
-                position.clone(),
-                sums.clone(),
-                neighbor.clone(),
-                weight.clone(),
-                logit.clone(),
-                m1.clone(),
-                m2.clone(),
-                vec![0; 9 * n],
-                vec![0; 4 * n.div_ceil(256)],
-                clear.clone(),
-            ];
-            let mut done = run(gpu, &PROPERTY_RESIDUAL, &spec, &[], buffers, self.groups());
-            (done.swap_remove(12), done.swap_remove(9))
-        };
-        let (first, property, properties, logit) = if form == PropertyLoss::Paper {
-            let buffers = vec![words.clone(), mean.clone(), self.own.clone(), self.pose_words(), vec![0; 9 * n]];
-            let values = run(gpu, &PROPERTY_VALUES, &[], &[], buffers, self.groups()).swap_remove(4);
-            let first = sum([1, 9, 0, 0], &values, &values);
-            let (g, _) = residual(&first, 1);
-            let pulls = sum([0, 9, 0, 0], &g, &g);
-            let buffers = vec![
-                words.clone(),
-                counters.clone(),
-                mean.clone(),
-                self.own.clone(),
-                self.pose_words(),
-                first.clone(),
-                pulls,
-                neighbor.clone(),
-                weight.clone(),
-                logit,
-                m1.clone(),
-                m2.clone(),
-                g,
-                vec![0; 9 * n],
-                vec![0; 3 * n],
-                clear.clone(),
-            ];
-            let mut done = run(gpu, &PROPERTY_BACKWARD, &shape, &[], buffers, self.groups());
-            let own = done.swap_remove(13);
-            (first, sum([0, 0, 0, 9], &own, &own), 2, done.swap_remove(9))
-        } else {
-            let (g, logit) = residual(&vec![0; SUM_PLANES * m], 0);
-            let sums = sum([1, 9, 3, 6], &g, &g);
-            (sums.clone(), sums, 1, logit)
-        };
-        let mut rng = Rng(99);
-        let pose_gradient = bits((0..6 * n).map(|_| rng.signed()));
-        let pose_sum = sum([0, 0, 0, 6], &pose_gradient, &pose_gradient);
-        let buffers =
-            vec![words.clone(), self.pose_words(), position.clone(), property, pose_sum, vec![0; 6 * m], clear.clone()];
-        run(gpu, &SUPERPOINT_GRADIENT, &[properties], &[], buffers, (m as u32).div_ceil(256));
-        let buffers = vec![words, counters, first, next, self.own.clone(), position, clear];
-        let groups = (n.max(m) as u32).div_ceil(256);
-        run(gpu, &SUPERPOINT_COMMIT, &[], &[], buffers, groups);
-        logit
     }
 }
 

@@ -3,11 +3,13 @@
 use super::case::*;
 use engine::gpu::Slice;
 use engine::train::adam;
+use engine::train::association::association_init::{ASSOCIATION_INIT, AssociationInitBuffers, AssociationInitPush};
+use engine::train::association::{NEW_LOGIT, NO_SUPERPOINT};
 use engine::train::farthest_point::*;
 use engine::train::property_loss::PropertyLoss;
-use engine::train::property_loss::residual::PROPERTY_TOTAL;
+use engine::train::property_loss::property_total::{PROPERTY_TOTAL, PropertyTotalBuffers};
 use engine::train::step::bias_corrections;
-use tests_harness::{UntypedCase, gpu};
+use tests_harness::{KernelCase, UntypedCase, gpu};
 
 #[test]
 fn every_kernel_agrees_with_its_twin() {
@@ -111,9 +113,39 @@ fn totals_of_the_losses_agree_with_their_twin() {
         let mut rng = Rng(n as u64);
         let case = Case::new(n, 3, 3, 4, 1);
         let partial = bits((0..4 * n.div_ceil(256)).map(|_| rng.signed().abs()));
-        let buffers = vec![case.step_words(), partial, vec![0; 4]];
-        let case = UntypedCase { kernel: &PROPERTY_TOTAL, spec: vec![], push: vec![], buffers, groups: 1 };
-        case.run(&gpu).assert_equal(&PROPERTY_TOTAL, &format!("{n} Gaussians"));
+        let buffers =
+            PropertyTotalBuffers { step: case.step_words(), loss_partial: partial, property_loss: vec![0; 4] };
+        let case = KernelCase { kernel: &PROPERTY_TOTAL, constants: (), push: (), buffers, groups: 1 };
+        case.check(&gpu, &format!("{n} Gaussians"));
+    }
+}
+
+#[test]
+fn first_assignments_agree_with_their_twin() {
+    let gpu = gpu();
+    for (n, m, k, slots) in [(700_usize, 40_u32, 5_u32, 8_u32), (257, 3, 3, 16), (1, 1, 1, 1)] {
+        for (logit, paper) in [(1.0, 0), (0.9, 1)] {
+            let case = Case::new(n, m as usize, k, slots, 9);
+            let mut rng = Rng(n as u64);
+            let row = |first: u32| (0..slots).map(move |s| if s < k { (first + s) % m } else { NO_SUPERPOINT });
+            let neighbor: Vec<u32> = (0..n).flat_map(|_| row(rng.next() % m)).collect();
+            let buffers = AssociationInitBuffers {
+                step: case.step_words(),
+                neighbor: neighbor.clone(),
+                chosen: (0..m).map(|_| rng.next() % n as u32).collect(),
+                logit: vec![NEW_LOGIT.to_bits(); n * slots as usize],
+                superpoint_of_gaussian: vec![0; n],
+            };
+            let push = AssociationInitPush { logit, paper };
+            // One workgroup too many, as a folded grid has.
+            let groups = case.groups() + 1;
+            let case = KernelCase { kernel: &ASSOCIATION_INIT, constants: case.constants(), push, buffers, groups };
+            let done = case.check(&gpu, &format!("{n} Gaussians, paper {paper}"));
+            let first: Vec<u32> = neighbor.iter().step_by(slots as usize).copied().collect();
+            assert_eq!(done.superpoint_of_gaussian, first);
+            let set = done.logit.iter().filter(|l| **l == logit.to_bits()).count();
+            assert!(if paper == 0 { set == n } else { (1..=m as usize).contains(&set) }, "{set} logits set");
+        }
     }
 }
 

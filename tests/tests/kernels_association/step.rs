@@ -46,7 +46,7 @@ fn a_step_agrees_with_the_f64_reference() {
             position: &position,
             pose: &pose,
         };
-        let lambda = [1, 2, 3].map(|i| f64::from(case.step.weights[i]));
+        let lambda = case.step.property_weights().map(f64::from);
         let off = form == PropertyLoss::Off;
         let truth = input.gradient(if off { PropertyLoss::Code } else { form }, if off { [0.0; 3] } else { lambda });
 
@@ -196,7 +196,7 @@ fn the_sparse_association_is_the_dense_one() {
                 position: &position,
                 pose: &pose,
             };
-            let lambda = [1, 2, 3].map(|i| f64::from(case.step.weights[i]));
+            let lambda = case.step.property_weights().map(f64::from);
             let gradient = input.gradient(form, lambda).logit;
             dense.step(&near, k, &gradient, &case.step, t as i32);
             let now = rows(&device.state.rows().neighbor);

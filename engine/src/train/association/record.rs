@@ -1,9 +1,11 @@
 //! What a training step records between Gaussians and superpoints.
 
-use super::nearest::{ASSOCIATION_GROUP, NEAREST_SUPERPOINTS};
-use super::segment::{SUPERPOINT_SUM, SuperpointSumPush};
+use super::nearest_superpoints::{NEAREST_SUPERPOINTS, NearestSuperpointsBuffers};
 use super::state::{StepBuffers, SuperpointState};
-use super::update::{POSE_GROUP, SUPERPOINT_COMMIT, SUPERPOINT_GRADIENT};
+use super::superpoint_commit::{SUPERPOINT_COMMIT, SuperpointCommitBuffers};
+use super::superpoint_gradient::{SUPERPOINT_GRADIENT, SuperpointGradientBuffers, SuperpointGradientConstants};
+use super::superpoint_sum::{SUPERPOINT_SUM, SuperpointSumBuffers, SuperpointSumConstants, SuperpointSumPush};
+use super::{ASSOCIATION_GROUP, AssociationConstants, POSE_GROUP};
 use crate::error::Result;
 use crate::gpu::{Buffer, Groups, Recorder, Slice};
 use crate::render::radix_sort::rank_by_ballot;
@@ -11,8 +13,16 @@ use crate::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers};
 use crate::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
 use crate::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
 use crate::train::property_loss::PropertyLoss;
-use crate::train::property_loss::backward::{PROPERTY_BACKWARD, PROPERTY_VALUES};
-use crate::train::property_loss::residual::{PROPERTY_RESIDUAL, PROPERTY_TOTAL};
+use crate::train::property_loss::property_backward::{PROPERTY_BACKWARD, PropertyBackwardBuffers};
+use crate::train::property_loss::property_residual::{
+    PROPERTY_RESIDUAL, PropertyResidualBuffers, PropertyResidualConstants,
+};
+use crate::train::property_loss::property_total::{PROPERTY_TOTAL, PropertyTotalBuffers};
+use crate::train::property_loss::property_values::{PROPERTY_VALUES, PropertyValuesBuffers};
+
+/// Sums of the weights and of the weighted means only.
+const MOMENTS: SuperpointSumConstants =
+    SuperpointSumConstants { moments: 1, pair_planes: 0, own_first: 0, own_planes: 0 };
 
 impl SuperpointState {
     /// The part before `deform_project_backward` (it needs the old means) and after the forward pass (a failed one is
@@ -21,7 +31,7 @@ impl SuperpointState {
         self.record_nearest(r, b)?;
         self.record_sort(r)?;
         match self.options.property_loss {
-            PropertyLoss::Off => self.record_sum(r, b, &self.first_sum, [1, 0, 0, 0], [None, None]),
+            PropertyLoss::Off => self.record_sum(r, b, &self.first_sum, MOMENTS, [None, None], ASSOCIATION_GROUP),
             PropertyLoss::Code => self.record_code(r, b),
             PropertyLoss::Paper => self.record_paper(r, b),
         }
@@ -29,76 +39,71 @@ impl SuperpointState {
 
     /// The part after `deform_project_backward`: `pose_gradient` `float[6][N]` → [`SuperpointState::gradient`].
     pub fn record_reduce_pose(&self, r: &mut Recorder, b: &StepBuffers, pose_gradient: &Slice) -> Result<()> {
-        self.record_own_sum(r, b, &self.pose_sum, [0, 6], pose_gradient, POSE_GROUP)?;
-        let (form, sums) = match self.options.property_loss {
-            PropertyLoss::Off => (0, &self.first_sum),
-            PropertyLoss::Code => (1, &self.first_sum),
-            PropertyLoss::Paper => (2, &self.own_sum),
+        self.record_own_sum(r, b, &self.pose_sum, 6, pose_gradient, POSE_GROUP)?;
+        let (properties, property_sum) = match self.options.property_loss {
+            PropertyLoss::Off => (0, None),
+            PropertyLoss::Code => (1, Some(self.first_sum.whole())),
+            PropertyLoss::Paper => (2, Some(self.own_sum.whole())),
         };
-        let buffers = [
-            b.step.clone(),
-            b.pose.clone(),
-            Slice::from(&self.position),
-            Slice::from(sums),
-            Slice::from(&self.pose_sum),
-            Slice::from(&self.gradient),
-            b.status.clone(),
-        ];
+        let buffers = SuperpointGradientBuffers {
+            step: b.step.clone(),
+            pose: b.pose.clone(),
+            superpoint_position: self.position.whole(),
+            property_sum,
+            pose_sum: self.pose_sum.whole(),
+            superpoint_gradient: self.gradient.whole(),
+            status: b.status.clone(),
+        };
         let groups = Groups::Direct(self.superpoints().div_ceil(256).into());
-        r.dispatch_untyped(&SUPERPOINT_GRADIENT, &[form], &[], &buffers, groups)
+        r.dispatch(&SUPERPOINT_GRADIENT, SuperpointGradientConstants { properties }, (), buffers, groups)
     }
 
     /// The end of the step, after everything that reads the assignment or the centres: both become the next step's.
     pub fn record_commit(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {
-        let buffers = [
-            b.step.clone(),
-            b.counters.clone(),
-            Slice::from(&self.first_sum),
-            Slice::from(&self.work.next_superpoint),
-            b.superpoint_of_gaussian.clone(),
-            Slice::from(&self.position),
-            b.status.clone(),
-        ];
+        let buffers = SuperpointCommitBuffers {
+            step: b.step.clone(),
+            counters: b.counters.clone(),
+            superpoint_sum: self.first_sum.whole(),
+            next_superpoint: self.work.next_superpoint.whole(),
+            superpoint_of_gaussian: b.superpoint_of_gaussian.clone(),
+            superpoint_position: self.position.whole(),
+            status: b.status.clone(),
+        };
         let groups = Groups::Direct(self.gaussians().max(self.superpoints()).div_ceil(256).into());
-        r.dispatch_untyped(&SUPERPOINT_COMMIT, &[], &[], &buffers, groups)
+        r.dispatch(&SUPERPOINT_COMMIT, (), (), buffers, groups)
     }
 
     fn per_gaussian(&self) -> Groups {
         Groups::Direct(self.gaussians().div_ceil(256).into())
     }
 
-    fn shape(&self) -> [u32; 2] {
-        [self.options.neighbors, self.options.slots]
-    }
-
-    fn logits(&self) -> [Slice; 3] {
-        [&self.rows.logit, &self.rows.moment_1, &self.rows.moment_2].map(Slice::from)
+    pub(super) fn constants(&self) -> AssociationConstants {
+        AssociationConstants { neighbors: self.options.neighbors, slots: self.options.slots }
     }
 
     pub(super) fn record_nearest(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {
-        let [logit, moment_1, moment_2] = self.logits();
-        let buffers = [
-            b.step.clone(),
-            b.counters.clone(),
-            b.mean.clone(),
-            Slice::from(&self.position),
-            b.superpoint_of_gaussian.clone(),
-            Slice::from(&self.rows.neighbor),
-            logit,
-            moment_1,
-            moment_2,
-            Slice::from(&self.work.weight),
-            Slice::from(&self.work.next_superpoint),
-            Slice::from(&self.work.keys[0]),
-            Slice::from(&self.work.values[0]),
-            b.status.clone(),
-        ];
-        r.dispatch_untyped(&NEAREST_SUPERPOINTS, &self.shape(), &[], &buffers, self.per_gaussian())
+        let buffers = NearestSuperpointsBuffers {
+            step: b.step.clone(),
+            counters: b.counters.clone(),
+            mean: b.mean.clone(),
+            superpoint_position: self.position.whole(),
+            superpoint_of_gaussian: b.superpoint_of_gaussian.clone(),
+            neighbor: self.rows.neighbor.whole(),
+            logit: self.rows.logit.whole(),
+            logit_moment_1: self.rows.moment_1.whole(),
+            logit_moment_2: self.rows.moment_2.whole(),
+            weight: self.work.weight.whole(),
+            next_superpoint: self.work.next_superpoint.whole(),
+            pair_key: self.work.keys[0].whole(),
+            pair_value: self.work.values[0].whole(),
+            status: b.status.clone(),
+        };
+        r.dispatch(&NEAREST_SUPERPOINTS, self.constants(), (), buffers, self.per_gaussian())
     }
 
     fn record_sort(&self, r: &mut Recorder) -> Result<()> {
         let w = &self.work;
-        let count = Slice::from(&w.pair_count);
+        let count = w.pair_count.whole();
         let groups = || Groups::Direct(w.plan.partitions.into());
         for histogram in &w.histograms[1..] {
             r.fill(histogram, 0)?;
@@ -137,123 +142,131 @@ impl SuperpointState {
     }
 
     fn record_code(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {
-        self.record_residual(r, b, 0)?;
-        let residual = Slice::from(&self.work.residual);
+        self.record_residual(r, b, None)?;
+        let residual = self.work.residual.whole();
         // Position (planes 0-2) is a constant of each Gaussian: only rotation and translation pull at its own superpoint.
-        self.record_sum(r, b, &self.first_sum, [1, 9, 3, 6], [Some(&residual), Some(&residual)])?;
+        let constants = SuperpointSumConstants { pair_planes: 9, own_first: 3, own_planes: 6, ..MOMENTS };
+        self.record_sum(r, b, &self.first_sum, constants, [Some(&residual), Some(&residual)], ASSOCIATION_GROUP)?;
         self.record_total(r, b)
     }
 
     fn record_paper(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {
-        let (own, residual) = (Slice::from(&self.work.own), Slice::from(&self.work.residual));
-        let buffers = [b.step.clone(), b.mean.clone(), b.superpoint_of_gaussian.clone(), b.pose.clone(), own.clone()];
-        r.dispatch_untyped(&PROPERTY_VALUES, &[], &[], &buffers, self.per_gaussian())?;
-        self.record_sum(r, b, &self.first_sum, [1, 9, 0, 0], [Some(&own), None])?;
-        self.record_residual(r, b, 1)?;
-        self.record_sum(r, b, &self.residual_sum, [0, 9, 0, 0], [Some(&residual), None])?;
-        let [logit, moment_1, moment_2] = self.logits();
-        let buffers = [
-            b.step.clone(),
-            b.counters.clone(),
-            b.mean.clone(),
-            b.superpoint_of_gaussian.clone(),
-            b.pose.clone(),
-            Slice::from(&self.first_sum),
-            Slice::from(&self.residual_sum),
-            Slice::from(&self.rows.neighbor),
-            Slice::from(&self.work.weight),
-            logit,
-            moment_1,
-            moment_2,
-            residual,
-            own.clone(),
-            Slice::from(&self.work.mean_gradient),
-            b.status.clone(),
-        ];
-        r.dispatch_untyped(&PROPERTY_BACKWARD, &self.shape(), &[], &buffers, self.per_gaussian())?;
-        self.record_own_sum(r, b, &self.own_sum, [0, 9], &own, ASSOCIATION_GROUP)?;
+        let (own, residual) = (self.work.own.whole(), self.work.residual.whole());
+        let buffers = PropertyValuesBuffers {
+            step: b.step.clone(),
+            mean: b.mean.clone(),
+            superpoint_of_gaussian: b.superpoint_of_gaussian.clone(),
+            pose: b.pose.clone(),
+            property_value: own.clone(),
+        };
+        r.dispatch(&PROPERTY_VALUES, (), (), buffers, self.per_gaussian())?;
+        let constants = SuperpointSumConstants { pair_planes: 9, ..MOMENTS };
+        self.record_sum(r, b, &self.first_sum, constants, [Some(&own), None], ASSOCIATION_GROUP)?;
+        self.record_residual(r, b, Some(&self.first_sum))?;
+        let constants = SuperpointSumConstants { pair_planes: 9, ..SuperpointSumConstants::default() };
+        self.record_sum(r, b, &self.residual_sum, constants, [Some(&residual), None], ASSOCIATION_GROUP)?;
+        self.record_property_backward(r, b)?;
+        self.record_own_sum(r, b, &self.own_sum, 9, &own, ASSOCIATION_GROUP)?;
         self.record_total(r, b)
     }
 
-    fn record_residual(&self, r: &mut Recorder, b: &StepBuffers, paper: u32) -> Result<()> {
-        let [logit, moment_1, moment_2] = self.logits();
-        let buffers = [
-            b.step.clone(),
-            b.counters.clone(),
-            b.mean.clone(),
-            b.superpoint_of_gaussian.clone(),
-            b.pose.clone(),
-            Slice::from(&self.position),
-            Slice::from(&self.first_sum),
-            Slice::from(&self.rows.neighbor),
-            Slice::from(&self.work.weight),
-            logit,
-            moment_1,
-            moment_2,
-            Slice::from(&self.work.residual),
-            Slice::from(&self.work.loss_partial),
-            b.status.clone(),
-        ];
-        let [neighbors, slots] = self.shape();
-        r.dispatch_untyped(&PROPERTY_RESIDUAL, &[neighbors, slots, paper], &[], &buffers, self.per_gaussian())
+    fn record_property_backward(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {
+        let buffers = PropertyBackwardBuffers {
+            step: b.step.clone(),
+            counters: b.counters.clone(),
+            mean: b.mean.clone(),
+            superpoint_of_gaussian: b.superpoint_of_gaussian.clone(),
+            pose: b.pose.clone(),
+            property_sum: self.first_sum.whole(),
+            residual_sum: self.residual_sum.whole(),
+            neighbor: self.rows.neighbor.whole(),
+            weight: self.work.weight.whole(),
+            logit: self.rows.logit.whole(),
+            logit_moment_1: self.rows.moment_1.whole(),
+            logit_moment_2: self.rows.moment_2.whole(),
+            residual: self.work.residual.whole(),
+            own_gradient: self.work.own.whole(),
+            property_mean_gradient: self.work.mean_gradient.whole(),
+            status: b.status.clone(),
+        };
+        r.dispatch(&PROPERTY_BACKWARD, self.constants(), (), buffers, self.per_gaussian())
+    }
+
+    /// In the paper's form from the sums of the Gaussians' properties, in the code's form without.
+    fn record_residual(&self, r: &mut Recorder, b: &StepBuffers, property_sum: Option<&Buffer>) -> Result<()> {
+        let AssociationConstants { neighbors, slots } = self.constants();
+        let constants = PropertyResidualConstants { neighbors, slots, paper: property_sum.is_some().into() };
+        let buffers = PropertyResidualBuffers {
+            step: b.step.clone(),
+            counters: b.counters.clone(),
+            mean: b.mean.clone(),
+            superpoint_of_gaussian: b.superpoint_of_gaussian.clone(),
+            pose: b.pose.clone(),
+            superpoint_position: self.position.whole(),
+            property_sum: property_sum.map(Buffer::whole),
+            neighbor: self.rows.neighbor.whole(),
+            weight: self.work.weight.whole(),
+            logit: self.rows.logit.whole(),
+            logit_moment_1: self.rows.moment_1.whole(),
+            logit_moment_2: self.rows.moment_2.whole(),
+            residual: self.work.residual.whole(),
+            loss_partial: self.work.loss_partial.whole(),
+            status: b.status.clone(),
+        };
+        r.dispatch(&PROPERTY_RESIDUAL, constants, (), buffers, self.per_gaussian())
     }
 
     fn record_total(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {
-        let buffers = [b.step.clone(), Slice::from(&self.work.loss_partial), Slice::from(&self.property_loss)];
-        r.dispatch_untyped(&PROPERTY_TOTAL, &[], &[], &buffers, Groups::Direct(1))
+        let buffers = PropertyTotalBuffers {
+            step: b.step.clone(),
+            loss_partial: self.work.loss_partial.whole(),
+            property_loss: self.property_loss.whole(),
+        };
+        r.dispatch(&PROPERTY_TOTAL, (), (), buffers, Groups::Direct(1))
     }
 
+    /// The first `own_planes` planes of `data`, summed over each superpoint's own Gaussians.
     fn record_own_sum(
         &self,
         r: &mut Recorder,
         b: &StepBuffers,
         sums: &Buffer,
-        [first, planes]: [u32; 2],
+        own_planes: u32,
         data: &Slice,
         group: usize,
     ) -> Result<()> {
-        self.record_sum_of(r, b, sums, [0, 0, first, planes], [None, Some(data)], group)
+        let constants = SuperpointSumConstants { own_planes, ..SuperpointSumConstants::default() };
+        self.record_sum(r, b, sums, constants, [None, Some(data)], group)
     }
 
+    /// `superpoint_sum` of the data of pairs and of own Gaussians.
     fn record_sum(
         &self,
         r: &mut Recorder,
         b: &StepBuffers,
         sums: &Buffer,
-        spec: [u32; 4],
-        data: [Option<&Slice>; 2],
-    ) -> Result<()> {
-        self.record_sum_of(r, b, sums, spec, data, ASSOCIATION_GROUP)
-    }
-
-    /// `superpoint_sum` with its spec constants; the means stand in for data that is not summed.
-    fn record_sum_of(
-        &self,
-        r: &mut Recorder,
-        b: &StepBuffers,
-        sums: &Buffer,
-        spec: [u32; 4],
+        constants: SuperpointSumConstants,
         data: [Option<&Slice>; 2],
         group: usize,
     ) -> Result<()> {
         let w = &self.work;
         let sorted = w.plan.result_in();
-        let [pair_data, own_data] = data.map(|d| d.cloned().unwrap_or_else(|| b.mean.clone()));
-        let buffers = [
-            b.step.clone(),
-            Slice::from(&w.keys[sorted]),
-            Slice::from(&w.values[sorted]),
-            Slice::from(&w.weight),
-            b.mean.clone(),
+        let [pair_data, own_data] = data.map(Option::<&Slice>::cloned);
+        let buffers = SuperpointSumBuffers {
+            step: b.step.clone(),
+            pair_key: w.keys[sorted].whole(),
+            pair_value: w.values[sorted].whole(),
+            weight: w.weight.whole(),
+            mean: b.mean.clone(),
             pair_data,
             own_data,
-            Slice::from(sums),
-            b.status.clone(),
-        ];
+            superpoint_sum: sums.whole(),
+            status: b.status.clone(),
+        };
         let push =
             SuperpointSumPush { neighbors: self.options.neighbors, pairs: w.plan.capacity, status_group: group as u32 };
         let label = format!("superpoint_sum {}", sums.name());
         let groups = Groups::Direct(self.superpoints().into());
-        r.dispatch_untyped_labelled(&label, &SUPERPOINT_SUM, &spec, bytemuck::bytes_of(&push), &buffers, groups)
+        r.dispatch_labelled(&label, &SUPERPOINT_SUM, constants, push, buffers, groups)
     }
 }

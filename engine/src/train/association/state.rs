@@ -1,7 +1,7 @@
 //! [`SuperpointState`]: buffers and recording of everything between Gaussians and superpoints in a training step.
 
-use super::nearest::{ASSOCIATION_INIT, AssociationInitPush};
-use super::segment::SUM_PLANES;
+use super::association_init::{ASSOCIATION_INIT, AssociationInitBuffers, AssociationInitPush};
+use super::superpoint_sum::SUM_PLANES;
 use super::{AssociationInit, MAX_NEIGHBORS, MAX_SLOTS, NEW_LOGIT, NO_SUPERPOINT, PAIR_SHIFT};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Groups, Memory, Recorder, Slice};
@@ -129,7 +129,7 @@ impl SuperpointState {
         let chosen = gpu.buffer("chosen", 4 * u64::from(m), Memory::Device)?;
         let sampling = FarthestPoint::new(gpu, gaussians, options.seed)?;
         sampling.record(&mut r, mean, m, &Slice::from(&chosen), &Slice::from(&state.position))?;
-        let step = Step { counts: [gaussians, m, state.options.slots, 0], ..Step::default() };
+        let step = Step { gaussians, superpoints: m, neighbors: state.options.slots, ..Step::default() };
         let step = gpu.buffer_with("init step", bytemuck::bytes_of(&step))?;
         let b = StepBuffers {
             step: Slice::from(&step),
@@ -146,17 +146,16 @@ impl SuperpointState {
             AssociationInit::Code => (1.0, 0),
             AssociationInit::Paper => (0.9, 1),
         };
-        let buffers = [
-            b.step,
-            Slice::from(&state.rows.neighbor),
-            Slice::from(&chosen),
-            Slice::from(&state.rows.logit),
-            superpoint_of_gaussian.clone(),
-        ];
-        let spec = [state.options.neighbors, state.options.slots];
+        let buffers = AssociationInitBuffers {
+            step: b.step,
+            neighbor: state.rows.neighbor.whole(),
+            chosen: chosen.whole(),
+            logit: state.rows.logit.whole(),
+            superpoint_of_gaussian: superpoint_of_gaussian.clone(),
+        };
         let push = AssociationInitPush { logit, paper };
         let groups = Groups::Direct(gaussians.div_ceil(256).into());
-        r.dispatch_untyped(&ASSOCIATION_INIT, &spec, bytemuck::bytes_of(&push), &buffers, groups)?;
+        r.dispatch(&ASSOCIATION_INIT, state.constants(), push, buffers, groups)?;
         gpu.run(r)?;
         Ok(state)
     }

@@ -61,7 +61,7 @@ pub(super) fn blend_backward_twin(call: &mut TwinCall<'_>) {
     let frame: Frame = struct_at(&call.buffers[0], 0);
     let by_slot = spec(call, 1) == Accumulation::Instances as u32;
     let [_, ranges, values, gaussian_of_slot, splats, color, image_gradient, rows] = call.buffers else { return };
-    let [width, height, tiles_x, _] = frame.size;
+    let ([width, height], tiles_x) = (frame.size, frame.tiles[0]);
     let mut target: Vec<f64> = (0..rows.len()).map(|i| f64::from(f32_at(rows, i))).collect();
     for tile in 0..frame.tile_count {
         let [x0, y0] = [tile % tiles_x * TILE_SIZE, tile / tiles_x * TILE_SIZE];

@@ -88,12 +88,18 @@ impl Job {
         let mut good = true;
         for band in 0..=self.degree {
             let first = 3 * band * band;
-            let rate = self.step.rate_1[usize::from(band > 0)];
+            let rate = if band == 0 { self.step.rate_sh_0 } else { self.step.rate_sh_rest };
             let values = &gradient.sh[first..first + 3 * (2 * band + 1)];
             good &= self.apply(buffers, at::SH + band, PLANE_SH[band], values, rate, g);
         }
         report(buffers, good, 4, g);
-        let [mean, log_scale, rotation, opacity] = self.step.rate_0;
+        let Step {
+            rate_mean: mean,
+            rate_log_scale: log_scale,
+            rate_rotation: rotation,
+            rate_opacity_logit: opacity,
+            ..
+        } = self.step;
         let geometry: [(usize, usize, &[f64], f32); 4] = [
             (at::MEAN, 0, &gradient.mean.to_array(), mean),
             (at::LOG_SCALE, 3, &gradient.log_scale, log_scale),
@@ -147,7 +153,7 @@ impl Job {
     }
 
     fn pose(&self, buffers: &[Vec<u32>], g: usize) -> Option<Pose> {
-        let [_, superpoints, first, second] = self.frame.counts;
+        let Frame { superpoints, first_key: first, second_key: second, .. } = self.frame;
         let superpoint = buffers[at::GROUP][g];
         if superpoint >= superpoints {
             return None;

@@ -1,32 +1,50 @@
 //! Kernel `ssim_forward`: SSIM and its derivatives by the local moments.
 
 use super::pixels::{SSIM_C1, SSIM_C2, convolve, image_and_target, sum_of_tile};
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::Tolerance;
 use crate::render::frame::Frame;
-use crate::render::twin::{self, set_f32, struct_at};
+use crate::render::twin::{set_f32, struct_at};
 
-/// Local moments, SSIM, and its derivatives. Dispatch [`super::groups`] workgroups. `ssim_maps float[3 channels][3][H·W]`
-/// holds dSSIM/dμ_x, dSSIM/dE[x² + y²] and dSSIM/dE[(x − y)²] of each pixel; `loss_partial` `float[3][workgroups]` gets the
-/// sums of SSIM in plane 0.
-pub static SSIM_FORWARD: Kernel = Kernel {
-    name: "ssim_forward",
-    doc: "local moments of rendered and target image, SSIM and its derivatives by the moments",
-    local_size: 128,
-    spec: &["SUBGROUP_SIZE", "TARGET"],
-    push: &[],
-    bindings: &[
-        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
-        Binding::new("color", Access::Read, Element::F32),
-        Binding::new("target", Access::Read, Element::U32),
-        Binding::new("ssim_maps", Access::Write, Element::F32),
-        Binding::new("loss_partial", Access::Write, Element::F32),
-    ],
-    twin: ssim_forward_twin,
-    // Variances are differences of moments: relative to C2 they lose four digits, and derivatives reach 1/C2.
-    tolerance: Tolerance { absolute: 2e-3, relative: 2e-3, flips: 0.0 },
-    bytes: |w| 56 * w.get("pixels"),
-    spirv: include_bytes!("../../../../spirv_cache/ssim_forward.spv"),
-};
+crate::gpu_constants! {
+    /// Specialisation constants of [`SSIM_FORWARD`].
+    pub struct SsimForwardConstants {
+        /// A [`super::TargetFormat`].
+        target,
+    }
+}
+
+crate::gpu_buffers! {
+    /// Buffers of [`SSIM_FORWARD`].
+    pub struct SsimForwardBuffers {
+        /// Size and background.
+        frame: Read Struct(Frame),
+        /// `vec4[H·W]` rendered image.
+        color: Read F32,
+        /// Target image, as [`super::TargetFormat`] says.
+        target: Read U32,
+        /// `float[3 channels][3][H·W]`: dSSIM/dμ_x, dSSIM/dE[x² + y²] and dSSIM/dE[(x − y)²] of each pixel.
+        ssim_maps: Write F32,
+        /// `float[3][workgroups]`: sums of SSIM in plane 0.
+        loss_partial: Write F32,
+    }
+}
+
+crate::kernel! {
+    /// Local moments, SSIM, and its derivatives. Dispatch [`super::groups`] workgroups.
+    pub static SSIM_FORWARD: SsimForward = {
+        name: "ssim_forward",
+        doc: "local moments of rendered and target image, SSIM and its derivatives by the moments",
+        local_size: 128,
+        constants: SsimForwardConstants,
+        push: (),
+        buffers: SsimForwardBuffers,
+        twin: ssim_forward_twin,
+        // Variances are differences of moments: relative to C2 they lose four digits, and derivatives reach 1/C2.
+        tolerance: Tolerance { absolute: 2e-3, relative: 2e-3, flips: 0.0 },
+        bytes: |w| 56 * w.get("pixels"),
+    }
+}
 
 /// SSIM from the moments (x, d, d², x² + y²), and its derivatives by μ_x, E[x² + y²] and E[d²].
 fn ssim_and_derivatives([mu_x, mu_d, mean_d2, mean_x2_y2]: [f32; 4]) -> [f32; 4] {
@@ -42,17 +60,16 @@ fn ssim_and_derivatives([mu_x, mu_d, mean_d2, mean_x2_y2]: [f32; 4]) -> [f32; 4]
     [l * c, by_mean, by_sum, by_difference]
 }
 
-fn ssim_forward_twin(call: &mut TwinCall<'_>) {
-    let kind = twin::spec(call, 1);
-    let [frame, color, target, ssim_maps, loss_partial] = call.buffers else { return };
-    let frame: Frame = struct_at(frame, 0);
+fn ssim_forward_twin(call: Call<'_, SsimForward>) {
+    let Call { constants: SsimForwardConstants { target: kind }, buffers: b, .. } = call;
+    let frame: Frame = struct_at(b.frame, 0);
     let [width, height] = frame.size;
     let pixels = (width * height) as usize;
     let groups = super::groups(width, height);
     for channel in 0..3 {
         let moments: Vec<[f32; 4]> = (0..pixels)
             .map(|i| {
-                let [x, y] = image_and_target(&frame, [color, target], kind, i, channel);
+                let [x, y] = image_and_target(&frame, [b.color, b.target], kind, i, channel);
                 let d = x - y;
                 [x, d, d * d, x * x + y * y]
             })
@@ -62,11 +79,11 @@ fn ssim_forward_twin(call: &mut TwinCall<'_>) {
             let sum = sum_of_tile(&frame, group / 3, |i| {
                 let [ssim, derivatives @ ..] = ssim_and_derivatives(moments[i]);
                 for (plane, value) in derivatives.into_iter().enumerate() {
-                    set_f32(ssim_maps, (3 * channel + plane) * pixels + i, value);
+                    set_f32(b.ssim_maps, (3 * channel + plane) * pixels + i, value);
                 }
                 ssim
             });
-            set_f32(loss_partial, group as usize, sum);
+            set_f32(b.loss_partial, group as usize, sum);
         }
     }
 }

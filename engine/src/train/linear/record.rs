@@ -1,10 +1,12 @@
 //! Recording of the layers' dispatches.
 
-use super::kernels::{
-    GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_UPDATE, THREADS,
-    UpdatePush, WEIGHTS_PER_THREAD, WeightPush,
+use super::gather_gradient::{GATHER_GRADIENT, GatherGradientBuffers, GatherGradientConstants, GatherGradientPush};
+use super::linear_backward_input::{LINEAR_BACKWARD_INPUT, LinearBackwardInputBuffers, LinearBackwardInputPush};
+use super::linear_backward_weight::{LINEAR_BACKWARD_WEIGHT, LinearBackwardWeightBuffers, LinearBackwardWeightPush};
+use super::linear_update::{
+    LINEAR_UPDATE, LinearUpdateBuffers, LinearUpdateConstants, LinearUpdatePush, WEIGHTS_PER_THREAD,
 };
-use super::{Network, Output, Shape, Stage};
+use super::{LinearConstants, Network, Output, Shape, Stage, THREADS};
 use crate::error::Result;
 use crate::gpu::product::product_groups;
 use crate::gpu::{Groups, Recorder, Slice};
@@ -66,22 +68,22 @@ impl Layer {
     pub(in crate::train) fn backward_input(&self, r: &mut Recorder, below: &Self) -> Result<()> {
         let Shape { inputs_0, inputs_1, outputs } = self.shape;
         let (first_input, inputs) = if inputs_1 > 0 { (inputs_0, inputs_1) } else { (0, inputs_0) };
-        let push = InputPush { rows: self.rows, outputs, inputs, weight_stride: self.shape.inputs(), first_input };
+        let weight_stride = self.shape.inputs();
+        let push = LinearBackwardInputPush { rows: self.rows, outputs, inputs, weight_stride, first_input };
         let groups = product_groups(self.stage, r.subgroup_size_of(&LINEAR_BACKWARD_INPUT), self.rows, inputs, 1);
-        let buffers = [
-            self.output_gradient.clone(),
-            self.parameters[0].clone(),
-            below.output.clone(),
-            below.output_gradient.clone(),
-        ];
-        let spec = [self.stage as u32];
-        r.dispatch_untyped(&LINEAR_BACKWARD_INPUT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+        let buffers = LinearBackwardInputBuffers {
+            output_gradient: self.output_gradient.clone(),
+            parameter: self.parameters[0].clone(),
+            layer_input: below.output.clone(),
+            input_gradient: below.output_gradient.clone(),
+        };
+        r.dispatch(&LINEAR_BACKWARD_INPUT, self.constants(), push, buffers, Groups::Direct(groups))
     }
 
     /// Gradient of weights and bias, by slices into `split.gradient`.
     pub(in crate::train) fn backward_weight(&self, r: &mut Recorder, split: &Split) -> Result<()> {
         let Shape { inputs_0, inputs_1, outputs } = self.shape;
-        let push = WeightPush {
+        let push = LinearBackwardWeightPush {
             rows: self.rows,
             outputs,
             inputs_0,
@@ -99,35 +101,51 @@ impl Layer {
             self.shape.inputs(),
             slices,
         );
-        let buffers = [self.output_gradient.clone(), self.input.clone(), split.gradient.clone()];
-        let spec = [self.stage as u32];
-        r.dispatch_untyped(&LINEAR_BACKWARD_WEIGHT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+        let buffers = LinearBackwardWeightBuffers {
+            output_gradient: self.output_gradient.clone(),
+            layer_input: self.input.clone(),
+            gradient: split.gradient.clone(),
+        };
+        r.dispatch(&LINEAR_BACKWARD_WEIGHT, self.constants(), push, buffers, Groups::Direct(groups))
+    }
+
+    fn constants(&self) -> LinearConstants {
+        LinearConstants { stage: self.stage as u32 }
     }
 }
 
 impl Pass {
-    /// Sum of slices of a gradient `from`, into Adam of `parameters` (values and moments) or into `gradient`.
+    /// Sum of slices of a gradient `from`, into Adam of `parameters` (values and moments), or into `gradient` where it is
+    /// to be kept.
     pub(in crate::train) fn update(
         &self,
         r: &mut Recorder,
-        push: UpdatePush,
-        from: &Slice,
+        push: LinearUpdatePush,
+        from: Slice,
         parameters: [Slice; 3],
-        gradient: &Slice,
+        gradient: Option<Slice>,
     ) -> Result<()> {
-        let [value, moment_1, moment_2] = parameters;
-        let (step, counters, status) = (self.step.clone(), self.counters.clone(), self.status.clone());
-        let buffers = [step, counters, from.clone(), value, moment_1, moment_2, gradient.clone(), status];
-        let spec = [self.output as u32, self.network as u32];
+        let [parameter, moment_1, moment_2] = parameters;
+        let buffers = LinearUpdateBuffers {
+            step: self.step.clone(),
+            counters: self.counters.clone(),
+            slice_gradient: from,
+            parameter,
+            moment_1,
+            moment_2,
+            gradient,
+            status: self.status.clone(),
+        };
+        let constants = LinearUpdateConstants { output: self.output as u32, network: self.network as u32 };
         let groups = Groups::Direct(push.weights.div_ceil(THREADS * WEIGHTS_PER_THREAD).into());
-        r.dispatch_untyped(&LINEAR_UPDATE, &spec, bytemuck::bytes_of(&push), &buffers, groups)
+        r.dispatch(&LINEAR_UPDATE, constants, push, buffers, groups)
     }
 
     /// `push.rows` rows of the planes of a head's gradient, 8 columns for F and 12 for G.
     pub(in crate::train) fn gather(
         &self,
         r: &mut Recorder,
-        push: GatherPush,
+        push: GatherGradientPush,
         planes: &Slice,
         rows: &Slice,
     ) -> Result<()> {
@@ -136,7 +154,9 @@ impl Pass {
             Network::G => 12,
         };
         let groups = Groups::Direct((u64::from(push.rows) * columns).div_ceil(THREADS.into()));
-        let buffers = [planes.clone(), rows.clone(), self.status.clone()];
-        r.dispatch_untyped(&GATHER_GRADIENT, &[self.network as u32], bytemuck::bytes_of(&push), &buffers, groups)
+        let constants = GatherGradientConstants { network: self.network as u32 };
+        let buffers =
+            GatherGradientBuffers { plane: planes.clone(), row_gradient: rows.clone(), status: self.status.clone() };
+        r.dispatch(&GATHER_GRADIENT, constants, push, buffers, groups)
     }
 }

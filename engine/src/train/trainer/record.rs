@@ -7,7 +7,7 @@ use crate::render::pipeline::record_forward;
 use crate::train::association::StepBuffers;
 use crate::train::blend_backward::{self, BackwardInput, BackwardTarget};
 use crate::train::deform_project_backward::{DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, OUTPUT_ADAM};
-use crate::train::image_loss::{ImageLossBuffers, LOSS_WORDS, TargetFormat};
+use crate::train::image_loss::{LOSS_WORDS, LossPassBuffers, TargetFormat};
 use crate::train::linear::Output;
 use crate::train::network_f::Backward;
 use crate::train::network_g::{self};
@@ -37,7 +37,7 @@ impl Trainer {
         if let Some(m) = learning {
             m.superpoints.record_before(&mut r, &shared)?;
         }
-        let loss = ImageLossBuffers {
+        let loss = LossPassBuffers {
             frame: &t.frame.frame,
             step: &self.step,
             color: &t.frame.color,

@@ -137,7 +137,7 @@ impl Trainer {
         m.network.record_forward(&mut r, count, &Slice::from(&self.step), &position, &Slice::from(&m.pose))?;
         let mut commands = r.finish()?;
         for &time in times {
-            let step = Step { counts: [0, count, 0, 0], time: [time, time, 0.0, 0.0], ..Step::default() };
+            let step = Step { superpoints: count, time, exact_time: time, ..Step::default() };
             self.step.write(0, bytemuck::bytes_of(&step))?;
             self.gpu.submit(&mut commands)?;
             self.gpu.wait_for(&commands)?;

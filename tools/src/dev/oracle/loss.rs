@@ -9,7 +9,7 @@ use std::path::Path;
 use engine::gpu::{Buffer, Gpu, Memory};
 use engine::reference::gradient::loss::image_loss;
 use engine::render::frame::Frame;
-use engine::train::image_loss::{ImageLoss, ImageLossBuffers, LOSS_WORDS, TargetFormat};
+use engine::train::image_loss::{LOSS_WORDS, LossPass, LossPassBuffers, TargetFormat};
 use engine::train::status;
 use engine::train::step::Step;
 use engine::{Error, Result};
@@ -115,7 +115,7 @@ fn on_device(gpu: &Gpu, case: &LossCase) -> Result<LossErrors> {
         values.chunks_exact(3).flat_map(|p| [p[0] as f32, p[1] as f32, p[2] as f32, 0.0]).collect()
     };
     let frame = Frame { size: [width, height, 0, 0], ..Frame::default() };
-    let step = Step { weights: [LAMBDA as f32, 0.0, 0.0, 0.0], ..Step::default() };
+    let step = Step { weight_dssim: LAMBDA as f32, ..Step::default() };
     let upload = |name: &str, bytes: &[u8]| gpu.buffer_with(name, bytes);
     let frame = upload("frame", bytemuck::bytes_of(&frame))?;
     let step = upload("step", bytemuck::bytes_of(&step))?;
@@ -124,8 +124,8 @@ fn on_device(gpu: &Gpu, case: &LossCase) -> Result<LossErrors> {
     let status = upload("status", bytemuck::cast_slice(&status::clear()))?;
     let image_gradient = gpu.buffer("image_gradient", color.bytes(), Memory::Device)?;
     let loss = gpu.buffer("loss", 4 * LOSS_WORDS as u64, Memory::Device)?;
-    let image_loss = ImageLoss::new(gpu, width, height, true)?;
-    let buffers = ImageLossBuffers {
+    let image_loss = LossPass::new(gpu, width, height, true)?;
+    let buffers = LossPassBuffers {
         frame: &frame,
         step: &step,
         color: &color,

@@ -7,9 +7,9 @@ use engine::train::association::{AssociationOptions, StepBuffers, SuperpointStat
 use engine::train::linear::Output;
 use engine::train::network_f::{Backward, NetworkF};
 use engine::train::property_loss::PropertyLoss;
-use engine::train::property_loss::backward::PROPERTY_VALUES;
+use engine::train::property_loss::property_values::{PROPERTY_VALUES, PropertyValuesBuffers};
 use engine::train::status;
-use engine::train::step::Step;
+use engine::train::step::{Adam, Step};
 
 use super::case::Case;
 use super::reference;
@@ -43,11 +43,17 @@ impl Device<'_> {
         let mean: Vec<f32> = (0..3).flat_map(|c| self.case.scene.gaussians.mean.iter().map(move |v| v[c])).collect();
         // With β₁ = 0 Adam's first moment is the gradient, and at rate 0 nothing moves.
         let step = Step {
-            counts: [n as u32, m as u32, self.case.neighbors as u32, 1],
-            adam: [0.0, 0.0, 1.0, 0.0],
-            bias_1: [1.0; 4],
-            weights: [0.0, lambda[0], lambda[1], lambda[2]],
-            time: [self.case.time as f32, self.case.time as f32, 0.0, 0.0],
+            gaussians: n as u32,
+            superpoints: m as u32,
+            neighbors: self.case.neighbors as u32,
+            iteration: 1,
+            adam: Adam { epsilon: 1.0, ..Adam::default() },
+            bias_association: [1.0; 2],
+            weight_position: lambda[0],
+            weight_rotation: lambda[1],
+            weight_translation: lambda[2],
+            time: self.case.time as f32,
+            exact_time: self.case.time as f32,
             ..Step::default()
         };
         let with = |name: &str, bytes: &[u8]| self.gpu.buffer_with(name, bytes).map(Slice::from);
@@ -101,10 +107,15 @@ impl Device<'_> {
         out.outputs.insert("out_translation", vectors(4));
         let values = self.gpu.buffer("property_value", 36 * n as u64, Memory::Device)?;
         let mut r = self.gpu.recorder("moved means");
-        let buffers =
-            [b.step.clone(), b.mean.clone(), b.superpoint_of_gaussian.clone(), b.pose.clone(), Slice::from(&values)];
+        let buffers = PropertyValuesBuffers {
+            step: b.step.clone(),
+            mean: b.mean.clone(),
+            superpoint_of_gaussian: b.superpoint_of_gaussian.clone(),
+            pose: b.pose.clone(),
+            property_value: values.whole(),
+        };
         let groups = engine::gpu::Groups::Direct((n as u64).div_ceil(256));
-        r.dispatch_untyped(&PROPERTY_VALUES, &[], &[], &buffers, groups)?;
+        r.dispatch(&PROPERTY_VALUES, (), (), buffers, groups)?;
         self.gpu.run(r)?;
         out.outputs.insert("out_mean_t", rows(&floats(self.gpu, &values, 3 * n)?));
         Ok(())

@@ -1,0 +1,118 @@
+//! Kernel `superpoint_sum`: deterministic sums over each superpoint's pairs, which are sorted by (superpoint, slot, Gaussian).
+
+use super::PAIR_SHIFT;
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::Tolerance;
+use crate::render::twin;
+use crate::train::status;
+use crate::train::step::Step;
+
+crate::gpu_struct! {
+    /// Push constants of [`SUPERPOINT_SUM`].
+    pub struct SuperpointSumPush {
+        /// K: the slot of pairs with the Gaussian's own superpoint.
+        pub neighbors: u32,
+        /// Pairs: N·(K + 1).
+        pub pairs: u32,
+        /// Group of `status` for contributions that are not finite; they are left out.
+        pub status_group: u32,
+    }
+}
+
+/// Planes of a sum buffer `float[22][M]`: Σa, Σa·mean (3), Σa·pair_data (9), Σ own_data (9).
+pub const SUM_PLANES: usize = 22;
+/// First plane of Σa·pair_data.
+pub const FIRST_PAIR_VALUE: usize = 4;
+/// First plane of Σ own_data.
+pub const FIRST_OWN_VALUE: usize = 13;
+
+crate::gpu_constants! {
+    /// Specialisation constants of [`SUPERPOINT_SUM`].
+    pub struct SuperpointSumConstants {
+        /// 1: Σa and Σa·mean.
+        moments,
+        /// Planes of `pair_data`, at most 9.
+        pair_planes,
+        /// First plane of `own_data`.
+        own_first,
+        /// Its planes, at most 9.
+        own_planes,
+    }
+}
+
+crate::gpu_buffers! {
+    /// Buffers of [`SUPERPOINT_SUM`].
+    pub struct SuperpointSumBuffers {
+        /// Counts.
+        step: Read Struct(Step),
+        /// `[pairs]` superpoints, sorted.
+        pair_key: Read U32,
+        /// `[pairs]` slot and Gaussian.
+        pair_value: Read U32,
+        /// `[K][N]`.
+        weight: Read F32,
+        /// `[3][N]`.
+        mean: Read F32,
+        /// `[pair_planes][N]`, summed with weight a; absent without planes.
+        pair_data: optional Read F32,
+        /// `[own_first + own_planes][N]`, summed over a superpoint's own Gaussians; absent without planes.
+        own_data: optional Read F32,
+        /// `[22][M]` ([`SUM_PLANES`]).
+        superpoint_sum: Write F32,
+        status: Atomic U32,
+    }
+}
+
+crate::kernel! {
+    /// Sums per superpoint. Dispatch M workgroups.
+    pub static SUPERPOINT_SUM: SuperpointSum = {
+        name: "superpoint_sum",
+        doc: "sums over each superpoint's Gaussians, weighted by the association and unweighted, in a fixed order",
+        local_size: 256,
+        constants: SuperpointSumConstants,
+        push: SuperpointSumPush,
+        buffers: SuperpointSumBuffers,
+        twin: superpoint_sum_twin,
+        tolerance: Tolerance { absolute: 1e-6, relative: 1e-4, flips: 0.0 },
+        bytes: |w| (4 + 4 * (1 + 3 + 9)) * w.get("gaussians") * w.get("neighbors"),
+    }
+}
+
+fn superpoint_sum_twin(call: Call<'_, SuperpointSum>) {
+    let Call { constants, push, buffers: b, .. } = call;
+    let SuperpointSumConstants { moments, .. } = constants;
+    let [pair_planes, own_first, own_planes] =
+        [constants.pair_planes, constants.own_first, constants.own_planes].map(|c| c as usize);
+    let pair_data = b.pair_data.as_deref().unwrap_or_default();
+    let own_data = b.own_data.as_deref().unwrap_or_default();
+    let step: Step = twin::struct_at(b.step, 0);
+    let (n, m) = (step.gaussians as usize, step.superpoints as usize);
+    let mut total = vec![[0.0_f64; SUM_PLANES]; m];
+    for p in 0..push.pairs as usize {
+        let (slot, i) =
+            ((b.pair_value[p] >> PAIR_SHIFT) as usize, (b.pair_value[p] & ((1 << PAIR_SHIFT) - 1)) as usize);
+        let mut addend = [0.0_f32; SUM_PLANES];
+        if slot == push.neighbors as usize {
+            for c in 0..own_planes {
+                addend[FIRST_OWN_VALUE + c] = twin::f32_at(own_data, (own_first + c) * n + i);
+            }
+        } else if moments != 0 || pair_planes != 0 {
+            let a = twin::f32_at(b.weight, slot * n + i);
+            if moments != 0 {
+                addend[0] = a;
+                (0..3).for_each(|c| addend[1 + c] = a * twin::f32_at(b.mean, c * n + i));
+            }
+            (0..pair_planes).for_each(|c| addend[FIRST_PAIR_VALUE + c] = a * twin::f32_at(pair_data, c * n + i));
+        }
+        if addend.iter().all(|v| v.is_finite()) {
+            total[b.pair_key[p] as usize].iter_mut().zip(addend).for_each(|(t, v)| *t += f64::from(v));
+        } else {
+            status::report(b.status, push.status_group as usize, i as u32);
+        }
+    }
+    for (j, values) in total.iter().enumerate() {
+        for (v, x) in values.iter().enumerate() {
+            twin::set_f32(b.superpoint_sum, v * m + j, *x as f32);
+        }
+    }
+}
