@@ -15,7 +15,7 @@ use engine::render::mean_storage;
 use engine::render::quality::{KNOBS, Quality};
 use engine::render::sh_storage;
 use engine::render::splat::{splat_words, unpack_splat};
-use engine::render::tiles::{EMIT_TILES, EmitTilesPush};
+use engine::render::emit_tiles::{EMIT_TILES, EmitTilesPush};
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::{demo_camera, demo_scene, hard_cases, moving_scene, random_scene};
 use engine::scene::{Camera, Scene};

@@ -35,6 +35,8 @@ pub mod display;
 pub mod ellipse;
 pub mod embed;
 #[doc(hidden)]
+pub mod emit_tiles;
+#[doc(hidden)]
 pub mod field;
 #[doc(hidden)]
 pub mod frame;
@@ -68,6 +70,10 @@ pub mod sort_spine;
 mod sort_tests;
 #[doc(hidden)]
 pub mod splat;
+#[doc(hidden)]
+pub mod sum_tile_counts;
+#[doc(hidden)]
+pub mod tile_ranges;
 #[cfg(test)]
 mod tile_tests;
 #[doc(hidden)]

@@ -2,15 +2,17 @@
 
 use crate::error::Result;
 use crate::gpu::kernel::Kernel;
-use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, SLICE_ALIGNMENT, Slice};
+use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, Slice};
 
 use super::blend::{self, BLEND, BLEND_PACKED, PixelFormat};
 use super::blend_image;
 use super::compact::{
-    COMPACT, COMPACT_GAUSSIANS, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT, INDIRECT_RANGES, INDIRECT_TILE_SORT,
+    COMPACT, COMPACT_GAUSSIANS, CompactBuffers, CompactConstants, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT,
+    INDIRECT_RANGES, INDIRECT_TILE_SORT,
 };
 use super::deform_network::{self, DEFORM_NETWORK, DEFORM_NETWORK_SUPERPOINTS};
 use super::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectPush, MOTION_STATIC, MOTION_TABLE};
+use super::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
 use super::mean_storage;
 use super::nonrigid_network;
@@ -20,7 +22,9 @@ use super::scene_buffers::{Poses, SceneBuffers};
 use super::sort_histogram::SORT_HISTOGRAM;
 use super::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
 use super::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
-use super::tiles::{EMIT_TILES, EmitTilesPush, SUM_TILE_COUNTS, SlotBuffers, SumTileCountsPush, TILE_RANGES};
+use super::sum_tile_counts::{SUM_TILE_COUNTS, SumTileCountsBuffers, SumTileCountsPush};
+use super::tile_ranges::{TILE_RANGES, TileRangesBuffers};
+use super::tiles::SlotBuffers;
 use super::work_buffers::{DEPTH_KEY_BITS, SortBuffers, WorkBuffers};
 
 /// Buffers of one frame in flight.
@@ -183,22 +187,22 @@ fn compact(
 ) -> Result<()> {
     let first = &work.depth.plan.digits[0];
     let push = CompactPush { block_capacity: work.block_capacity, digit_bits: first.bits };
-    let buffers = [
-        Slice::from(&frame.frame),
-        Slice::from(&work.tile_count),
-        Slice::from(&work.splats),
-        work.visible_block.clone(),
-        work.counters.clone(),
-        Slice::from(&work.indirect),
-        Slice::from(&work.depth.keys[0]),
-        Slice::from(&work.depth.values[0]),
-        work.depth.histograms[0].clone(),
-    ];
+    let buffers = CompactBuffers {
+        frame: frame.frame.whole(),
+        tile_count: work.tile_count.whole(),
+        splats: work.splats.whole(),
+        visible_block: work.visible_block.clone(),
+        counters: work.counters.clone(),
+        indirect: work.indirect.whole(),
+        keys: work.depth.keys[0].whole(),
+        values: work.depth.values[0].whole(),
+        next_histogram: work.depth.histograms[0].clone(),
+    };
     // The first workgroup writes the indirect arguments, so one runs even for an empty scene.
     let groups = u64::from(scene.gaussians.div_ceil(COMPACT_GAUSSIANS).max(1));
-    let bits = if quality.depth_bits < DEPTH_KEY_BITS { quality.depth_bits } else { 0 };
-    let spec = [bits, quality.packing_constant()];
-    r.dispatch_untyped(&COMPACT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+    let depth_bits = if quality.depth_bits < DEPTH_KEY_BITS { quality.depth_bits } else { 0 };
+    let constants = CompactConstants { depth_bits, packing: quality.packing_constant() };
+    r.dispatch(&COMPACT, constants, push, buffers, Groups::Direct(groups))
 }
 
 /// All passes of a sort whose first histogram the producer of the keys has counted.
@@ -241,31 +245,36 @@ fn emit(r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: &Shap
     let order = &work.depth.values[work.depth.plan.result_in()];
     let groups = || Groups::Indirect(work.indirect.clone(), u64::from(INDIRECT_EMIT) * 4);
     let push = SumTileCountsPush { block_capacity: work.block_capacity };
-    let buffers =
-        [work.counters.clone(), Slice::from(&work.tile_count), Slice::from(order), work.instance_block.clone()];
-    r.dispatch_untyped(&SUM_TILE_COUNTS, &[], bytemuck::bytes_of(&push), &buffers, groups())?;
-    let unused = |i: u64| work.unused.slice(i * SLICE_ALIGNMENT, SLICE_ALIGNMENT);
-    let (gaussian_of_slot, first_slot) = match &shape.slots {
-        Some(slots) => (Slice::from(&slots.gaussian_of_slot), Slice::from(&slots.first_slot)),
-        None => (unused(0), unused(1)),
+    let buffers = SumTileCountsBuffers {
+        counters: work.counters.clone(),
+        tile_count: work.tile_count.whole(),
+        order: order.whole(),
+        instance_block: work.instance_block.clone(),
     };
+    r.dispatch(&SUM_TILE_COUNTS, (), push, buffers, groups())?;
     let push = EmitTilesPush { block_capacity: work.block_capacity, digit_bits: work.tile.plan.digits[0].bits };
-    let buffers = [
-        Slice::from(&frame.frame),
-        work.counters.clone(),
-        Slice::from(&work.tile_count),
-        Slice::from(order),
-        Slice::from(&work.splats),
-        work.instance_block.clone(),
-        Slice::from(&work.tile.keys[0]),
-        Slice::from(&work.tile.values[0]),
-        work.tile.histograms[0].clone(),
-        gaussian_of_slot,
-        first_slot,
-    ];
+    let slots = shape.slots.as_ref();
+    let buffers = EmitTilesBuffers {
+        frame: frame.frame.whole(),
+        counters: work.counters.clone(),
+        tile_count: work.tile_count.whole(),
+        order: order.whole(),
+        splats: work.splats.whole(),
+        instance_block: work.instance_block.clone(),
+        keys: work.tile.keys[0].whole(),
+        values: work.tile.values[0].whole(),
+        next_histogram: work.tile.histograms[0].clone(),
+        gaussian_of_slot: slots.map(|s| s.gaussian_of_slot.whole()),
+        first_slot: slots.map(|s| s.first_slot.whole()),
+    };
     let q = &shape.quality;
-    let spec = [u32::from(shape.slots.is_some()), q.alpha_cut_constant(), q.cull_constant(), q.packing_constant()];
-    r.dispatch_untyped(&EMIT_TILES, &spec, bytemuck::bytes_of(&push), &buffers, groups())
+    let constants = EmitTilesConstants {
+        with_slots: u32::from(slots.is_some()),
+        alpha_cut: q.alpha_cut_constant(),
+        tile_cull: q.cull_constant(),
+        packing: q.packing_constant(),
+    };
+    r.dispatch(&EMIT_TILES, constants, push, buffers, groups())
 }
 
 fn ranges_and_blend(
@@ -276,10 +285,14 @@ fn ranges_and_blend(
     shape: &Shape,
 ) -> Result<()> {
     let sorted = work.tile.plan.result_in();
-    let buffers =
-        [Slice::from(&frame.frame), work.counters.clone(), Slice::from(&work.tile.keys[sorted]), work.ranges.clone()];
+    let buffers = TileRangesBuffers {
+        frame: frame.frame.whole(),
+        counters: work.counters.clone(),
+        keys: work.tile.keys[sorted].whole(),
+        ranges: work.ranges.clone(),
+    };
     let groups = Groups::Indirect(work.indirect.clone(), u64::from(INDIRECT_RANGES) * 4);
-    r.dispatch_untyped(&TILE_RANGES, &[], &[], &buffers, groups)?;
+    r.dispatch(&TILE_RANGES, (), (), buffers, groups)?;
     // All kernels that blend have the same.
     let size = gpu.subgroup_size_of(&BLEND);
     let pixels_per_lane = blend::pixels_per_lane(size);
@@ -334,13 +347,13 @@ pub static KERNELS: &[&Kernel] = &[
     &super::field::FIELD_OFFSET,
     &super::field::FIELD_NODES,
     &DEFORM_PROJECT,
-    &COMPACT,
+    &COMPACT.kernel,
     &SORT_HISTOGRAM.kernel,
     &SORT_SPINE.kernel,
     &SORT_SCATTER.kernel,
-    &SUM_TILE_COUNTS,
-    &EMIT_TILES,
-    &TILE_RANGES,
+    &SUM_TILE_COUNTS.kernel,
+    &EMIT_TILES.kernel,
+    &TILE_RANGES.kernel,
     &BLEND,
     &BLEND_PACKED,
     &blend_image::BLEND_RGBA8,
