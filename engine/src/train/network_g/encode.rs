@@ -5,7 +5,7 @@ use crate::error::Result;
 use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
 use crate::gpu::{Groups, Recorder, Slice};
 use crate::render::frame::Frame;
-use crate::render::nonrigid_network::{encoded, moved_centre};
+use crate::render::nonrigid_network::{RigidMotion, encoded, moved_centre};
 use crate::render::twin::{push, set_f32, spec, struct_at};
 use crate::scene::network::NONRIGID_ENCODING;
 
@@ -55,7 +55,9 @@ fn encode_twin(call: &mut TwinCall<'_>) {
     let frame: Frame = struct_at(&call.buffers[0], 0);
     let motion = spec(call, 1);
     for row in 0..rows as usize {
-        let centre = moved_centre(call.buffers, motion, first_row as usize + row);
+        let rigid = RigidMotion { superpoint_of_gaussian: &call.buffers[2], pose: &call.buffers[3] };
+        let rigid = (motion != 0).then_some(rigid);
+        let centre = moved_centre(&frame, &call.buffers[1], rigid, first_row as usize + row);
         for e in 0..NONRIGID_ENCODING {
             let value = encoded(centre, frame.background[3], e);
             set_f32(&mut call.buffers[4], row * NONRIGID_ENCODING + e, value);
