@@ -1,14 +1,17 @@
 //! Inputs for the render kernels: random and nasty Gaussians as the kernels' buffers, and the tile lists that the sort
 //! would produce, made on the CPU.
 
-use engine::render::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectPush};
+use engine::render::deform_project::{
+    DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProject, DeformProjectBuffers, DeformProjectConstants,
+    DeformProjectPush,
+};
 use engine::render::ellipse::Ellipse;
 use engine::render::frame::{Frame, FrameOptions};
 use engine::render::twin::vec4_at;
 use engine::scene::{Camera, Gaussians, Motion, Scene, Superpoints};
 use glam::DVec3;
 
-use crate::UntypedCase;
+use crate::{KernelCase, UntypedCase};
 
 /// A small deterministic random generator (splitmix64).
 #[derive(Debug, Clone)]
@@ -155,36 +158,43 @@ impl RenderInput {
         Scene { gaussians, motion: Some(motion), superpoints: Some(superpoints), ..Scene::default() }
     }
 
-    /// Buffers of `deform_project` in binding order, and its other arguments.
+    /// [`RenderInput::deform_project_case`] in words.
     pub fn deform_project(&self, frame: &Frame) -> UntypedCase {
+        self.deform_project_case(frame).into()
+    }
+
+    /// Kernel `deform_project` on these Gaussians.
+    pub fn deform_project_case(&self, frame: &Frame) -> KernelCase<DeformProject> {
         let words = |v: &[f32]| v.iter().map(|x| x.to_bits()).collect::<Vec<u32>>();
-        let groups = (self.count as u32).div_ceil(DEFORM_PROJECT_THREADS);
-        let blocks = groups.max(1);
-        let motion = u32::from(!self.pose.is_empty());
-        UntypedCase {
-            kernel: &DEFORM_PROJECT,
-            spec: vec![self.degree, motion, u32::from(!self.nonrigid_offset.is_empty()), 0, 0, 0, 0, 0],
-            push: bytemuck::bytes_of(&DeformProjectPush { block_capacity: blocks }).to_vec(),
-            buffers: vec![
-                bytemuck::cast_slice(&[*frame]).to_vec(),
-                words(&self.mean),
-                words(&self.log_scale),
-                words(&self.rotation),
-                words(&self.opacity_logit),
-                self.superpoint_of_gaussian.clone(),
-                words(&self.pose),
-                words(&self.sh[0]),
-                words(&self.sh[1]),
-                words(&self.sh[2]),
-                words(&self.sh[3]),
-                vec![0; 12 * self.count],
-                vec![0; self.count],
-                vec![0; (blocks + blocks.div_ceil(256)) as usize],
-                vec![0; 8],
-                words(&self.nonrigid_offset),
-            ],
-            groups: groups.max(1),
-        }
+        let groups = (self.count as u32).div_ceil(DEFORM_PROJECT_THREADS).max(1);
+        let (moving, nonrigid) = (!self.pose.is_empty(), !self.nonrigid_offset.is_empty());
+        let sh_band = |band: usize| (band <= self.degree as usize).then(|| words(&self.sh[band]));
+        let constants = DeformProjectConstants {
+            sh_degree: self.degree,
+            motion: moving.into(),
+            nonrigid: nonrigid.into(),
+            ..DeformProjectConstants::default()
+        };
+        let buffers = DeformProjectBuffers {
+            frame: bytemuck::cast_slice(&[*frame]).to_vec(),
+            mean: words(&self.mean),
+            log_scale: words(&self.log_scale),
+            rotation: words(&self.rotation),
+            opacity_logit: words(&self.opacity_logit),
+            superpoint_of_gaussian: moving.then(|| self.superpoint_of_gaussian.clone()),
+            pose: moving.then(|| words(&self.pose)),
+            sh_0: words(&self.sh[0]),
+            sh_1: sh_band(1),
+            sh_2: sh_band(2),
+            sh_3: sh_band(3),
+            splats: vec![0; 12 * self.count],
+            tile_count: vec![0; self.count],
+            visible_block: vec![0; (groups + groups.div_ceil(256)) as usize],
+            counters: vec![0; 8],
+            nonrigid_offset: nonrigid.then(|| words(&self.nonrigid_offset)),
+        };
+        let push = DeformProjectPush { block_capacity: groups };
+        KernelCase { kernel: &DEFORM_PROJECT, constants, push, buffers, groups }
     }
 
     /// A frame of these Gaussians.

@@ -1,11 +1,11 @@
 //! What a window needs of the renderer: kernel `display` against its twin, picking, other colours.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use engine::render::display::{DISPLAY, Display, palette};
+use engine::render::display::{DISPLAY, Display, DisplayBuffers, DisplayConstants, DisplayKernel, palette};
 use engine::render::{Quality, RenderOptions, Renderer};
 use engine::scene::{Camera, Gaussians, Scene};
 use glam::DVec3;
-use tests_harness::UntypedCase;
+use tests_harness::KernelCase;
 
 struct Rng(u64);
 
@@ -17,7 +17,7 @@ impl Rng {
 }
 
 /// Colours a little outside 0 to 1, depths, tile ranges.
-fn case(source: [u32; 2], target: [u32; 2], mode: u32, failed: u32, seed: u64) -> UntypedCase {
+fn case(source: [u32; 2], target: [u32; 2], mode: u32, failed: u32, seed: u64) -> KernelCase<DisplayKernel> {
     let mut rng = Rng(seed);
     let pixels = (source[0] * source[1]) as usize;
     let tiles = source.map(|s| s.div_ceil(16));
@@ -42,14 +42,17 @@ fn case(source: [u32; 2], target: [u32; 2], mode: u32, failed: u32, seed: u64) -
     counters[engine::render::limits::COUNT_FAILED as usize] = failed;
     let palette = palette().into_iter().flatten().map(f32::to_bits).collect();
     let pixels = (target[0] * target[1]) as usize;
-    let words = bytemuck::cast_slice(bytemuck::bytes_of(&display)).to_vec();
-    UntypedCase {
-        kernel: &DISPLAY,
-        spec: vec![mode, u32::from(source != target)],
-        push: vec![],
-        buffers: vec![words, color, depth, ranges, counters, palette, vec![0; pixels]],
-        groups: pixels.div_ceil(256) as u32,
-    }
+    let buffers = DisplayBuffers {
+        display: bytemuck::cast_slice(bytemuck::bytes_of(&display)).to_vec(),
+        color,
+        depth: Some(depth),
+        ranges,
+        counters,
+        palette,
+        screen: vec![0; pixels],
+    };
+    let constants = DisplayConstants { mode, enlarged: u32::from(source != target) };
+    KernelCase { kernel: &DISPLAY, constants, push: (), buffers, groups: pixels.div_ceil(256) as u32 }
 }
 
 #[test]
@@ -60,7 +63,7 @@ fn every_mode_agrees_with_the_twin() {
     for (i, (source, target)) in (1..).zip(sizes) {
         for mode in 0..4 {
             let result = case(source, target, mode, 0, i).run(&gpu);
-            let (g, t) = (&result.gpu[6], &result.twin[6]);
+            let (g, t) = (&result.gpu.screen, &result.twin.screen);
             assert_eq!(g.len(), t.len());
             let bytes = |w: &[u32]| w.iter().flat_map(|w| w.to_le_bytes()).collect::<Vec<u8>>();
             let (g, t) = (bytes(g), bytes(t));
@@ -79,8 +82,8 @@ fn every_mode_agrees_with_the_twin() {
 fn a_frame_that_failed_leaves_the_picture() {
     let gpu = tests_harness::gpu();
     let result = case([20, 20], [20, 20], 0, 1, 5).run(&gpu);
-    assert!(result.gpu[6].iter().all(|w| *w == tests_harness::kernel_case::POISON), "something was written");
-    assert_eq!(result.gpu[6], result.twin[6]);
+    assert!(result.gpu.screen.iter().all(|w| *w == tests_harness::kernel_case::POISON), "something was written");
+    assert_eq!(result.gpu.screen, result.twin.screen);
 }
 
 /// Two round Gaussians beside each other and one behind the first.

@@ -1,14 +1,15 @@
 //! The kernels of deformation fields against their twins, and fields in chunks.
 
 use engine::render::FieldEvaluator;
-use engine::render::field::{
-    FIELD_NODES, FIELD_OFFSET, FIELD_PLANES, FIELD_WAVES, NodesPush, OffsetPush, PlanesPush, WavesPush, pack_planes,
-};
+use engine::render::field::field_nodes::{FIELD_NODES, FieldNodesBuffers, FieldNodesConstants, FieldNodesPush};
+use engine::render::field::field_offset::{FIELD_OFFSET, FieldOffsetBuffers, FieldOffsetConstants, FieldOffsetPush};
+use engine::render::field::field_planes::{FIELD_PLANES, FieldPlanesBuffers, FieldPlanesPush, pack_planes};
+use engine::render::field::field_waves::{FIELD_WAVES, FieldWavesBuffers, FieldWavesConstants, FieldWavesPush};
 use engine::render::frame::Frame;
 use engine::scene::field::{ControlNodes, DeformationField, FIELD_TIME_NETWORK, FieldInput, FieldPlane, FieldPlanes};
 use engine::scene::synthetic::random_gaussians;
 use engine::scene::{Linear, Scene};
-use tests_harness::UntypedCase;
+use tests_harness::KernelCase;
 use tests_harness::render_case::{Random, RenderInput, test_camera};
 
 const COUNTS: [usize; 5] = [1, 63, 64, 257, 600];
@@ -40,16 +41,17 @@ fn waves_match_their_twin() {
             for (first_row, octaves) in [(0, 10), (count / 2, 3)] {
                 let columns = 3 + 6 * octaves + FieldInput::time_width(time_network == 1);
                 let rows = count - first_row;
-                let push = WavesPush { first_row: first_row as u32, rows: rows as u32, points: count as u32 };
-                let case = UntypedCase {
-                    kernel: &FIELD_WAVES,
-                    spec: vec![time_network, octaves as u32],
-                    push: bytemuck::bytes_of(&push).to_vec(),
-                    buffers: vec![frame.clone(), words(&input.mean), words(&network), vec![0; rows * columns]],
-                    groups: rows.div_ceil(64) as u32,
+                let push = FieldWavesPush { first_row: first_row as u32, rows: rows as u32, points: count as u32 };
+                let buffers = FieldWavesBuffers {
+                    frame: frame.clone(),
+                    point: words(&input.mean),
+                    parameter: (time_network == 1).then(|| words(&network)),
+                    encoding: vec![0; rows * columns],
                 };
-                case.run(&gpu)
-                    .assert_equal(&FIELD_WAVES, &format!("N = {count} from {first_row}, network {time_network}"));
+                let constants = FieldWavesConstants { time_network, octaves: octaves as u32 };
+                let groups = rows.div_ceil(64) as u32;
+                let case = KernelCase { kernel: &FIELD_WAVES, constants, push, buffers, groups };
+                case.check(&gpu, &format!("N = {count} from {first_row}, network {time_network}"));
             }
         }
     }
@@ -80,21 +82,23 @@ fn planes_match_their_twin() {
             let (input, frame) = input(count);
             let first_row = count / 3;
             let rows = count - first_row;
-            let push = PlanesPush {
+            let push = FieldPlanesPush {
                 first_row: first_row as u32,
                 rows: rows as u32,
                 points: count as u32,
-                ..PlanesPush::of(&planes)
+                ..FieldPlanesPush::of(&planes)
             };
             let items = rows * channels * planes.scales.len();
-            let case = UntypedCase {
-                kernel: &FIELD_PLANES,
-                spec: vec![],
-                push: bytemuck::bytes_of(&push).to_vec(),
-                buffers: vec![frame.clone(), words(&input.mean), words(&values), sizes.clone(), vec![0; items]],
-                groups: items.div_ceil(256) as u32,
+            let buffers = FieldPlanesBuffers {
+                frame: frame.clone(),
+                point: words(&input.mean),
+                plane: words(&values),
+                plane_size: sizes.clone(),
+                encoding: vec![0; items],
             };
-            case.run(&gpu).assert_equal(&FIELD_PLANES, &format!("N = {count}, {channels} channels"));
+            let groups = items.div_ceil(256) as u32;
+            let case = KernelCase { kernel: &FIELD_PLANES, constants: (), push, buffers, groups };
+            case.check(&gpu, &format!("N = {count}, {channels} channels"));
         }
     }
 }
@@ -111,24 +115,19 @@ fn offsets_match_their_twin_under_every_rule() {
             let mut head = random(&mut r, rows * outputs, 0.4);
             // A screw without an axis.
             head[..3].fill(0.0);
-            let push = OffsetPush { first_row: first_row as u32, rows: rows as u32, outputs: outputs as u32 };
-            // What other chunks write stays.
-            let before = vec![7_u32; 10 * count];
-            let case = UntypedCase {
-                kernel: &FIELD_OFFSET,
-                spec: vec![rule],
-                push: bytemuck::bytes_of(&push).to_vec(),
-                buffers: vec![
-                    frame.clone(),
-                    words(&head),
-                    words(&input.mean),
-                    words(&input.log_scale),
-                    words(&input.rotation),
-                    before,
-                ],
-                groups: rows.div_ceil(256) as u32,
+            let push = FieldOffsetPush { first_row: first_row as u32, rows: rows as u32, outputs: outputs as u32 };
+            let buffers = FieldOffsetBuffers {
+                frame: frame.clone(),
+                head_output: words(&head),
+                mean: words(&input.mean),
+                log_scale: words(&input.log_scale),
+                rotation: words(&input.rotation),
+                // What other chunks write stays.
+                nonrigid_offset: vec![7_u32; 10 * count],
             };
-            case.run(&gpu).assert_equal(&FIELD_OFFSET, &format!("N = {count}, rule {rule}"));
+            let (constants, groups) = (FieldOffsetConstants { rule }, rows.div_ceil(256) as u32);
+            let case = KernelCase { kernel: &FIELD_OFFSET, constants, push, buffers, groups };
+            case.check(&gpu, &format!("N = {count}, rule {rule}"));
         }
     }
 }
@@ -142,26 +141,21 @@ fn nodes_match_their_twin() {
         let (input, frame) = input(count);
         for turn in [0, 1] {
             let outputs = 10 + 4 * turn as usize;
-            let push = NodesPush { nodes: nodes as u32, neighbors: neighbors as u32, outputs: outputs as u32 };
-            let neighbor = (0..count * neighbors).map(|e| (e * 7 % nodes) as u32).collect();
-            let case = UntypedCase {
-                kernel: &FIELD_NODES,
-                spec: vec![turn],
-                push: bytemuck::bytes_of(&push).to_vec(),
-                buffers: vec![
-                    frame.clone(),
-                    words(&random(&mut r, nodes * outputs, 0.3)),
-                    words(&input.mean),
-                    words(&input.rotation),
-                    words(&random(&mut r, 3 * nodes, 1.0)),
-                    neighbor,
-                    words(&random(&mut r, count * neighbors, 0.5)),
-                    words(&random(&mut r, count, 1.0)),
-                    vec![0; 10 * count],
-                ],
-                groups: count.div_ceil(256) as u32,
+            let push = FieldNodesPush { nodes: nodes as u32, neighbors: neighbors as u32, outputs: outputs as u32 };
+            let buffers = FieldNodesBuffers {
+                frame: frame.clone(),
+                head_output: words(&random(&mut r, nodes * outputs, 0.3)),
+                mean: words(&input.mean),
+                rotation: words(&input.rotation),
+                node_position: words(&random(&mut r, 3 * nodes, 1.0)),
+                node_neighbor: (0..count * neighbors).map(|e| (e * 7 % nodes) as u32).collect(),
+                node_weight: words(&random(&mut r, count * neighbors, 0.5)),
+                node_share: words(&random(&mut r, count, 1.0)),
+                nonrigid_offset: vec![0; 10 * count],
             };
-            case.run(&gpu).assert_equal(&FIELD_NODES, &format!("N = {count}, turn {turn}"));
+            let (constants, groups) = (FieldNodesConstants { turn }, count.div_ceil(256) as u32);
+            let case = KernelCase { kernel: &FIELD_NODES, constants, push, buffers, groups };
+            case.check(&gpu, &format!("N = {count}, turn {turn}"));
         }
     }
 }

@@ -3,11 +3,12 @@
 
 use engine::gpu::product::{Stage, product_groups};
 use engine::metrics::Planes;
-use engine::metrics::lpips::{
-    self, ConvPush, DifferencePush, LPIPS_CONV, LPIPS_DIFFERENCE, LPIPS_POOL, Lpips, Network, PoolPush, Range,
-};
+use engine::metrics::lpips::lpips_conv::{LPIPS_CONV, LpipsConvBuffers, LpipsConvConstants, LpipsConvPush};
+use engine::metrics::lpips::lpips_difference::{LPIPS_DIFFERENCE, LpipsDifferenceBuffers, LpipsDifferencePush};
+use engine::metrics::lpips::lpips_pool::{LPIPS_POOL, LpipsPoolBuffers, LpipsPoolConstants, LpipsPoolPush};
+use engine::metrics::lpips::{self, Lpips, Network, Range};
 use tests_harness::render_case::Random;
-use tests_harness::{UntypedCase, procedural_lpips};
+use tests_harness::{KernelCase, procedural_lpips};
 
 fn noise(size: [usize; 2], seed: u64) -> Planes {
     let mut r = Random(seed);
@@ -66,7 +67,7 @@ fn convolutions_match_their_twin() {
         // The input holds just the rows that the windows reach.
         let in_first = (first * stride).saturating_sub(pad);
         let in_end = ((end - 1) * stride + side - pad).min(height);
-        let push = ConvPush {
+        let push = LpipsConvPush {
             inputs,
             outputs,
             in_width: width,
@@ -82,18 +83,15 @@ fn convolutions_match_their_twin() {
         let depth = inputs * side * side;
         let pixels = push.out_width * push.out_rows;
         for stage in [Stage::Shuffle, Stage::Shared] {
-            let case = UntypedCase {
-                kernel: &LPIPS_CONV,
-                spec: vec![stage as u32, side, stride, pad],
-                push: bytemuck::bytes_of(&push).to_vec(),
-                buffers: vec![
-                    floats(&mut r, inputs * push.in_rows * width, 1.0),
-                    floats(&mut r, outputs * (depth + 1), 1.0 / (depth as f32).sqrt()),
-                    vec![0; (outputs * pixels) as usize],
-                ],
-                groups: product_groups(stage, gpu.subgroup_size_of(&LPIPS_CONV), push.output_count, pixels, 1) as u32,
+            let buffers = LpipsConvBuffers {
+                feature_input: floats(&mut r, inputs * push.in_rows * width, 1.0),
+                parameter: floats(&mut r, outputs * (depth + 1), 1.0 / (depth as f32).sqrt()),
+                feature_output: vec![0; (outputs * pixels) as usize],
             };
-            case.run(&gpu).assert_equal(&LPIPS_CONV, &format!("{push:?}, window {side}, {stage:?}"));
+            let constants = LpipsConvConstants { stage: stage as u32, kernel: side, stride, pad };
+            let groups = product_groups(stage, gpu.subgroup_size_of(&LPIPS_CONV), push.output_count, pixels, 1) as u32;
+            let case = KernelCase { kernel: &LPIPS_CONV, constants, push, buffers, groups };
+            case.check(&gpu, &format!("{push:?}, window {side}, {stage:?}"));
         }
     }
 }
@@ -104,7 +102,7 @@ fn pools_and_differences_match_their_twins() {
     let mut r = Random(6);
     for (kernel, width, rows) in [(2, 11, 6), (3, 11, 9)] {
         let (out_width, out_rows) = ((width - kernel) / 2 + 1, (rows - kernel) / 2 + 1);
-        let push = PoolPush {
+        let push = LpipsPoolPush {
             channels: 7,
             in_width: width,
             in_rows: rows,
@@ -113,32 +111,26 @@ fn pools_and_differences_match_their_twins() {
             out_first_row: 2,
             out_rows,
         };
-        let case = UntypedCase {
-            kernel: &LPIPS_POOL,
-            spec: vec![kernel],
-            push: bytemuck::bytes_of(&push).to_vec(),
-            buffers: vec![
-                (0..7 * width * rows).map(|_| r.range(0.0, 2.0).to_bits()).collect(),
-                vec![0; (7 * out_width * push.out_height) as usize],
-            ],
-            groups: (7 * out_width * out_rows).div_ceil(256),
+        let buffers = LpipsPoolBuffers {
+            feature_input: (0..7 * width * rows).map(|_| r.range(0.0, 2.0).to_bits()).collect(),
+            feature_output: vec![0; (7 * out_width * push.out_height) as usize],
         };
-        case.run(&gpu).assert_equal(&LPIPS_POOL, &format!("{push:?}"));
+        let groups = (7 * out_width * out_rows).div_ceil(256);
+        let constants = LpipsPoolConstants { kernel };
+        KernelCase { kernel: &LPIPS_POOL, constants, push, buffers, groups }.check(&gpu, &format!("{push:?}"));
     }
-    let push = DifferencePush { channels: 19, pixels: 300 };
+    let push = LpipsDifferencePush { channels: 19, pixels: 300 };
     let mut features = || -> Vec<u32> {
         // The first pixel has no feature at all.
         (0..19 * 300).map(|i| if i % 300 == 0 { 0 } else { r.range(0.0, 2.0).to_bits() }).collect()
     };
-    let buffers = vec![features(), features(), floats(&mut Random(7), 19, 1.0), vec![0; 300]];
-    let case = UntypedCase {
-        kernel: &LPIPS_DIFFERENCE,
-        spec: vec![],
-        push: bytemuck::bytes_of(&push).to_vec(),
-        buffers,
-        groups: 2,
+    let buffers = LpipsDifferenceBuffers {
+        first: features(),
+        second: features(),
+        head: floats(&mut Random(7), 19, 1.0),
+        distance_of_pixel: vec![0; 300],
     };
-    let result = case.run(&gpu);
-    result.assert_equal(&LPIPS_DIFFERENCE, "300 pixels");
-    assert_eq!(result.gpu[3][0], 0.0_f32.to_bits());
+    let case = KernelCase { kernel: &LPIPS_DIFFERENCE, constants: (), push, buffers, groups: 2 };
+    let distance = case.check(&gpu, "300 pixels").distance_of_pixel;
+    assert_eq!(distance[0], 0.0_f32.to_bits());
 }

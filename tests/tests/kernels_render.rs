@@ -1,51 +1,59 @@
 //! `deform_project`, `blend` and `deform_network` on the device against their twins.
 
-use engine::gpu::Kernel;
+use engine::gpu::interface::{Buffers, Constants as _};
 use engine::gpu::kernel::TwinCall;
+use engine::gpu::{Kernel, proof};
 use engine::image::difference;
 use engine::reference::{self, ReferenceOptions};
-use engine::render::blend::{self, BLEND, BLEND_PACKED, PixelFormat, Stage};
-use engine::render::blend_image::{BLEND_RGBA8, BLEND_RGBA16F, BLEND_RGBA32F};
-use engine::render::deform_network::{self, DEFORM_NETWORK};
-use engine::render::deform_project::DEFORM_PROJECT;
+use engine::render::PixelFormat;
+use engine::render::arithmetic_rate::{
+    ARITHMETIC_RATE, ARITHMETIC_RATE_THREADS, ArithmeticRateBuffers, ArithmeticRatePush, arithmetic_rate,
+};
+use engine::render::blend::{self, BLEND, Blend, BlendBuffers, BlendConstants, Stage};
+use engine::render::blend_image::BlendImageBuffers;
+use engine::render::blend_packed::{BLEND_PACKED, BlendPacked, BlendPackedBuffers, BlendPackedConstants};
+use engine::render::blend_rgba8::{BLEND_RGBA8, BlendRgba8};
+use engine::render::blend_rgba16f::BLEND_RGBA16F;
+use engine::render::blend_rgba32f::BLEND_RGBA32F;
+use engine::render::deform_network::{self, DEFORM_NETWORK, DeformNetworkBuffers, DeformNetworkConstants};
+use engine::render::deform_project::DeformProject;
 use engine::render::frame::Frame;
-use engine::render::rate::{ARITHMETIC_RATE, ARITHMETIC_RATE_THREADS, ArithmeticRatePush, arithmetic_rate};
 use engine::scene::network::DeformSize;
 use engine::scene::{Camera, DeformNetwork, Linear};
 use glam::DVec3;
 use tests_harness::kernel_case::POISON;
 use tests_harness::render_case::{Random, RenderInput, test_camera, tile_lists};
-use tests_harness::{TestGpu, UntypedCase, UntypedResult};
+use tests_harness::{KernelCase, KernelResult, TestGpu};
 
 const SIZES: [usize; 11] = [0, 1, 7, 8, 31, 32, 33, 255, 256, 257, 65_537];
 
 /// Counts and block sums follow the tile counts, which may flip within the tolerance: the sums must equal the device's own
 /// tile counts, and those may differ from the twin's in few places.
-fn assert_deform_project(result: &UntypedResult, n: usize, context: &str) {
-    let (mut gpu, twin) = (result.gpu.clone(), &result.twin);
-    gpu[12].truncate(n);
-    gpu[11].truncate(12 * n);
-    let flips = (0..n).filter(|&g| gpu[12][g] != twin[12][g]).count();
+fn assert_deform_project(result: &KernelResult<DeformProject>, n: usize, context: &str) {
+    let (gpu, twin) = (&result.gpu, &result.twin);
+    let (tile_count, splats, counters) = (&gpu.tile_count[..n], &gpu.splats[..12 * n], &gpu.counters);
+    let flips = (0..n).filter(|&g| tile_count[g] != twin.tile_count[g]).count();
     let allowed = 1 + n / 1000;
     assert!(flips <= allowed, "{context}: {flips} tile counts of {n} differ");
-    let visible = gpu[12].iter().filter(|&&t| t > 0).count() as u32;
-    let instances: u64 = gpu[12].iter().map(|&t| u64::from(t)).sum();
-    assert_eq!(gpu[14][0], visible, "{context}: visible");
-    assert_eq!(u64::from(gpu[14][1]) | u64::from(gpu[14][2]) << 32, instances, "{context}: instances");
-    assert!(gpu[14][4].abs_diff(twin[14][4]) <= allowed as u32, "{context}: {} {} rejected", gpu[14][4], twin[14][4]);
+    let visible = tile_count.iter().filter(|&&t| t > 0).count() as u32;
+    let instances: u64 = tile_count.iter().map(|&t| u64::from(t)).sum();
+    assert_eq!(counters[0], visible, "{context}: visible");
+    assert_eq!(u64::from(counters[1]) | u64::from(counters[2]) << 32, instances, "{context}: instances");
+    let rejected = [counters[4], twin.counters[4]];
+    assert!(rejected[0].abs_diff(rejected[1]) <= allowed as u32, "{context}: {rejected:?} rejected");
     let blocks = n.div_ceil(256).max(1);
-    for (b, tiles) in gpu[12].chunks(256).enumerate() {
+    for (b, tiles) in tile_count.chunks(256).enumerate() {
         let in_block = tiles.iter().filter(|&&t| t > 0).count() as u32;
-        assert_eq!(gpu[13][b], in_block, "{context}: block {b}");
+        assert_eq!(gpu.visible_block[b], in_block, "{context}: block {b}");
     }
     for s in 0..blocks.div_ceil(256) {
-        let sum: u32 = gpu[13][256 * s..blocks.min(256 * (s + 1))].iter().sum();
-        assert_eq!(gpu[13][blocks + s], sum, "{context}: super sum {s}");
+        let sum: u32 = gpu.visible_block[256 * s..blocks.min(256 * (s + 1))].iter().sum();
+        assert_eq!(gpu.visible_block[blocks + s], sum, "{context}: super sum {s}");
     }
     let mut worst = 0.0_f32;
-    for k in 0..gpu[11].len() {
-        if gpu[12][k / 12] > 0 && twin[12][k / 12] > 0 {
-            let (g, t) = (f32::from_bits(gpu[11][k]), f32::from_bits(twin[11][k]));
+    for k in 0..splats.len() {
+        if tile_count[k / 12] > 0 && twin.tile_count[k / 12] > 0 {
+            let (g, t) = (f32::from_bits(splats[k]), f32::from_bits(twin.splats[k]));
             assert!(g.is_finite(), "{context}: splat word {k} is {g}");
             let relative = (g - t).abs() / (1.0 + t.abs());
             worst = worst.max(relative);
@@ -62,12 +70,20 @@ fn deform_project_of_random_gaussians() {
         let degree = i as u32 % 4;
         let input = RenderInput::random(n, degree, i as u64);
         let frame = input.frame(&test_camera(400, 300));
-        assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("static, n = {n}, degree {degree}"));
+        assert_deform_project(
+            &input.deform_project_case(&frame).run(&gpu),
+            n,
+            &format!("static, n = {n}, degree {degree}"),
+        );
         let input = input.moving(13, 5 + i as u64);
         let frame = input.frame(&test_camera(400, 300));
-        assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("moving, n = {n}, degree {degree}"));
+        assert_deform_project(
+            &input.deform_project_case(&frame).run(&gpu),
+            n,
+            &format!("moving, n = {n}, degree {degree}"),
+        );
         let input = input.nonrigid(9 + i as u64);
-        assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("non-rigid, n = {n}"));
+        assert_deform_project(&input.deform_project_case(&frame).run(&gpu), n, &format!("non-rigid, n = {n}"));
     }
 }
 
@@ -78,8 +94,8 @@ fn deform_project_of_nasty_gaussians() {
         let mut input = RenderInput::random(5000, 3, seed).moving(7, seed);
         input.spoil(seed);
         let frame = input.frame(&test_camera(333, 211));
-        let result = input.deform_project(&frame).run(&gpu);
-        assert!(result.gpu[14][4] > 100, "only {} rejected", result.gpu[14][4]);
+        let result = input.deform_project_case(&frame).run(&gpu);
+        assert!(result.gpu.counters[4] > 100, "only {} rejected", result.gpu.counters[4]);
         assert_deform_project(&result, 5000, &format!("nasty, seed {seed}"));
     }
     // Every slot poisoned: nothing is drawn, everything is counted, nothing hangs.
@@ -88,54 +104,63 @@ fn deform_project_of_nasty_gaussians() {
         v.fill(f32::from_bits(tests_harness::kernel_case::POISON));
     }
     let frame = input.frame(&test_camera(64, 64));
-    let result = input.deform_project(&frame).run(&gpu);
-    assert_eq!(result.gpu[14][..5], [0, 0, 0, 0, 777]);
+    let result = input.deform_project_case(&frame).run(&gpu);
+    assert_eq!(result.gpu.counters[..5], [0, 0, 0, 0, 777]);
 }
 
-fn blend_case(frame: &Frame, splats: &[u32], tile_count: &[u32], spec: [u32; 3], size: u32) -> UntypedCase {
+fn blend_case(
+    frame: &Frame,
+    splats: &[u32],
+    tile_count: &[u32],
+    constants: BlendConstants,
+    size: u32,
+) -> KernelCase<Blend> {
     let (ranges, values) = tile_lists(frame, splats, tile_count);
     let pixels = frame.pixels();
-    UntypedCase {
-        kernel: &BLEND,
-        spec: [&spec[..], &[0; 4]].concat(),
-        push: Vec::new(),
-        buffers: vec![
-            bytemuck::cast_slice(&[*frame]).to_vec(),
-            ranges,
-            values,
-            splats.to_vec(),
-            vec![0; 4 * pixels],
-            vec![0; if spec[0] == 1 { pixels } else { 4 }],
-            Vec::new(),
-        ],
-        groups: blend::groups(frame.tile_count, size, spec[2]) as u32,
-    }
+    let buffers = BlendBuffers {
+        frame: bytemuck::cast_slice(&[*frame]).to_vec(),
+        ranges,
+        values,
+        splats: splats.to_vec(),
+        color: vec![0; 4 * pixels],
+        depth: (constants.with_depth == 1).then(|| vec![0; pixels]),
+        gaussian_of_slot: None,
+    };
+    let groups = blend::groups(frame.tile_count, size, constants.pixels_per_lane) as u32;
+    KernelCase { kernel: &BLEND, constants, push: (), buffers, groups }
+}
+
+fn constants(with_depth: u32, stage: Stage, pixels_per_lane: u32) -> BlendConstants {
+    BlendConstants { with_depth, stage: stage as u32, pixels_per_lane, ..BlendConstants::default() }
 }
 
 /// The same case with values that are slots, in some order.
-fn with_slots(mut case: UntypedCase) -> UntypedCase {
-    let count = case.buffers[2].len() as u32;
-    case.spec[3] = 1;
-    case.buffers[6] = case.buffers[2].iter().rev().copied().collect();
-    case.buffers[2] = (0..count).rev().collect();
+fn with_slots(mut case: KernelCase<Blend>) -> KernelCase<Blend> {
+    let count = case.buffers.values.len() as u32;
+    case.constants.with_slots = 1;
+    case.buffers.gaussian_of_slot = Some(case.buffers.values.iter().rev().copied().collect());
+    case.buffers.values = (0..count).rev().collect();
     case
 }
 
-fn twin_splats(input: &RenderInput, frame: &Frame) -> (Vec<u32>, Vec<u32>) {
-    let mut case = input.deform_project(frame);
-    let mut call = TwinCall {
-        groups: [case.groups, 1, 1],
-        spec: &[8, input.degree, u32::from(!input.pose.is_empty()), u32::from(!input.nonrigid_offset.is_empty())],
-        push: &case.push,
-        buffers: &mut case.buffers,
-    };
-    (DEFORM_PROJECT.twin)(&mut call);
-    (case.buffers.swap_remove(11), case.buffers.swap_remove(12))
+/// The same case with pixels of a format.
+fn packed(case: KernelCase<Blend>, format: PixelFormat) -> KernelCase<BlendPacked> {
+    let BlendBuffers { frame, ranges, values, splats, color, depth, gaussian_of_slot } = case.buffers;
+    let pixels = vec![POISON; color.len() / 4 * (format.bytes() as usize / 4)];
+    let buffers = BlendPackedBuffers { frame, ranges, values, splats, pixels, depth, gaussian_of_slot };
+    let constants = BlendPackedConstants::new(case.constants, format);
+    KernelCase { kernel: &BLEND_PACKED, constants, push: (), buffers, groups: case.groups }
 }
 
-fn assert_blend(result: &UntypedResult, kernel: &'static Kernel, context: &str) {
-    result.assert_equal(kernel, context);
-    assert!(result.gpu[4].iter().all(|w| f32::from_bits(*w).is_finite()), "{context}: a pixel was not written");
+fn twin_splats(input: &RenderInput, frame: &Frame) -> (Vec<u32>, Vec<u32>) {
+    let KernelCase { kernel, constants, push, buffers, groups } = input.deform_project_case(frame);
+    let done = kernel.run_twin(8, constants, push, buffers, groups);
+    (done.splats, done.tile_count)
+}
+
+fn assert_blend(result: &KernelResult<Blend>, context: &str) {
+    result.assert_equal(context);
+    assert!(result.gpu.color.iter().all(|w| f32::from_bits(*w).is_finite()), "{context}: a pixel was not written");
 }
 
 #[test]
@@ -157,25 +182,15 @@ fn blend_matches_its_twin() {
                     lanes.push(usual / 2);
                 }
                 for per_lane in lanes {
-                    let spec = [depth, stage as u32, per_lane];
-                    let case = blend_case(&frame, &splats, &tile_count, spec, size);
+                    let constants = constants(depth, stage, per_lane);
+                    let case = blend_case(&frame, &splats, &tile_count, constants, size);
                     let slots = (per_lane == usual && depth == 0).then(|| with_slots(case.clone()).run(&gpu));
                     let result = case.run(&gpu);
                     if let Some(slots) = slots {
-                        assert_eq!(slots.gpu[4], result.gpu[4], "slots change the image");
-                        assert_eq!(slots.twin[4], result.twin[4], "slots change the twin's image");
+                        assert_eq!(slots.gpu.color, result.gpu.color, "slots change the image");
+                        assert_eq!(slots.twin.color, result.twin.color, "slots change the twin's image");
                     }
-                    let context = format!("n = {n}, {width}x{height}, spec {spec:?}");
-                    if depth == 0 {
-                        let mut result = result;
-                        result.gpu.truncate(5);
-                        result.twin.truncate(5);
-                        result.gpu.push(Vec::new());
-                        result.twin.push(Vec::new());
-                        assert_blend(&result, &BLEND, &context);
-                    } else {
-                        assert_blend(&result, &BLEND, &context);
-                    }
+                    assert_blend(&result, &format!("n = {n}, {width}x{height}, {constants:?}"));
                 }
             }
         }
@@ -190,26 +205,30 @@ fn blend_packed_stores_what_its_twin_stores() {
     let frame = input.frame(&test_camera(75, 53));
     let (splats, tile_count) = twin_splats(&input, &frame);
     for format in [PixelFormat::Rgba8, PixelFormat::Bgra8, PixelFormat::Rgba16F] {
-        let spec = [1, Stage::of_device(&gpu) as u32, blend::pixels_per_lane(size)];
-        let mut case = blend_case(&frame, &splats, &tile_count, spec, size);
+        let constants = constants(1, Stage::of_device(&gpu), blend::pixels_per_lane(size));
         let words = format.bytes() as usize / 4;
-        case.kernel = &BLEND_PACKED;
-        case.spec.push(format as u32);
-        case.buffers[4] = vec![0; words * frame.pixels()];
-        let mut result = case.run(&gpu);
+        let case = packed(blend_case(&frame, &splats, &tile_count, constants, size), format);
+        let result = case.run(&gpu);
         let step = if words == 1 { 1.01 / 255.0 } else { 1.0 / 1024.0 };
-        let pairs = result.gpu[4].chunks_exact(words).zip(result.twin[4].chunks_exact(words));
+        let pairs = result.gpu.pixels.chunks_exact(words).zip(result.twin.pixels.chunks_exact(words));
         let off = pairs.filter(|(g, t)| {
             let (g, t) = (format.unpack(g), format.unpack(t));
             g.iter().zip(t).any(|(g, t)| (g - t).abs() > step * t.abs().max(1.0))
         });
         assert!(off.count() as f32 <= BLEND_PACKED.tolerance.flips * frame.pixels() as f32, "{format:?}");
-        let lit = result.gpu[4].chunks_exact(words).filter(|g| format.unpack(g)[3] > 0.5).count();
+        let lit = result.gpu.pixels.chunks_exact(words).filter(|g| format.unpack(g)[3] > 0.5).count();
         assert!(lit > frame.pixels() / 20, "{format:?}: {lit} pixels are covered");
         // Depth as usual; pixels were compared by level above.
-        result.gpu[4].clone_from(&result.twin[4]);
-        result.assert_equal(&BLEND_PACKED, &format!("{format:?}"));
+        let found = BlendPackedBuffers { pixels: result.twin.pixels.clone(), ..result.gpu };
+        let [found, expected] = [found, result.twin].map(list);
+        let mismatch = proof::mismatch(&BLEND_PACKED, &found, &expected);
+        assert_eq!(mismatch.map(|m| m.why()), None, "{format:?}");
     }
+}
+
+/// Words of each buffer; none where an optional one is absent.
+fn list(buffers: impl Buffers<Vec<u32>>) -> Vec<Vec<u32>> {
+    buffers.into_list().into_iter().map(Option::unwrap_or_default).collect()
 }
 
 /// The kernels themselves are compared by the pictures that hosts get (`embed` of the engine): their images are a host's.
@@ -219,22 +238,33 @@ fn twins_that_store_to_an_image_store_what_those_of_buffers_do() {
     let frame = input.frame(&test_camera(75, 53));
     let (splats, tile_count) = twin_splats(&input, &frame);
     let size = 32;
-    let spec = [1, Stage::Shuffle as u32, blend::pixels_per_lane(size)];
-    let formats = [PixelFormat::Rgba8, PixelFormat::Rgba16F, PixelFormat::Rgba32F];
-    for (format, to_image) in formats.into_iter().zip([&BLEND_RGBA8, &BLEND_RGBA16F, &BLEND_RGBA32F]) {
-        let mut case = blend_case(&frame, &splats, &tile_count, spec, size);
-        case.buffers[4] = vec![POISON; format.bytes() as usize / 4 * frame.pixels()];
-        let mut spec = [&[size], &case.spec[..]].concat();
-        let groups = [case.groups, 1, 1];
-        let mut buffers = case.buffers.clone();
-        let picture = buffers.remove(4);
-        buffers.push(picture);
-        (to_image.twin)(&mut TwinCall { groups, spec: &spec, push: &[0; 8], buffers: &mut buffers });
-        let kernel = if format == PixelFormat::Rgba32F { &BLEND } else { &BLEND_PACKED };
-        spec.push(format as u32);
-        (kernel.twin)(&mut TwinCall { groups, spec: &spec, push: &[], buffers: &mut case.buffers });
-        assert!(case.buffers[4].iter().all(|w| *w != POISON), "{format:?}");
-        assert!(buffers[6] == case.buffers[4] && buffers[4] == case.buffers[5], "{format:?}");
+    let constants = constants(1, Stage::Shuffle, blend::pixels_per_lane(size));
+    let to_image: [(PixelFormat, &Kernel); 3] = [
+        (PixelFormat::Rgba8, &BLEND_RGBA8),
+        (PixelFormat::Rgba16F, &BLEND_RGBA16F),
+        (PixelFormat::Rgba32F, &BLEND_RGBA32F),
+    ];
+    for (format, kernel) in to_image {
+        let case = blend_case(&frame, &splats, &tile_count, constants, size);
+        let BlendBuffers { frame, ranges, values, splats, depth, gaussian_of_slot, .. } = case.buffers.clone();
+        let buffers = BlendImageBuffers { frame, ranges, values, splats, depth, gaussian_of_slot };
+        let mut words = list(buffers);
+        // The image comes after the buffers.
+        words.push(vec![POISON; case.buffers.color.len() / 4 * (format.bytes() as usize / 4)]);
+        let spec = [&[size], &constants.to_words()[..]].concat();
+        (kernel.twin)(&mut TwinCall { groups: [case.groups, 1, 1], spec: &spec, push: &[0; 8], buffers: &mut words });
+        let picture = words.pop().unwrap();
+        let image_depth = proof::named::<BlendRgba8>(words).depth;
+        let (pixels, depth) = if format == PixelFormat::Rgba32F {
+            let done = BLEND.run_twin(size, case.constants, (), case.buffers, case.groups);
+            (done.color, done.depth)
+        } else {
+            let case = packed(case, format);
+            let done = BLEND_PACKED.run_twin(size, case.constants, (), case.buffers, case.groups);
+            (done.pixels, done.depth)
+        };
+        assert!(pixels.iter().all(|w| *w != POISON), "{format:?}");
+        assert!(picture == pixels && image_depth == depth, "{format:?}");
     }
 }
 
@@ -244,23 +274,18 @@ fn chain(gpu: Option<&TestGpu>, input: &RenderInput, camera: &Camera) -> Vec<f32
     let (splats, tile_count) = match gpu {
         None => twin_splats(input, &frame),
         Some(gpu) => {
-            let mut buffers = input.deform_project(&frame).run(gpu).gpu;
-            (buffers.swap_remove(11), buffers.swap_remove(12))
+            let done = input.deform_project_case(&frame).run(gpu).gpu;
+            (done.splats, done.tile_count)
         }
     };
     let size = gpu.map_or(32, |gpu| gpu.subgroup_size_of(&BLEND));
-    let spec = [0, Stage::Shuffle as u32, blend::pixels_per_lane(size)];
-    let mut case = blend_case(&frame, &splats, &tile_count, spec, size);
-    let words = match gpu {
-        Some(gpu) => case.run(gpu).gpu.swap_remove(4),
-        None => {
-            let groups = [case.groups, 1, 1];
-            let spec = [size, spec[0], spec[1], spec[2]];
-            (BLEND.twin)(&mut TwinCall { groups, spec: &spec, push: &[], buffers: &mut case.buffers });
-            case.buffers.swap_remove(4)
-        }
+    let constants = constants(0, Stage::Shuffle, blend::pixels_per_lane(size));
+    let case = blend_case(&frame, &splats, &tile_count, constants, size);
+    let done = match gpu {
+        Some(gpu) => case.run(gpu).gpu,
+        None => BLEND.run_twin(size, case.constants, (), case.buffers, case.groups),
     };
-    words.into_iter().map(f32::from_bits).collect()
+    done.color.into_iter().map(f32::from_bits).collect()
 }
 
 fn assert_close_to_reference(gpu: Option<&TestGpu>, input: &RenderInput, camera: &Camera, context: &str) {
@@ -346,27 +371,23 @@ fn deform_network_matches_twin_and_reference() {
             frame.superpoints = count;
             frame.time = 0.617;
             let weights = deform_network::pack_weights(&network, fp16).unwrap();
-            let case = UntypedCase {
-                kernel: &DEFORM_NETWORK,
-                spec: deform_network::spec_constants(size, fp16).to_vec(),
-                push: Vec::new(),
-                buffers: vec![
-                    bytemuck::cast_slice(&[frame]).to_vec(),
-                    bytemuck::cast_slice(&position).to_vec(),
-                    weights,
-                    vec![0; 8 * count as usize],
-                ],
-                groups: deform_network::groups(count) as u32,
+            let buffers = DeformNetworkBuffers {
+                frame: bytemuck::cast_slice(&[frame]).to_vec(),
+                superpoint_position: bytemuck::cast_slice(&position).to_vec(),
+                weights,
+                pose: vec![0; 8 * count as usize],
             };
-            let result = case.run(&gpu);
-            result.assert_equal(&DEFORM_NETWORK, &format!("M = {count}, {size:?}, fp16 {fp16}"));
+            let constants = DeformNetworkConstants::new(size, fp16);
+            let groups = deform_network::groups(count) as u32;
+            let case = KernelCase { kernel: &DEFORM_NETWORK, constants, push: (), buffers, groups };
+            let pose = case.check(&gpu, &format!("M = {count}, {size:?}, fp16 {fp16}")).pose;
             let truth = reference::network_poses(&network, &position, f64::from(0.617_f32));
             let (mut error, mut norm) = (0.0, 0.0);
-            for (pose, words) in truth.iter().zip(result.gpu[3].chunks_exact(8)) {
+            for (expected, words) in truth.iter().zip(pose.chunks_exact(8)) {
                 let ours: Vec<f64> = words.iter().map(|w| f64::from(f32::from_bits(*w))).collect();
                 for c in 0..3 {
-                    error += (ours[c] - pose.rotation[c]).powi(2) + (ours[4 + c] - pose.translation[c]).powi(2);
-                    norm += pose.rotation[c].powi(2) + pose.translation[c].powi(2);
+                    error += (ours[c] - expected.rotation[c]).powi(2) + (ours[4 + c] - expected.translation[c]).powi(2);
+                    norm += expected.rotation[c].powi(2) + expected.translation[c].powi(2);
                 }
             }
             let relative = (error / norm).sqrt();
@@ -380,11 +401,11 @@ fn deform_network_matches_twin_and_reference() {
 fn the_rate_kernel_adds_up_what_its_twin_does() {
     let gpu = tests_harness::gpu();
     for (count, rounds) in [(0_u32, 4_u32), (1, 0), (255, 1), (300, 7), (513, 40)] {
-        let push = bytemuck::bytes_of(&ArithmeticRatePush { count, rounds }).to_vec();
+        let push = ArithmeticRatePush { count, rounds };
         let groups = count.div_ceil(ARITHMETIC_RATE_THREADS).max(1);
-        let buffers = vec![vec![0; count as usize]];
-        let case = UntypedCase { kernel: &ARITHMETIC_RATE, spec: vec![], push, buffers, groups };
-        case.run(&gpu).assert_equal(&ARITHMETIC_RATE, &format!("{count} × {rounds}"));
+        let buffers = ArithmeticRateBuffers { sums: vec![0; count as usize] };
+        let case = KernelCase { kernel: &ARITHMETIC_RATE, constants: (), push, buffers, groups };
+        case.check(&gpu, &format!("{count} × {rounds}"));
     }
     assert!(arithmetic_rate(&gpu).unwrap() > 0.01);
 }

@@ -1,13 +1,15 @@
 //! Compaction, emission and ranges on the device against their twins, bit for bit, chained as in a frame.
 
-use engine::gpu::kernel::Kernel;
 use engine::render::compact::*;
 use engine::render::ellipse::Ellipse;
+use engine::render::emit_tiles::{EMIT_TILES, EmitTiles, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use engine::render::radix_sort::*;
 use engine::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
 use engine::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
-use engine::render::tiles::*;
-use tests_harness::{KernelCase, TestGpu, UntypedCase, widths};
+use engine::render::sum_tile_counts::{SUM_TILE_COUNTS, SumTileCountsBuffers, SumTileCountsPush};
+use engine::render::tile_ranges::{TILE_RANGES, TileRangesBuffers};
+use engine::render::tiles::{block_words, tile_key_bits};
+use tests_harness::{KernelCase, TestGpu, widths};
 
 struct Rng(u64);
 
@@ -20,20 +22,6 @@ impl Rng {
     fn unit(&mut self) -> f32 {
         (self.next() >> 8) as f32 / 16_777_216.0
     }
-}
-
-fn run(
-    gpu: &TestGpu,
-    kernel: &'static Kernel,
-    spec: &[u32],
-    push: &[u8],
-    buffers: Vec<Vec<u32>>,
-    groups: u32,
-) -> Vec<Vec<u32>> {
-    let case = UntypedCase { kernel, spec: spec.to_vec(), push: push.to_vec(), buffers, groups };
-    let result = case.run(gpu);
-    result.assert_equal(kernel, &format!("{groups} groups"));
-    result.gpu
 }
 
 /// Projected Gaussians as `deform_project` leaves them, in words.
@@ -95,68 +83,86 @@ impl Scene {
         let depth = SortPlan::new(n, 32).unwrap();
         let tile = SortPlan::new(capacity, tile_key_bits(frame[41])).unwrap();
         let out = vec![0; n as usize];
-        let buffers = vec![
-            frame.clone(),
-            self.tile_count.clone(),
-            self.splats.clone(),
+        let buffers = CompactBuffers {
+            frame: frame.clone(),
+            tile_count: self.tile_count.clone(),
+            splats: self.splats.clone(),
             visible_block,
             counters,
-            vec![0; 16],
-            out.clone(),
-            out,
-            vec![0; depth.histogram_rows() as usize * 256],
-        ];
+            indirect: vec![0; 16],
+            keys: out.clone(),
+            values: out,
+            next_histogram: vec![0; depth.histogram_rows() as usize * 256],
+        };
         let push = CompactPush { block_capacity, digit_bits: 8 };
-        let mut done = run(gpu, &COMPACT, &[0, 0], bytemuck::bytes_of(&push), buffers, n.div_ceil(1024) + 1);
-        let histogram = done.pop().unwrap();
-        let (values, keys) = (done.pop().unwrap(), done.pop().unwrap());
-        let (indirect, counters) = (done.pop().unwrap(), done.pop().unwrap());
+        let constants = CompactConstants::default();
+        let case = KernelCase { kernel: &COMPACT, constants, push, buffers, groups: n.div_ceil(1024) + 1 };
+        let CompactBuffers { counters, indirect, keys, values, next_histogram, .. } = case.check(gpu, "chain");
         let groups = |at: u32| indirect[at as usize] * indirect[at as usize + 1];
-        let order = sort(gpu, &depth, keys, values, histogram, &counters, 0, groups(INDIRECT_DEPTH_SORT)).1;
+        let order = sort(gpu, &depth, keys, values, next_histogram, &counters, 0, groups(INDIRECT_DEPTH_SORT)).1;
 
         let push = SumTileCountsPush { block_capacity };
-        let buffers = vec![counters.clone(), self.tile_count.clone(), order.clone(), vec![0; words as usize]];
+        let buffers = SumTileCountsBuffers {
+            counters: counters.clone(),
+            tile_count: self.tile_count.clone(),
+            order: order.clone(),
+            instance_block: vec![0; words as usize],
+        };
         let emit_groups = groups(INDIRECT_EMIT) + 1;
-        let done = run(gpu, &SUM_TILE_COUNTS, &[], bytemuck::bytes_of(&push), buffers, emit_groups);
-        let push = EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits };
+        let case = KernelCase { kernel: &SUM_TILE_COUNTS, constants: (), push, buffers, groups: emit_groups };
+        let instance_block = case.check(gpu, "chain").instance_block;
         let out = vec![0; capacity as usize];
-        let buffers = vec![
-            frame.clone(),
-            counters.clone(),
-            self.tile_count.clone(),
+        let buffers = EmitTilesBuffers {
+            frame: frame.clone(),
+            counters: counters.clone(),
+            tile_count: self.tile_count.clone(),
             order,
-            self.splats.clone(),
-            done[3].clone(),
-            out.clone(),
-            out,
-            vec![0; tile.histogram_rows() as usize * 256],
-            vec![0; capacity as usize],
-            vec![0; n as usize],
-        ];
-        let slots = run(gpu, &EMIT_TILES, &[1, 0, 0, 0], bytemuck::bytes_of(&push), buffers.clone(), emit_groups);
-        let mut done = run(gpu, &EMIT_TILES, &[0; 4], bytemuck::bytes_of(&push), buffers, emit_groups);
-        // Slots are another name for the same instances, and those of a Gaussian follow one another.
-        assert_eq!(slots[6], done[6]);
-        let instances = counters[5] as usize;
-        assert!(slots[7][..instances].iter().zip(0..).all(|(slot, i)| *slot == i));
-        assert_eq!(slots[9][..instances], done[7][..instances]);
-        for (g, first) in slots[10].iter().enumerate().filter(|_| counters[3] == 0) {
-            let own = (0..self.tile_count[g]).map(|k| (first + k) as usize).filter(|&slot| slot < instances);
-            own.for_each(|slot| assert_eq!(slots[9][slot], g as u32));
-        }
-        done.truncate(9);
-        let histogram = done.pop().unwrap();
-        let (values, keys) = (done.pop().unwrap(), done.pop().unwrap());
-        let keys = sort(gpu, &tile, keys, values, histogram, &counters, 5, groups(INDIRECT_TILE_SORT)).0;
-        let buffers = vec![frame, counters.clone(), keys, vec![0; 2 * self.frame[41] as usize]];
-        let case = run_ranges(gpu, buffers, groups(INDIRECT_RANGES) + 1);
-        (counters, indirect, case)
+            splats: self.splats.clone(),
+            instance_block,
+            keys: out.clone(),
+            values: out,
+            next_histogram: vec![0; tile.histogram_rows() as usize * 256],
+            gaussian_of_slot: None,
+            first_slot: None,
+        };
+        let push = EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits };
+        let constants = EmitTilesConstants::default();
+        let case = KernelCase { kernel: &EMIT_TILES, constants, push, buffers, groups: emit_groups };
+        let emitted = case.clone().check(gpu, "chain");
+        self.check_slots(gpu, case, &emitted, &counters);
+        let EmitTilesBuffers { keys, values, next_histogram, .. } = emitted;
+        let keys = sort(gpu, &tile, keys, values, next_histogram, &counters, 5, groups(INDIRECT_TILE_SORT)).0;
+        // `ranges` is zeroed each frame and only partly written, so it is compared where it was written.
+        let ranges = vec![0; 2 * self.frame[41] as usize];
+        let buffers = TileRangesBuffers { frame, counters: counters.clone(), keys, ranges };
+        let groups = groups(INDIRECT_RANGES) + 1;
+        let ranges =
+            KernelCase { kernel: &TILE_RANGES, constants: (), push: (), buffers, groups }.check(gpu, "chain").ranges;
+        (counters, indirect, ranges)
     }
-}
 
-/// `ranges` is zeroed each frame and only partly written, so it is not poisoned but compared where it was written.
-fn run_ranges(gpu: &TestGpu, buffers: Vec<Vec<u32>>, groups: u32) -> Vec<u32> {
-    run(gpu, &TILE_RANGES, &[], &[], buffers, groups).swap_remove(3)
+    /// Slots are another name for the same instances, and those of a Gaussian follow one another.
+    fn check_slots(
+        &self,
+        gpu: &TestGpu,
+        mut case: KernelCase<EmitTiles>,
+        without: &EmitTilesBuffers<Vec<u32>>,
+        counters: &[u32],
+    ) {
+        case.constants.with_slots = 1;
+        case.buffers.gaussian_of_slot = Some(vec![0; without.keys.len()]);
+        case.buffers.first_slot = Some(vec![0; self.tile_count.len()]);
+        let with = case.check(gpu, "with slots");
+        let (gaussian_of_slot, first_slot) = (with.gaussian_of_slot.unwrap(), with.first_slot.unwrap());
+        assert_eq!(with.keys, without.keys);
+        let instances = counters[5] as usize;
+        assert!(with.values[..instances].iter().zip(0..).all(|(slot, i)| *slot == i));
+        assert_eq!(gaussian_of_slot[..instances], without.values[..instances]);
+        for (g, first) in first_slot.iter().enumerate().filter(|_| counters[3] == 0) {
+            let own = (0..self.tile_count[g]).map(|k| (first + k) as usize).filter(|&slot| slot < instances);
+            own.for_each(|slot| assert_eq!(gaussian_of_slot[slot], g as u32));
+        }
+    }
 }
 
 fn sort(

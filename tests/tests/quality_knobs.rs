@@ -4,24 +4,24 @@ use std::process::{Command, Stdio};
 
 use clap::Parser as _;
 use engine::gpu::Gpu;
-use engine::gpu::kernel::{Kernel, TwinCall};
 use engine::image::{Difference, Image, difference};
 use engine::reference::{self, ReferenceOptions};
-use engine::render::blend::{self, BLEND, Stage};
-use engine::render::compact::{COMPACT, CompactPush};
+use engine::render::blend::{self, BLEND, BlendBuffers, BlendConstants, Stage};
+use engine::render::compact::{COMPACT, CompactBuffers, CompactConstants, CompactPush};
+use engine::render::deform_project::{DeformProject, DeformProjectConstants};
 use engine::render::ellipse::Ellipse;
+use engine::render::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use engine::render::frame::Frame;
 use engine::render::mean_storage;
 use engine::render::quality::{KNOBS, Quality};
 use engine::render::sh_storage;
 use engine::render::splat::{splat_words, unpack_splat};
-use engine::render::tiles::{EMIT_TILES, EmitTilesPush};
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::{demo_camera, demo_scene, hard_cases, moving_scene, random_scene};
 use engine::scene::{Camera, Scene};
 use glam::DVec3;
 use tests_harness::render_case::{RenderInput, test_camera};
-use tests_harness::{TestGpu, UntypedCase};
+use tests_harness::{KernelCase, KernelResult, TestGpu};
 use tools::cli::args::Cli;
 
 const COUNT: usize = 700;
@@ -53,28 +53,20 @@ fn settings() -> Vec<Quality> {
         .collect()
 }
 
-fn run_twin(kernel: &'static Kernel, size: u32, case: &UntypedCase) -> Vec<Vec<u32>> {
-    let mut buffers = case.buffers.clone();
-    let spec = [&[size][..], &case.spec].concat();
-    let call = &mut TwinCall { groups: [case.groups, 1, 1], spec: &spec, push: &case.push, buffers: &mut buffers };
-    (kernel.twin)(call);
-    buffers
-}
-
-fn project_case(input: &RenderInput, frame: &Frame, q: &Quality) -> UntypedCase {
-    let mut case = input.deform_project(frame);
-    case.spec[3..].copy_from_slice(&[
-        q.alpha_cut_constant(),
-        q.cull_constant(),
-        q.packing_constant(),
-        q.sh.constant(),
-        mean_storage::constant(q.position),
-    ]);
-    let scene = input.scene();
-    case.buffers[1] = mean_storage::encode(q.position, &scene.gaussians.mean);
-    for band in 0..=input.degree as usize {
-        case.buffers[7 + band] = sh_storage::encode(q.sh, band, &input.sh[band], input.count);
-    }
+fn project_case(input: &RenderInput, frame: &Frame, q: &Quality) -> KernelCase<DeformProject> {
+    let mut case = input.deform_project_case(frame);
+    case.constants = DeformProjectConstants {
+        alpha_cut: q.alpha_cut_constant(),
+        tile_cull: q.cull_constant(),
+        packing: q.packing_constant(),
+        sh_storage: q.sh.constant(),
+        mean_storage: mean_storage::constant(q.position),
+        ..case.constants
+    };
+    case.buffers.mean = mean_storage::encode(q.position, &input.scene().gaussians.mean);
+    let band = |band: usize| sh_storage::encode(q.sh, band, &input.sh[band], input.count);
+    let b = &mut case.buffers;
+    (b.sh_0, b.sh_1, b.sh_2, b.sh_3) = (band(0), Some(band(1)), Some(band(2)), Some(band(3)));
     case
 }
 
@@ -88,88 +80,82 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
 
     // Projection: the device's splats decode to the twin's within the packing's last place.
     let case = project_case(&input, &frame, q);
-    let twin = run_twin(case.kernel, gpu.subgroup_size_of(case.kernel), &case);
-    let device = case.run(gpu).gpu;
-    let mut flips = (0..COUNT).filter(|&g| device[12][g] != twin[12][g]).count();
+    let KernelResult { gpu: device, twin, .. } = case.run(gpu);
+    let mut flips = (0..COUNT).filter(|&g| device.tile_count[g] != twin.tile_count[g]).count();
     assert!(flips <= 1 + COUNT / 200, "{name}: {flips} tile counts differ");
     flips = 0;
-    let visible: Vec<usize> = (0..COUNT).filter(|&g| device[12][g] > 0 && twin[12][g] > 0).collect();
+    let visible: Vec<usize> = (0..COUNT).filter(|&g| device.tile_count[g] > 0 && twin.tile_count[g] > 0).collect();
     assert!(visible.len() > COUNT / 4, "{name}: {} visible", visible.len());
     for &g in &visible {
-        let (a, b) = (unpack_splat(packing, &device[11], g), unpack_splat(packing, &twin[11], g));
+        let (a, b) = (unpack_splat(packing, &device.splats, g), unpack_splat(packing, &twin.splats, g));
         let coarse = if packing == 0 { 1e-3 } else { 5e-3 };
         for (x, y) in a.iter().flatten().zip(b.iter().flatten()) {
             assert!((x - y).abs() <= coarse * (1.0 + y.abs()), "{name}: splat {g}: {a:?} {b:?}");
         }
         let e = Ellipse::of_splat(a[0], a[1]).with_constants(q.alpha_cut_constant(), q.cull_constant());
         let tiles = e.tile_count(frame.size);
-        flips += usize::from(tiles != device[12][g]);
+        flips += usize::from(tiles != device.tile_count[g]);
     }
     assert!(flips <= 2 + COUNT / 100, "{name}: {flips} stored splats reach other tiles than were counted");
 
     // Everything after it from the twin's splats, bit for bit.
-    let (mut splats, tile_count) = (twin[11].clone(), twin[12].clone());
+    let (mut splats, tile_count) = (twin.splats.clone(), twin.tile_count.clone());
     splats.iter_mut().for_each(|w| *w = if *w == tests_harness::kernel_case::POISON { 0 } else { *w });
     let bits = if q.depth_bits < 32 { q.depth_bits } else { 0 };
     let blocks = COUNT.div_ceil(256) as u32;
-    let case = UntypedCase {
-        kernel: &COMPACT,
-        spec: vec![bits, packing],
-        push: bytemuck::bytes_of(&CompactPush { block_capacity: blocks, digit_bits: 8 }).to_vec(),
-        buffers: vec![
-            bytemuck::cast_slice(&[frame]).to_vec(),
-            tile_count.clone(),
-            splats.clone(),
-            twin[13].clone(),
-            twin[14].clone(),
-            vec![0; 16],
-            vec![0; COUNT],
-            vec![0; COUNT],
-            vec![0; 256],
-        ],
-        groups: 1,
+    let buffers = CompactBuffers {
+        frame: bytemuck::cast_slice(&[frame]).to_vec(),
+        tile_count: tile_count.clone(),
+        splats: splats.clone(),
+        visible_block: twin.visible_block.clone(),
+        counters: twin.counters.clone(),
+        indirect: vec![0; 16],
+        keys: vec![0; COUNT],
+        values: vec![0; COUNT],
+        next_histogram: vec![0; 256],
     };
-    let result = case.run(gpu);
-    result.assert_equal(&COMPACT, &name);
-    let count = result.twin[4][0] as usize;
-    let (keys, values) = (&result.twin[6][..count], &result.twin[7][..count]);
+    let constants = CompactConstants { depth_bits: bits, packing };
+    let push = CompactPush { block_capacity: blocks, digit_bits: 8 };
+    let result = KernelCase { kernel: &COMPACT, constants, push, buffers, groups: 1 }.run(gpu);
+    result.assert_equal(&name);
+    let compacted = result.twin;
+    let count = compacted.counters[0] as usize;
+    let (keys, values) = (&compacted.keys[..count], &compacted.values[..count]);
     assert!(bits == 0 || keys.iter().all(|k| *k < 1 << bits), "{name}");
     let mut order: Vec<(u32, u32)> = keys.iter().copied().zip(values.iter().copied()).collect();
     order.sort();
     let order: Vec<u32> = order.into_iter().map(|(_, g)| g).collect();
 
-    let mut sums = vec![0; twin[13].len()];
+    let mut sums = vec![0; twin.visible_block.len()];
     for (i, g) in order.iter().enumerate() {
         sums[i / 256] += tile_count[*g as usize];
     }
     sums[blocks as usize] = sums[..blocks as usize].iter().sum();
-    let instances = result.twin[4][5] as usize;
+    let instances = compacted.counters[5] as usize;
     let mut padded = order.clone();
     padded.resize(COUNT, 0);
-    let case = UntypedCase {
-        kernel: &EMIT_TILES,
-        spec: vec![0, q.alpha_cut_constant(), q.cull_constant(), packing],
-        push: bytemuck::bytes_of(&EmitTilesPush { block_capacity: blocks, digit_bits: 8 }).to_vec(),
-        buffers: vec![
-            bytemuck::cast_slice(&[frame]).to_vec(),
-            result.twin[4].clone(),
-            tile_count,
-            padded,
-            splats.clone(),
-            sums,
-            vec![0; instances],
-            vec![0; instances],
-            vec![0; instances.div_ceil(4096) * 256],
-            vec![0; 4],
-            vec![0; 4],
-        ],
-        groups: count.div_ceil(256) as u32,
+    let buffers = EmitTilesBuffers {
+        frame: bytemuck::cast_slice(&[frame]).to_vec(),
+        counters: compacted.counters,
+        tile_count,
+        order: padded,
+        splats: splats.clone(),
+        instance_block: sums,
+        keys: vec![0; instances],
+        values: vec![0; instances],
+        next_histogram: vec![0; instances.div_ceil(4096) * 256],
+        gaussian_of_slot: None,
+        first_slot: None,
     };
-    let result = case.run(gpu);
-    result.assert_equal(&EMIT_TILES, &name);
+    let constants =
+        EmitTilesConstants { with_slots: 0, alpha_cut: q.alpha_cut_constant(), tile_cull: q.cull_constant(), packing };
+    let push = EmitTilesPush { block_capacity: blocks, digit_bits: 8 };
+    let groups = count.div_ceil(256) as u32;
+    let result = KernelCase { kernel: &EMIT_TILES, constants, push, buffers, groups }.run(gpu);
+    result.assert_equal(&name);
 
     let mut lists = vec![Vec::new(); frame.tile_count as usize];
-    for (tile, g) in result.twin[6].iter().zip(&result.twin[7]) {
+    for (tile, g) in result.twin.keys.iter().zip(&result.twin.values) {
         lists[*tile as usize].push(*g);
     }
     let (mut ranges, mut values) = (Vec::new(), Vec::new());
@@ -180,22 +166,27 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
     }
     let pixels_per_lane = blend::pixels_per_lane(size);
     for stage in [Stage::Shuffle, Stage::Shared, Stage::Reread] {
-        let case = UntypedCase {
-            kernel: &BLEND,
-            spec: vec![1, stage as u32, pixels_per_lane, 0, q.alpha_cut_constant(), q.stop_constant(), packing],
-            push: Vec::new(),
-            buffers: vec![
-                bytemuck::cast_slice(&[frame]).to_vec(),
-                ranges.clone(),
-                values.clone(),
-                splats.clone(),
-                vec![0; 4 * frame.pixels()],
-                vec![0; frame.pixels()],
-                Vec::new(),
-            ],
-            groups: blend::groups(frame.tile_count, size, pixels_per_lane) as u32,
+        let buffers = BlendBuffers {
+            frame: bytemuck::cast_slice(&[frame]).to_vec(),
+            ranges: ranges.clone(),
+            values: values.clone(),
+            splats: splats.clone(),
+            color: vec![0; 4 * frame.pixels()],
+            depth: Some(vec![0; frame.pixels()]),
+            gaussian_of_slot: None,
         };
-        case.run(gpu).assert_equal(&BLEND, &format!("{name}, {stage:?}"));
+        let constants = BlendConstants {
+            with_depth: 1,
+            stage: stage as u32,
+            pixels_per_lane,
+            with_slots: 0,
+            alpha_cut: q.alpha_cut_constant(),
+            transmittance_stop: q.stop_constant(),
+            packing,
+        };
+        let groups = blend::groups(frame.tile_count, size, pixels_per_lane) as u32;
+        let case = KernelCase { kernel: &BLEND, constants, push: (), buffers, groups };
+        case.check(gpu, &format!("{name}, {stage:?}"));
     }
     assert_eq!(splats.len() % splat_words(packing), 0);
 }

@@ -26,14 +26,19 @@
 
 mod device;
 mod kernels;
+#[doc(hidden)]
+pub mod lpips_conv;
+#[doc(hidden)]
+pub mod lpips_difference;
+#[doc(hidden)]
+pub mod lpips_pool;
 mod network;
 mod reference;
-mod twins;
 mod weights;
 
 pub use device::Lpips;
 #[doc(hidden)]
-pub use kernels::{ConvPush, DifferencePush, KERNELS, LPIPS_CONV, LPIPS_DIFFERENCE, LPIPS_POOL, PoolPush};
+pub use kernels::KERNELS;
 pub use network::Network;
 pub use reference::lpips;
 pub use weights::{Weights, WeightsFile};

@@ -1,65 +1,75 @@
 //! `blend` straight into an image of a host's, through a storage view: no copy follows. One kernel per format, because the
 //! format is part of a shader that needs no optional feature of the device. All devices can store these three.
 
-use super::blend::{BASE, PixelFormat, blend_into, blend_packed_bytes};
+use super::blend::BlendConstants;
+use super::blend::twin::{Inputs, blend_into};
+use super::blend_rgba8::BLEND_RGBA8;
+use super::blend_rgba16f::BLEND_RGBA16F;
+use super::blend_rgba32f::BLEND_RGBA32F;
 use super::frame::Frame;
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, TwinCall};
+use super::pixel_format::PixelFormat;
+use crate::error::{Error, Result};
+use crate::gpu::interface::{Call, Interface};
+use crate::gpu::{Groups, Recorder, Slice};
 
-/// 8-bit levels.
-pub static BLEND_RGBA8: Kernel = Kernel {
-    name: "blend_rgba8",
-    doc: "blend straight into a host's image of 8-bit levels",
-    twin: |call| twin(call, PixelFormat::Rgba8),
-    spirv: include_bytes!("../../../spirv_cache/blend_rgba8.spv"),
-    ..IMAGE_BASE
-};
-
-/// Half floats. Vulkan lets the device round to nearest or towards zero.
-pub static BLEND_RGBA16F: Kernel = Kernel {
-    name: "blend_rgba16f",
-    doc: "blend straight into a host's image of half floats",
-    twin: |call| twin(call, PixelFormat::Rgba16F),
-    spirv: include_bytes!("../../../spirv_cache/blend_rgba16f.spv"),
-    ..IMAGE_BASE
-};
-
-/// The engine's own bits.
-pub static BLEND_RGBA32F: Kernel = Kernel {
-    name: "blend_rgba32f",
-    doc: "blend straight into a host's image of floats",
-    twin: |call| twin(call, PixelFormat::Rgba32F),
-    spirv: include_bytes!("../../../spirv_cache/blend_rgba32f.spv"),
-    ..IMAGE_BASE
-};
-
-/// The kernel that stores a format; `None` where not all devices can.
-pub(super) fn kernel_of(format: PixelFormat) -> Option<&'static Kernel> {
-    match format {
-        PixelFormat::Rgba8 => Some(&BLEND_RGBA8),
-        PixelFormat::Bgra8 => None,
-        PixelFormat::Rgba16F => Some(&BLEND_RGBA16F),
-        PixelFormat::Rgba32F => Some(&BLEND_RGBA32F),
+crate::gpu_struct! {
+    /// Push constants of the kernels that store to an image.
+    pub struct BlendImagePush {
+        /// First pixel of the image that is written.
+        pub offset_x: u32,
+        /// Its row.
+        pub offset_y: u32,
     }
 }
 
-const IMAGE_BASE: Kernel = Kernel {
-    push: &[("offset_x", 0), ("offset_y", 4)],
-    bindings: &[
-        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
-        Binding::new("ranges", Access::Read, Element::U32),
-        Binding::new("values", Access::Read, Element::U32),
-        Binding::new("splats", Access::Read, Element::F32),
-        Binding::new("depth", Access::Write, Element::F32),
-        Binding::new("gaussian_of_slot", Access::Read, Element::U32),
-        Binding::new("picture", Access::Write, Element::Image),
-    ],
-    bytes: blend_packed_bytes,
-    ..BASE
-};
+crate::gpu_buffers! {
+    /// Buffers of the kernels that store to an image.
+    pub struct BlendImageBuffers {
+        frame: Read Struct(Frame),
+        ranges: Read U32,
+        values: Read U32,
+        splats: Read F32,
+        depth: optional Write F32,
+        gaussian_of_slot: optional Read U32,
+    }
+}
+
+/// Whether all devices can store a format.
+pub(super) fn can_store(format: PixelFormat) -> bool {
+    format != PixelFormat::Bgra8
+}
+
+/// Records the kernel that stores a format; image and push constants are given when the sequence is encoded.
+pub(super) fn record(
+    r: &mut Recorder,
+    format: PixelFormat,
+    constants: BlendConstants,
+    buffers: BlendImageBuffers<Slice>,
+    groups: Groups,
+) -> Result<()> {
+    let push = BlendImagePush::default();
+    match format {
+        PixelFormat::Rgba8 => r.dispatch(&BLEND_RGBA8, constants, push, buffers, groups),
+        PixelFormat::Rgba16F => r.dispatch(&BLEND_RGBA16F, constants, push, buffers, groups),
+        PixelFormat::Rgba32F => r.dispatch(&BLEND_RGBA32F, constants, push, buffers, groups),
+        PixelFormat::Bgra8 => Err(Error::usage("storage image", "Bgra8", "a format that every device can store")),
+    }
+}
 
 /// The image as tightly packed words, from its first pixel on.
-fn twin(call: &mut TwinCall<'_>, format: PixelFormat) {
-    call.buffers[4..7].rotate_right(1);
-    blend_into(call, format);
-    call.buffers[4..7].rotate_left(1);
+pub(super) fn blend_image_twin<I>(call: Call<'_, I>, format: PixelFormat)
+where
+    I: for<'a> Interface<Constants = BlendConstants, Buffers<&'a mut [u32]> = BlendImageBuffers<&'a mut [u32]>>,
+{
+    let Call { constants, subgroup_size, buffers: b, image, .. } = call;
+    let input = Inputs {
+        subgroup_size,
+        constants,
+        frame: b.frame,
+        ranges: b.ranges,
+        values: b.values,
+        splats: b.splats,
+        gaussian_of_slot: b.gaussian_of_slot.as_deref(),
+    };
+    blend_into(&input, format, image, b.depth);
 }

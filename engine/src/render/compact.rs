@@ -4,8 +4,10 @@
 use super::frame::Frame;
 use super::limits::*;
 use super::splat::splat_words;
+use super::tiles::sum_before;
 use super::twin;
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::Tolerance;
 
 crate::gpu_struct! {
     /// Push constants of `compact`.
@@ -31,55 +33,75 @@ pub const INDIRECT_RANGES: u32 = 12;
 /// Words of `indirect`.
 pub const INDIRECT_WORDS: u32 = 16;
 
-/// Stable compaction. Dispatch ceil(gaussians / 1024) workgroups; `next_histogram` must be zero.
-pub static COMPACT: Kernel = Kernel {
-    name: "compact",
-    doc: "packs the visible Gaussians into (depth key, index) pairs in index order, counts the first depth digit, \
-          writes indirect arguments and the capacity failure",
-    local_size: 256,
-    spec: &["SUBGROUP_SIZE", "DEPTH_BITS", "PACKING"],
-    push: CompactPush::FIELDS,
-    bindings: &[
-        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
-        Binding::new("tile_count", Access::Read, Element::U32),
-        Binding::new("splats", Access::Read, Element::F32),
-        Binding::new("visible_block", Access::Read, Element::U32),
-        Binding::new("counters", Access::Atomic, Element::U32),
-        Binding::new("indirect", Access::Write, Element::U32),
-        Binding::new("keys", Access::Write, Element::U32),
-        Binding::new("values", Access::Write, Element::U32),
-        Binding::new("next_histogram", Access::Atomic, Element::U32),
-    ],
-    twin: compact_twin,
-    tolerance: Tolerance::EXACT,
-    bytes: |w| 4 * w.get("gaussians") + 12 * w.get("visible"),
-    spirv: include_bytes!("../../../spirv_cache/compact.spv"),
-};
+crate::gpu_constants! {
+    /// Specialisation constants of [`COMPACT`].
+    pub struct CompactConstants {
+        /// Bits of a depth key; 0 for all 32 of the float.
+        depth_bits,
+        /// How splats are stored ([`super::splat`]).
+        packing,
+    }
+}
 
-fn compact_twin(call: &mut TwinCall<'_>) {
-    let push: CompactPush = twin::push(call);
-    let groups = twin::group_count(call);
-    let (depth_bits, words) = (twin::spec(call, 1), splat_words(twin::spec(call, 2)));
-    let [frame, tile_count, splats, visible_block, counters, indirect, keys, values, histogram] = call.buffers else {
-        return;
-    };
-    let frame: Frame = twin::struct_at(frame, 0);
+crate::gpu_buffers! {
+    /// Buffers of [`COMPACT`].
+    pub struct CompactBuffers {
+        frame: Read Struct(Frame),
+        /// `[N]`: tiles that each Gaussian reaches; 0 is not visible.
+        tile_count: Read U32,
+        /// `[N]` splats ([`super::splat`]).
+        splats: Read F32,
+        /// Visible Gaussians per block of 256, then per super block.
+        visible_block: Read U32,
+        counters: Atomic U32,
+        /// `[16]`: workgroups of the dispatches that follow.
+        indirect: Write U32,
+        /// `[visible]`: depth keys.
+        keys: Write U32,
+        /// `[visible]`: Gaussians.
+        values: Write U32,
+        /// `[partition][256]` counts of the first depth digit; must be zero.
+        next_histogram: Atomic U32,
+    }
+}
+
+crate::kernel! {
+    /// Stable compaction. Dispatch ceil(gaussians / 1024) workgroups; `next_histogram` must be zero.
+    pub static COMPACT: Compact = {
+        name: "compact",
+        doc: "packs the visible Gaussians into (depth key, index) pairs in index order, counts the first depth digit, \
+              writes indirect arguments and the capacity failure",
+        local_size: 256,
+        constants: CompactConstants,
+        push: CompactPush,
+        buffers: CompactBuffers,
+        twin: compact_twin,
+        tolerance: Tolerance::EXACT,
+        bytes: |w| 4 * w.get("gaussians") + 12 * w.get("visible"),
+    }
+}
+
+fn compact_twin(call: Call<'_, Compact>) {
+    let groups = call.group_count();
+    let Call { constants, push, buffers: b, .. } = call;
+    let words = splat_words(constants.packing);
+    let frame: Frame = twin::struct_at(b.frame, 0);
     let gaussians = frame.gaussians;
     let mask = (1 << push.digit_bits) - 1;
     for group in 0..groups {
-        let mut to = sum_before(visible_block, group * (COMPACT_GAUSSIANS / SCAN_BLOCK), push.block_capacity);
+        let mut to = sum_before(b.visible_block, group * (COMPACT_GAUSSIANS / SCAN_BLOCK), push.block_capacity);
         let first = group * COMPACT_GAUSSIANS;
         for i in first..gaussians.min(first + COMPACT_GAUSSIANS) {
-            if tile_count[i as usize] != 0 {
-                let key = depth_key(splats[words * i as usize + 6], depth_bits, &frame);
-                keys[to as usize] = key;
-                values[to as usize] = i;
-                histogram[(to / SORT_PARTITION * SORT_DIGITS + (key & mask)) as usize] += 1;
+            if b.tile_count[i as usize] != 0 {
+                let key = depth_key(b.splats[words * i as usize + 6], constants.depth_bits, &frame);
+                b.keys[to as usize] = key;
+                b.values[to as usize] = i;
+                b.next_histogram[(to / SORT_PARTITION * SORT_DIGITS + (key & mask)) as usize] += 1;
                 to += 1;
             }
         }
         if group == 0 {
-            write_arguments(frame.instance_capacity, counters, indirect);
+            write_arguments(frame.instance_capacity, b.counters, b.indirect);
         }
     }
 }
@@ -91,14 +113,6 @@ fn depth_key(z: u32, depth_bits: u32, frame: &Frame) -> u32 {
     }
     let low = frame.world_to_camera_0[3].to_bits();
     ((z - z.min(low)) >> frame.world_to_camera_1[3] as u32).min((1 << depth_bits) - 1)
-}
-
-/// Sum of the block sums before `block`, from super sums and the blocks of the same super block.
-pub(super) fn sum_before(sums: &[u32], block: u32, block_capacity: u32) -> u32 {
-    let super_block = block / SCAN_SUPER;
-    let blocks = super_block * SCAN_SUPER..block.min(block_capacity);
-    let supers = block_capacity..block_capacity + super_block.min(block_capacity.div_ceil(SCAN_SUPER));
-    supers.chain(blocks).map(|i| sums[i as usize]).sum()
 }
 
 fn write_arguments(capacity: u32, counters: &mut [u32], indirect: &mut [u32]) {

@@ -7,9 +7,10 @@
 use super::angle::sin_cos;
 use super::frame::Frame;
 use super::half;
-use super::twin::{f32_at, group_count, set_vec4, spec, struct_at};
+use super::twin::{f32_at, set_vec4, struct_at};
 use crate::error::{Error, Result};
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::{Tolerance, Workload};
 use crate::scene::network::{DeformSize, ENCODING_WIDTH, POSITION_FREQUENCIES, relu};
 use crate::scene::{DeformNetwork, Linear};
 
@@ -22,25 +23,45 @@ const ENCODING: usize = ENCODING_WIDTH.next_multiple_of(8);
 /// Inputs that encode the position.
 const POSITION_INPUTS: usize = 3 + 6 * POSITION_FREQUENCIES;
 
-/// Network F live: pose of every superpoint at the frame's time.
-pub static DEFORM_NETWORK: Kernel = Kernel {
-    name: "deform_network",
-    doc: "network F: superpoint centre and time to so(3) vector and translation",
-    local_size: DeformSize::MOST_WIDTH as u32,
-    spec: &["SUBGROUP_SIZE", "FP16_WEIGHTS", "LAYERS", "WIDTH", "SKIP_LAYER"],
-    push: &[],
-    bindings: &[
-        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
-        Binding::new("superpoint_position", Access::Read, Element::F32),
-        Binding::new("weights", Access::Read, Element::U32),
-        Binding::new("pose", Access::Write, Element::F32),
-    ],
-    twin: deform_network_twin,
-    // Sums of up to 332 products, contracted to fused multiply-adds or not.
-    tolerance: Tolerance { absolute: 2e-5, relative: 2e-5, flips: 0.0 },
-    bytes: deform_network_bytes,
-    spirv: include_bytes!("../../../spirv_cache/deform_network.spv"),
-};
+crate::gpu_constants! {
+    /// Specialisation constants of [`DEFORM_NETWORK`].
+    pub struct DeformNetworkConstants {
+        /// 1: hidden matrices are halves.
+        fp16_weights,
+        /// Hidden layers.
+        layers,
+        /// Their width.
+        width,
+        /// The layer that sees the encoding again; `layers` for none.
+        skip_layer,
+    }
+}
+
+crate::gpu_buffers! {
+    /// Buffers of [`DEFORM_NETWORK`].
+    pub struct DeformNetworkBuffers {
+        frame: Read Struct(Frame),
+        superpoint_position: Read F32,
+        weights: Read U32,
+        pose: Write F32,
+    }
+}
+
+crate::kernel! {
+    /// Network F live: pose of every superpoint at the frame's time.
+    pub static DEFORM_NETWORK: DeformNetworkKernel = {
+        name: "deform_network",
+        doc: "network F: superpoint centre and time to so(3) vector and translation",
+        local_size: DeformSize::MOST_WIDTH as u32,
+        constants: DeformNetworkConstants,
+        push: (),
+        buffers: DeformNetworkBuffers,
+        twin: deform_network_twin,
+        // Sums of up to 332 products, contracted to fused multiply-adds or not.
+        tolerance: Tolerance { absolute: 2e-5, relative: 2e-5, flips: 0.0 },
+        bytes: deform_network_bytes,
+    }
+}
 
 /// The weights once, each centre and pose once.
 fn deform_network_bytes(work: &Workload) -> u64 {
@@ -52,10 +73,12 @@ pub fn groups(superpoints: u32) -> u64 {
     superpoints.div_ceil(DEFORM_NETWORK_SUPERPOINTS).into()
 }
 
-/// Specialisation constants from id 1.
-pub fn spec_constants(size: DeformSize, fp16: bool) -> [u32; 4] {
-    let skip = size.skip_layer().unwrap_or(size.layers);
-    [u32::from(fp16), size.layers as u32, size.width as u32, skip as u32]
+impl DeformNetworkConstants {
+    /// For a network of that size.
+    pub fn new(size: DeformSize, fp16: bool) -> Self {
+        let skip_layer = size.skip_layer().unwrap_or(size.layers) as u32;
+        Self { fp16_weights: fp16.into(), layers: size.layers as u32, width: size.width as u32, skip_layer }
+    }
 }
 
 /// Inputs of hidden layer `i`, padded.
@@ -192,16 +215,17 @@ fn evaluate(weights: &[u32], size: DeformSize, fp16: bool, position: [f32; 3], t
     })
 }
 
-fn deform_network_twin(call: &mut TwinCall<'_>) {
-    let frame: Frame = struct_at(&call.buffers[0], 0);
-    let fp16 = spec(call, 1) == 1;
-    let size = DeformSize { layers: spec(call, 2) as usize, width: spec(call, 3) as usize };
-    let reached = group_count(call) * DEFORM_NETWORK_SUPERPOINTS;
+fn deform_network_twin(call: Call<'_, DeformNetworkKernel>) {
+    let reached = call.group_count() * DEFORM_NETWORK_SUPERPOINTS;
+    let Call { constants, buffers: b, .. } = call;
+    let frame: Frame = struct_at(b.frame, 0);
+    let fp16 = constants.fp16_weights == 1;
+    let size = DeformSize { layers: constants.layers as usize, width: constants.width as usize };
     for m in 0..frame.superpoints.min(reached) as usize {
-        let position = std::array::from_fn(|c| f32_at(&call.buffers[1], 3 * m + c));
-        let [r0, r1, r2, t0, t1, t2] = evaluate(&call.buffers[2], size, fp16, position, frame.time);
-        set_vec4(&mut call.buffers[3], 2 * m, [r0, r1, r2, 0.0]);
-        set_vec4(&mut call.buffers[3], 2 * m + 1, [t0, t1, t2, 0.0]);
+        let position = std::array::from_fn(|c| f32_at(b.superpoint_position, 3 * m + c));
+        let [r0, r1, r2, t0, t1, t2] = evaluate(b.weights, size, fp16, position, frame.time);
+        set_vec4(b.pose, 2 * m, [r0, r1, r2, 0.0]);
+        set_vec4(b.pose, 2 * m + 1, [t0, t1, t2, 0.0]);
     }
 }
 

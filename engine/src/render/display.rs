@@ -6,10 +6,11 @@
 
 use super::limits::{COUNT_FAILED, TILE_SIZE};
 use super::renderer::{FrameId, Renderer};
-use super::twin::{f32_at, spec, struct_at, vec4_at};
+use super::twin::{f32_at, struct_at, vec4_at};
 use crate::error::Result;
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
-use crate::gpu::{Buffer, Commands, Gpu, Groups, Memory, Slice, Suite};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::{Tolerance, Workload};
+use crate::gpu::{Buffer, Commands, Gpu, Groups, Memory, Suite};
 
 /// Threads per workgroup, one pixel each.
 pub const DISPLAY_THREADS: u32 = 256;
@@ -61,28 +62,47 @@ pub struct DisplayOptions {
     pub tile_range: f32,
 }
 
-/// Makes pixels of a window from frames.
-#[doc(hidden)]
-pub static DISPLAY: Kernel = Kernel {
-    name: "display",
-    doc: "frame → 8-bit pixels of a window: colours, depth, opacity or tile counts",
-    local_size: DISPLAY_THREADS,
-    spec: &["SUBGROUP_SIZE", "MODE", "ENLARGED"],
-    push: &[],
-    bindings: &[
-        Binding::of_struct("display", Access::Read, Display::FIELDS),
-        Binding::new("color", Access::Read, Element::F32),
-        Binding::new("depth", Access::Read, Element::F32),
-        Binding::new("ranges", Access::Read, Element::U32),
-        Binding::new("counters", Access::Read, Element::U32),
-        Binding::new("palette", Access::Read, Element::F32),
-        Binding::new("screen", Access::Write, Element::U32),
-    ],
-    twin: display_twin,
-    tolerance: Tolerance::EXACT,
-    bytes: |work: &Workload| work.get("pixels") * (16 + 4),
-    spirv: include_bytes!("../../../spirv_cache/display.spv"),
-};
+crate::gpu_constants! {
+    /// Specialisation constants of [`DISPLAY`].
+    #[doc(hidden)]
+    pub struct DisplayConstants {
+        /// A [`DisplayMode`].
+        mode,
+        /// 1: the frame is not of the window's size.
+        enlarged,
+    }
+}
+
+crate::gpu_buffers! {
+    /// Buffers of [`DISPLAY`].
+    #[doc(hidden)]
+    pub struct DisplayBuffers {
+        display: Read Struct(Display),
+        color: Read F32,
+        /// Of a frame with depth.
+        depth: optional Read F32,
+        ranges: Read U32,
+        counters: Read U32,
+        palette: Read F32,
+        screen: Write U32,
+    }
+}
+
+crate::kernel! {
+    /// Makes pixels of a window from frames.
+    #[doc(hidden)]
+    pub static DISPLAY: DisplayKernel = {
+        name: "display",
+        doc: "frame → 8-bit pixels of a window: colours, depth, opacity or tile counts",
+        local_size: DISPLAY_THREADS,
+        constants: DisplayConstants,
+        push: (),
+        buffers: DisplayBuffers,
+        twin: display_twin,
+        tolerance: Tolerance::EXACT,
+        bytes: |work: &Workload| work.get("pixels") * (16 + 4),
+    }
+}
 
 /// Frames on their way to a window: recordings for each frame in flight, and the pixels.
 #[derive(Debug)]
@@ -157,15 +177,22 @@ impl Screen {
         clear.fill(&screen, 0xFF00_0000)?;
         self.gpu.run(clear)?;
         let mut slots = Vec::new();
-        for outputs in renderer.outputs() {
+        for output in renderer.outputs() {
             let display = self.gpu.buffer("display", size_of::<Display>() as u64, Memory::Constants)?;
-            let [color, depth, ranges, counters] = outputs;
-            let palette = Slice::from(&self.palette);
-            let buffers = [Slice::from(&display), color, depth, ranges, counters, palette, Slice::from(&screen)];
+            let buffers = DisplayBuffers {
+                display: display.whole(),
+                color: output.color,
+                depth: output.depth,
+                ranges: output.ranges,
+                counters: output.counters,
+                palette: self.palette.whole(),
+                screen: screen.whole(),
+            };
             let commands = |enlarged: u32| {
                 let mut recorder = self.gpu.recorder("display");
                 let groups = Groups::Direct(pixels.div_ceil(u64::from(DISPLAY_THREADS)));
-                recorder.dispatch_untyped(&DISPLAY, &[mode as u32, enlarged], &[], &buffers, groups)?;
+                let constants = DisplayConstants { mode: mode as u32, enlarged };
+                recorder.dispatch(&DISPLAY, constants, (), buffers.clone(), groups)?;
                 recorder.finish()
             };
             slots.push((display.clone(), [commands(0)?, commands(1)?]));
@@ -230,43 +257,43 @@ fn enlarged(d: &Display, color: &[u32], at: [u32; 2]) -> [f32; 3] {
     })
 }
 
-fn display_twin(call: &mut TwinCall<'_>) {
-    let d: Display = struct_at(&call.buffers[0], 0);
-    if call.buffers[4][COUNT_FAILED as usize] != 0 {
+fn display_twin(call: Call<'_, DisplayKernel>) {
+    let Call { constants, buffers: b, .. } = call;
+    let d: Display = struct_at(b.display, 0);
+    if b.counters[COUNT_FAILED as usize] != 0 {
         return;
     }
     for index in 0..d.target[0] * d.target[1] {
-        let shown = shown(call, &d, [index % d.target[0], index / d.target[0]]);
+        let shown = shown(&b, constants, &d, [index % d.target[0], index / d.target[0]]);
         let mut level = shown.map(|v| (unit(v) * 255.0 + 0.5) as u32);
         if d.target[2] == 1 {
             level.reverse();
         }
-        call.buffers[6][index as usize] = level[0] | level[1] << 8 | level[2] << 16 | 0xFF00_0000;
+        b.screen[index as usize] = level[0] | level[1] << 8 | level[2] << 16 | 0xFF00_0000;
     }
 }
 
-fn shown(call: &TwinCall<'_>, d: &Display, at: [u32; 2]) -> [f32; 3] {
-    let buffers = &call.buffers;
+fn shown(b: &DisplayBuffers<&mut [u32]>, constants: DisplayConstants, d: &Display, at: [u32; 2]) -> [f32; 3] {
     let nearest: [u32; 2] = std::array::from_fn(|k| {
         let p = (at[k] as f32 + 0.5) * d.source[k] as f32 / d.target[k] as f32;
         (p as u32).min(d.source[k] - 1)
     });
     let from = (nearest[1] * d.source[0] + nearest[0]) as usize;
-    let [r, g, b, alpha] = vec4_at(&buffers[1], from);
-    let palette = |x: f32| vec4_at(&buffers[5], (x.clamp(0.0, 1.0) * 255.0 + 0.5) as usize);
-    match spec(call, 1) {
-        0 if spec(call, 2) == 0 => [r, g, b],
-        0 => enlarged(d, &buffers[1], at),
+    let [red, green, blue, alpha] = vec4_at(b.color, from);
+    let palette = |x: f32| vec4_at(b.palette, (x.clamp(0.0, 1.0) * 255.0 + 0.5) as usize);
+    match constants.mode {
+        0 if constants.enlarged == 0 => [red, green, blue],
+        0 => enlarged(d, b.color, at),
         1 => {
-            let z = f32_at(&buffers[2], from) / alpha.max(1e-6);
+            let z = f32_at(b.depth.as_deref().unwrap_or_default(), from) / alpha.max(1e-6);
             let [r, g, b, _] = palette(1.0 - (z - d.range[0]) * d.range[1]);
             [r, g, b].map(|v| mix(EMPTY, v, alpha))
         }
         2 => [alpha; 3],
         _ => {
             let tile = (nearest[1] / TILE_SIZE * d.source[2] + nearest[0] / TILE_SIZE) as usize;
-            let count = buffers[3][2 * tile + 1].wrapping_sub(buffers[3][2 * tile]) as f32;
-            let [r, g, b] = [r, g, b].map(unit);
+            let count = b.ranges[2 * tile + 1].wrapping_sub(b.ranges[2 * tile]) as f32;
+            let [r, g, b] = [red, green, blue].map(unit);
             let grey = r * 0.25 + g * 0.5 + b * 0.25;
             let line = if nearest.iter().any(|n| n % TILE_SIZE == 0) { 0.8 } else { 1.0 };
             let [r, g, b, _] = palette((count * d.range[2]).sqrt());

@@ -8,10 +8,10 @@
 //!
 //! A layer's activations go through memory: 2 KB per point and layer beside 130,000 operations, so the products decide.
 
-mod nodes;
-mod offset;
-mod planes;
-mod waves;
+pub mod field_nodes;
+pub mod field_offset;
+pub mod field_planes;
+pub mod field_waves;
 
 use crate::error::Result;
 use crate::gpu::product::Stage;
@@ -21,15 +21,15 @@ use crate::scene::field::{ControlNodes, DeformationField, FieldInput, FieldRule}
 use crate::scene::{Gaussians, Linear, MotionSource, Scene};
 
 use super::frame::{Frame, FrameOptions};
-use super::linear_forward::{self, ForwardPush};
+use super::linear_forward::{self, ForwardPush, LinearForwardBuffers};
 use super::nonrigid_network::NONRIGID_PLANES;
 use super::quality::Quality;
 use super::scene_buffers::{SceneBuffers, planes as component_planes};
 
-pub use nodes::{FIELD_NODES, NodesPush};
-pub use offset::{FIELD_OFFSET, OffsetPush};
-pub use planes::{FIELD_PLANES, PlanesPush, pack_planes};
-pub use waves::{FIELD_WAVES, WavesPush};
+use field_nodes::{FieldNodesBuffers, FieldNodesPush};
+use field_offset::{FieldOffsetBuffers, FieldOffsetPush};
+use field_planes::{FieldPlanesBuffers, FieldPlanesPush, pack_planes};
+use field_waves::{FieldWavesBuffers, FieldWavesPush};
 
 /// Bytes that the activations of a chunk of points may have.
 const ACTIVATION_BYTES: usize = 64 << 20;
@@ -39,8 +39,8 @@ const CHUNK_STEP: usize = 64;
 /// What the perceptron's input needs besides the points.
 #[derive(Debug)]
 enum Input {
-    Waves { octaves: u32, time_network: Option<Buffer>, unused: Buffer },
-    Planes { plane: Buffer, plane_size: Buffer, push: PlanesPush },
+    Waves { octaves: u32, time_network: Option<Buffer> },
+    Planes { plane: Buffer, plane_size: Buffer, push: FieldPlanesPush },
 }
 
 /// Control nodes on the device.
@@ -147,31 +147,31 @@ impl FieldBuffers {
         let Some(nodes) = &self.nodes else {
             let rows = (gaussians - first).min(self.chunk as u32);
             self.evaluate(r, stage, &frame, &Slice::from(&scene.mean), [first, rows, gaussians])?;
-            let push = OffsetPush { first_row: first, rows, outputs: self.outputs() };
-            let buffers = [
+            let push = FieldOffsetPush { first_row: first, rows, outputs: self.outputs() };
+            let buffers = FieldOffsetBuffers {
                 frame,
-                self.head_output(rows),
-                Slice::from(&scene.mean),
-                Slice::from(&scene.log_scale),
-                Slice::from(&scene.rotation),
-                offset,
-            ];
-            return offset::record(r, self.rule, push, &buffers);
+                head_output: self.head_output(rows),
+                mean: scene.mean.whole(),
+                log_scale: scene.log_scale.whole(),
+                rotation: scene.rotation.whole(),
+                nonrigid_offset: offset,
+            };
+            return field_offset::record(r, self.rule, push, buffers);
         };
         self.evaluate(r, stage, &frame, &Slice::from(&nodes.position), [0, nodes.count, nodes.count])?;
-        let push = NodesPush { nodes: nodes.count, neighbors: nodes.neighbors, outputs: self.outputs() };
-        let buffers = [
+        let push = FieldNodesPush { nodes: nodes.count, neighbors: nodes.neighbors, outputs: self.outputs() };
+        let buffers = FieldNodesBuffers {
             frame,
-            self.head_output(nodes.count),
-            Slice::from(&scene.mean),
-            Slice::from(&scene.rotation),
-            Slice::from(&nodes.position),
-            Slice::from(&nodes.neighbor),
-            Slice::from(&nodes.weight),
-            Slice::from(&nodes.share),
-            offset,
-        ];
-        nodes::record(r, gaussians, nodes.turn, push, &buffers)
+            head_output: self.head_output(nodes.count),
+            mean: scene.mean.whole(),
+            rotation: scene.rotation.whole(),
+            node_position: nodes.position.whole(),
+            node_neighbor: nodes.neighbor.whole(),
+            node_weight: nodes.weight.whole(),
+            node_share: nodes.share.whole(),
+            nonrigid_offset: offset,
+        };
+        field_nodes::record(r, gaussians, nodes.turn, push, buffers)
     }
 
     /// Records the perceptron for points `first..first + rows` of `points`.
@@ -192,8 +192,9 @@ impl FieldBuffers {
             };
             let (inputs_0, inputs_1) = if inputs_0 == 0 { (inputs_1, 0) } else { (inputs_0, inputs_1) };
             let push = ForwardPush { rows, outputs: layer.outputs, inputs_0, inputs_1, input_1_at };
-            let output = self.activation(self.region(i), rows, layer.outputs as usize);
-            linear_forward::record(r, stage, push, layer.relu, &[input, layer.parameter.clone(), output])?;
+            let layer_output = self.activation(self.region(i), rows, layer.outputs as usize);
+            let buffers = LinearForwardBuffers { layer_input: input, parameter: layer.parameter.clone(), layer_output };
+            linear_forward::record(r, stage, push, layer.relu, buffers)?;
         }
         Ok(())
     }
@@ -254,19 +255,14 @@ impl Input {
                     network.iter().flat_map(|l| l.weight.iter().chain(&l.bias).copied()).collect()
                 };
                 let upload = |network| gpu.buffer_with("field_time_network", bytemuck::cast_slice(&words(network)));
-                let unused = gpu.buffer("unused", SLICE_ALIGNMENT, Memory::Device)?;
-                Ok(Self::Waves {
-                    octaves: *octaves as u32,
-                    time_network: time.as_ref().map(upload).transpose()?,
-                    unused,
-                })
+                Ok(Self::Waves { octaves: *octaves as u32, time_network: time.as_ref().map(upload).transpose()? })
             }
             FieldInput::Planes(planes) => {
                 let (values, sizes) = pack_planes(planes);
                 Ok(Self::Planes {
                     plane: gpu.buffer_with("field_plane", bytemuck::cast_slice(&values))?,
                     plane_size: gpu.buffer_with("field_plane_size", bytemuck::cast_slice(&sizes))?,
-                    push: PlanesPush::of(planes),
+                    push: FieldPlanesPush::of(planes),
                 })
             }
         }
@@ -282,17 +278,26 @@ impl Input {
         encoding: &Slice,
     ) -> Result<()> {
         match self {
-            Self::Waves { octaves, time_network, unused } => {
-                let push = WavesPush { first_row, rows, points };
-                let parameter = Slice::from(time_network.as_ref().unwrap_or(unused));
-                let buffers = [frame.clone(), point.clone(), parameter, encoding.clone()];
-                waves::record(r, time_network.is_some(), *octaves, push, &buffers)
+            Self::Waves { octaves, time_network } => {
+                let push = FieldWavesPush { first_row, rows, points };
+                let buffers = FieldWavesBuffers {
+                    frame: frame.clone(),
+                    point: point.clone(),
+                    parameter: time_network.as_ref().map(Buffer::whole),
+                    encoding: encoding.clone(),
+                };
+                field_waves::record(r, *octaves, push, buffers)
             }
             Self::Planes { plane, plane_size, push } => {
-                let push = PlanesPush { first_row, rows, points, ..*push };
-                let buffers =
-                    [frame.clone(), point.clone(), Slice::from(plane), Slice::from(plane_size), encoding.clone()];
-                planes::record(r, push, &buffers)
+                let push = FieldPlanesPush { first_row, rows, points, ..*push };
+                let buffers = FieldPlanesBuffers {
+                    frame: frame.clone(),
+                    point: point.clone(),
+                    plane: plane.whole(),
+                    plane_size: plane_size.whole(),
+                    encoding: encoding.clone(),
+                };
+                field_planes::record(r, push, buffers)
             }
         }
     }

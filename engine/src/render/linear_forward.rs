@@ -1,9 +1,10 @@
 //! Kernel `linear_forward`: Y = act([X₀, X₁] Wᵀ + b) on row-major matrices of f32, as a tiled product
 //! (`glsl/lib/matrix_product.glsl`). Deformation fields run on it, and networks F and G in training.
 
-use super::twin::{f32_at, push, set_f32, spec};
+use super::twin::{f32_at, set_f32};
 use crate::error::Result;
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::{Tolerance, Workload};
 use crate::gpu::product::{PRODUCT_THREADS, Stage, product_groups};
 use crate::gpu::{Groups, Recorder, Slice};
 use crate::scene::network::relu;
@@ -33,34 +34,54 @@ pub(crate) fn product_bytes(work: &Workload) -> u64 {
     4 * (rows * inputs + inputs * outputs + rows * outputs)
 }
 
-/// Y = act([X₀, X₁] Wᵀ + b).
-pub static LINEAR_FORWARD: Kernel = Kernel {
-    name: "linear_forward",
-    doc: "dense layer: product of rows and weights, bias, ReLU",
-    local_size: PRODUCT_THREADS,
-    spec: &["SUBGROUP_SIZE", "STAGE", "RELU"],
-    push: ForwardPush::FIELDS,
-    bindings: &[
-        Binding::new("layer_input", Access::Read, Element::F32),
-        Binding::new("parameter", Access::Read, Element::F32),
-        Binding::new("layer_output", Access::Write, Element::F32),
-    ],
-    twin: forward_twin,
-    tolerance: SUMS,
-    bytes: product_bytes,
-    spirv: include_bytes!("../../../spirv_cache/linear_forward.spv"),
-};
+crate::gpu_constants! {
+    /// Specialisation constants of [`LINEAR_FORWARD`].
+    pub struct LinearForwardConstants {
+        /// How tiles reach the lanes ([`Stage`]).
+        stage,
+        /// 1: the act is a ReLU, else none.
+        relu,
+    }
+}
 
-/// Records it; `buffers` in binding order.
+crate::gpu_buffers! {
+    /// Buffers of [`LINEAR_FORWARD`].
+    pub struct LinearForwardBuffers {
+        /// X₀ `[rows, inputs_0]` from float 0 on, X₁ `[rows, inputs_1]` from float `input_1_at` on.
+        layer_input: Read F32,
+        /// W `[outputs, inputs]`, then b `[outputs]`.
+        parameter: Read F32,
+        /// Y `[rows, outputs]`.
+        layer_output: Write F32,
+    }
+}
+
+crate::kernel! {
+    /// Y = act([X₀, X₁] Wᵀ + b).
+    pub static LINEAR_FORWARD: LinearForward = {
+        name: "linear_forward",
+        doc: "dense layer: product of rows and weights, bias, ReLU",
+        local_size: PRODUCT_THREADS,
+        constants: LinearForwardConstants,
+        push: ForwardPush,
+        buffers: LinearForwardBuffers,
+        twin: linear_forward_twin,
+        tolerance: SUMS,
+        bytes: product_bytes,
+    }
+}
+
+/// Records it.
 pub(crate) fn record(
     r: &mut Recorder,
     stage: Stage,
     push: ForwardPush,
     relu: bool,
-    buffers: &[Slice; 3],
+    buffers: LinearForwardBuffers<Slice>,
 ) -> Result<()> {
     let groups = Groups::Direct(product_groups(stage, r.subgroup_size_of(&LINEAR_FORWARD), push.rows, push.outputs, 1));
-    r.dispatch_untyped(&LINEAR_FORWARD, &[stage as u32, u32::from(relu)], bytemuck::bytes_of(&push), buffers, groups)
+    let constants = LinearForwardConstants { stage: stage as u32, relu: relu.into() };
+    r.dispatch(&LINEAR_FORWARD, constants, push, buffers, groups)
 }
 
 /// Element (row, k) of two matrices side by side, the second from float `input_1_at` on.
@@ -70,20 +91,19 @@ pub(crate) fn concatenated(words: &[u32], inputs: [u32; 2], input_1_at: u32, row
     f32_at(words, at as usize).into()
 }
 
-fn forward_twin(call: &mut TwinCall<'_>) {
-    let p: ForwardPush = push(call);
-    let with_relu = spec(call, 2) == 1;
+fn linear_forward_twin(call: Call<'_, LinearForward>) {
+    let Call { constants, push: p, buffers: b, .. } = call;
     let inputs = p.inputs_0 + p.inputs_1;
-    let [input, parameter, output] = call.buffers else { return };
     for row in 0..p.rows {
         for o in 0..p.outputs {
             let product = |k| {
-                f64::from(f32_at(parameter, (o * inputs + k) as usize))
-                    * concatenated(input, [p.inputs_0, p.inputs_1], p.input_1_at, row, k)
+                f64::from(f32_at(b.parameter, (o * inputs + k) as usize))
+                    * concatenated(b.layer_input, [p.inputs_0, p.inputs_1], p.input_1_at, row, k)
             };
-            let bias = f64::from(f32_at(parameter, (p.outputs * inputs + o) as usize));
+            let bias = f64::from(f32_at(b.parameter, (p.outputs * inputs + o) as usize));
             let y = (0..inputs).map(product).sum::<f64>() + bias;
-            set_f32(output, (row * p.outputs + o) as usize, if with_relu { relu(y) } else { y } as f32);
+            let y = if constants.relu == 1 { relu(y) } else { y };
+            set_f32(b.layer_output, (row * p.outputs + o) as usize, y as f32);
         }
     }
 }

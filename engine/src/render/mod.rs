@@ -19,9 +19,19 @@
 #[doc(hidden)]
 pub mod angle;
 #[doc(hidden)]
+pub mod arithmetic_rate;
+#[doc(hidden)]
 pub mod blend;
 #[doc(hidden)]
 pub mod blend_image;
+#[doc(hidden)]
+pub mod blend_packed;
+#[doc(hidden)]
+pub mod blend_rgba16f;
+#[doc(hidden)]
+pub mod blend_rgba32f;
+#[doc(hidden)]
+pub mod blend_rgba8;
 pub(crate) mod bounds;
 mod capacity;
 #[doc(hidden)]
@@ -34,6 +44,8 @@ pub mod display;
 #[doc(hidden)]
 pub mod ellipse;
 pub mod embed;
+#[doc(hidden)]
+pub mod emit_tiles;
 #[doc(hidden)]
 pub mod field;
 #[doc(hidden)]
@@ -49,14 +61,13 @@ pub mod mean_storage;
 #[doc(hidden)]
 pub mod nonrigid_network;
 pub(crate) mod pipeline;
+mod pixel_format;
 pub(crate) mod pose_table;
 pub mod quality;
 #[doc(hidden)]
 pub mod quaternion;
 #[doc(hidden)]
 pub mod radix_sort;
-#[doc(hidden)]
-pub mod rate;
 mod renderer;
 pub(crate) mod scene_buffers;
 #[doc(hidden)]
@@ -68,6 +79,10 @@ pub mod sort_spine;
 mod sort_tests;
 #[doc(hidden)]
 pub mod splat;
+#[doc(hidden)]
+pub mod sum_tile_counts;
+#[doc(hidden)]
+pub mod tile_ranges;
 #[cfg(test)]
 mod tile_tests;
 #[doc(hidden)]
@@ -76,10 +91,10 @@ pub mod tiles;
 pub mod twin;
 pub(crate) mod work_buffers;
 
-pub use blend::PixelFormat;
 pub use embed::{Extent, Finished, Loading, Recorded, SceneHandle, SceneOptions, Target, View, ViewOptions};
 pub use field::FieldEvaluator;
 #[doc(hidden)]
 pub use pipeline::KERNELS;
+pub use pixel_format::PixelFormat;
 pub use quality::Quality;
 pub use renderer::{FrameId, FrameStatistics, MemoryUse, Picked, RenderOptions, Renderer};

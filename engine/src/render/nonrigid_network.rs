@@ -8,9 +8,10 @@
 use super::angle::sin_cos;
 use super::frame::Frame;
 use super::quaternion;
-use super::twin::{f32_at, group_count, push, set_f32, spec, struct_at, vec4_at};
+use super::twin::{f32_at, set_f32, struct_at, vec4_at};
 use crate::error::Result;
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall, Workload};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::{Tolerance, Workload};
 use crate::gpu::{Gpu, Groups, Recorder, Slice};
 use crate::scene::NonrigidNetwork;
 use crate::scene::network::{NONRIGID_ENCODING, NONRIGID_LAYERS, NONRIGID_ROWS, NONRIGID_WIDTH, relu};
@@ -35,27 +36,45 @@ pub const NONRIGID_PLANES: usize = 10;
 const ALIGNMENT: usize = 64;
 const MAX_ABS_CENTRE: f32 = 1e15;
 
-/// Network G: offsets of every Gaussian at the frame's time.
-pub static NONRIGID_NETWORK: Kernel = Kernel {
-    name: "nonrigid_network",
-    doc: "network G: moved centre and time to offsets of centre, rotation and scale",
-    local_size: 128,
-    spec: &["SUBGROUP_SIZE", "MOTION", "STAGE"],
-    push: NonrigidPush::FIELDS,
-    bindings: &[
-        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
-        Binding::new("mean", Access::Read, Element::F32),
-        Binding::new("superpoint_of_gaussian", Access::Read, Element::U32),
-        Binding::new("pose", Access::Read, Element::F32),
-        Binding::new("parameter", Access::Read, Element::F32),
-        Binding::new("nonrigid_offset", Access::Write, Element::F32),
-    ],
-    twin: nonrigid_network_twin,
-    // The encoding has slopes of 2^9: a centre that differs by an ulp moves its sines by 1e-4, and sums of 84 add up.
-    tolerance: Tolerance { absolute: 2e-4, relative: 2e-4, flips: 1e-3 },
-    bytes: nonrigid_network_bytes,
-    spirv: include_bytes!("../../../spirv_cache/nonrigid_network.spv"),
-};
+crate::gpu_constants! {
+    /// Specialisation constants of [`NONRIGID_NETWORK`].
+    pub struct NonrigidNetworkConstants {
+        /// 1: superpoints move the Gaussians.
+        motion,
+        /// How weights reach the lanes: 0 by shuffles, else through shared memory.
+        stage,
+    }
+}
+
+crate::gpu_buffers! {
+    /// Buffers of [`NONRIGID_NETWORK`].
+    pub struct NonrigidNetworkBuffers {
+        frame: Read Struct(Frame),
+        mean: Read F32,
+        /// Of a moving scene.
+        superpoint_of_gaussian: optional Read U32,
+        /// Of a moving scene.
+        pose: optional Read F32,
+        parameter: Read F32,
+        nonrigid_offset: Write F32,
+    }
+}
+
+crate::kernel! {
+    /// Network G: offsets of every Gaussian at the frame's time.
+    pub static NONRIGID_NETWORK: NonrigidNetworkKernel = {
+        name: "nonrigid_network",
+        doc: "network G: moved centre and time to offsets of centre, rotation and scale",
+        local_size: 128,
+        constants: NonrigidNetworkConstants,
+        push: NonrigidPush,
+        buffers: NonrigidNetworkBuffers,
+        twin: nonrigid_network_twin,
+        // The encoding has slopes of 2^9: a centre that differs by an ulp moves its sines by 1e-4, and sums of 84 add up.
+        tolerance: Tolerance { absolute: 2e-4, relative: 2e-4, flips: 1e-3 },
+        bytes: nonrigid_network_bytes,
+    }
+}
 
 /// The weights once; of each Gaussian its centre, superpoint and offsets.
 fn nonrigid_network_bytes(work: &Workload) -> u64 {
@@ -86,25 +105,25 @@ pub fn pack_parameters(network: &NonrigidNetwork) -> Result<Vec<f32>> {
     Ok(words)
 }
 
-/// Specialisation of [`NONRIGID_NETWORK`] on this device (ids 1…): moving or not, and how weights are read.
-pub fn specialisation(gpu: &Gpu, moving: bool) -> [u32; 2] {
+/// Constants of [`NONRIGID_NETWORK`] on this device: moving or not, and how weights are read.
+pub fn constants(gpu: &Gpu, moving: bool) -> NonrigidNetworkConstants {
     // Shuffles serve lanes that share their outputs: 16 at most.
     let shuffle = gpu.info().is_cpu() && gpu.subgroup_size_of(&NONRIGID_NETWORK) <= 16;
-    [u32::from(moving), u32::from(!shuffle)]
+    NonrigidNetworkConstants { motion: moving.into(), stage: (!shuffle).into() }
 }
 
-/// Records network G for `gaussians` Gaussians; `buffers` in binding order, `origin` what was subtracted from every centre.
+/// Records network G for `gaussians` Gaussians; `origin` is what was subtracted from every centre.
 pub fn record(
     r: &mut Recorder,
     gaussians: u32,
-    specialisation: [u32; 2],
+    constants: NonrigidNetworkConstants,
     origin: [f32; 3],
-    buffers: &[Slice; 6],
+    buffers: NonrigidNetworkBuffers<Slice>,
 ) -> Result<()> {
     let [origin_x, origin_y, origin_z] = origin;
     let push = NonrigidPush { origin_x, origin_y, origin_z };
     let groups = Groups::Direct(gaussians.div_ceil(NONRIGID_GAUSSIANS).into());
-    r.dispatch_untyped(&NONRIGID_NETWORK, &specialisation, bytemuck::bytes_of(&push), buffers, groups)
+    r.dispatch(&NONRIGID_NETWORK, constants, push, buffers, groups)
 }
 
 fn within(v: [f32; 3]) -> bool {
@@ -157,21 +176,26 @@ pub(crate) fn encoded(position: [f32; 3], time: f32, e: usize) -> f32 {
     if part == 0 { x } else { sin_cos(x * (1_u32 << octave) as f32)[part - 1] }
 }
 
-fn nonrigid_network_twin(call: &mut TwinCall<'_>) {
-    let frame: Frame = struct_at(&call.buffers[0], 0);
-    let p: NonrigidPush = push(call);
-    let motion = spec(call, 1);
+fn nonrigid_network_twin(call: Call<'_, NonrigidNetworkKernel>) {
+    let groups = call.group_count();
+    let Call { constants, push: p, buffers: b, .. } = call;
+    let frame: Frame = struct_at(b.frame, 0);
+    let motion = match (&b.superpoint_of_gaussian, &b.pose) {
+        (Some(superpoint_of_gaussian), Some(pose)) if constants.motion != 0 => {
+            Some(RigidMotion { superpoint_of_gaussian, pose })
+        }
+        _ => None,
+    };
     let n = frame.gaussians as usize;
-    for g in 0..n.min((group_count(call) * NONRIGID_GAUSSIANS) as usize) {
-        let rigid = RigidMotion { superpoint_of_gaussian: &call.buffers[2], pose: &call.buffers[3] };
-        let centre = moved_centre(&frame, &call.buffers[1], (motion != 0).then_some(rigid), g);
+    for g in 0..n.min((groups * NONRIGID_GAUSSIANS) as usize) {
+        let centre = moved_centre(&frame, b.mean, motion, g);
         let centre = [centre[0] + p.origin_x, centre[1] + p.origin_y, centre[2] + p.origin_z];
         let time = frame.time;
         let mut values: Vec<f32> = (0..NONRIGID_ENCODING).map(|e| encoded(centre, time, e)).collect();
         let mut base = 0;
         for layer in 0..=NONRIGID_LAYERS {
             let (inputs, outputs) = (inputs(layer), outputs(layer));
-            let at = |i: usize| f64::from(f32_at(&call.buffers[4], base + i));
+            let at = |i: usize| f64::from(f32_at(b.parameter, base + i));
             let output = |o: usize| {
                 let sum: f64 = values.iter().enumerate().map(|(k, v)| at(o * inputs + k) * f64::from(*v)).sum();
                 let y = sum + at(outputs * inputs + o);
@@ -180,6 +204,6 @@ fn nonrigid_network_twin(call: &mut TwinCall<'_>) {
             values = (0..outputs).map(output).collect();
             base += (outputs * (inputs + 1)).next_multiple_of(ALIGNMENT);
         }
-        (0..NONRIGID_PLANES).for_each(|o| set_f32(&mut call.buffers[5], o * n + g, values[o]));
+        (0..NONRIGID_PLANES).for_each(|o| set_f32(b.nonrigid_offset, o * n + g, values[o]));
     }
 }

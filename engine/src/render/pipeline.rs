@@ -2,25 +2,34 @@
 
 use crate::error::Result;
 use crate::gpu::kernel::Kernel;
-use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, SLICE_ALIGNMENT, Slice};
+use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, Slice};
 
-use super::blend::{self, BLEND, BLEND_PACKED, PixelFormat};
-use super::blend_image;
+use super::blend::{self, BLEND, BlendBuffers, BlendConstants};
+use super::blend_image::{self, BlendImageBuffers};
+use super::blend_packed::{BLEND_PACKED, BlendPackedBuffers, BlendPackedConstants};
 use super::compact::{
-    COMPACT, COMPACT_GAUSSIANS, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT, INDIRECT_RANGES, INDIRECT_TILE_SORT,
+    COMPACT, COMPACT_GAUSSIANS, CompactBuffers, CompactConstants, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT,
+    INDIRECT_RANGES, INDIRECT_TILE_SORT,
 };
-use super::deform_network::{self, DEFORM_NETWORK, DEFORM_NETWORK_SUPERPOINTS};
-use super::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectPush, MOTION_STATIC, MOTION_TABLE};
+use super::deform_network::{self, DEFORM_NETWORK, DeformNetworkBuffers, DeformNetworkConstants};
+use super::deform_project::{
+    DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectBuffers, DeformProjectConstants, DeformProjectPush,
+    MOTION_STATIC, MOTION_TABLE,
+};
+use super::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
 use super::mean_storage;
-use super::nonrigid_network;
+use super::nonrigid_network::{self, NONRIGID_NETWORK, NonrigidNetworkBuffers};
+use super::pixel_format::PixelFormat;
 use super::quality::Quality;
 use super::radix_sort::rank_by_ballot;
 use super::scene_buffers::{Poses, SceneBuffers};
 use super::sort_histogram::SORT_HISTOGRAM;
 use super::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
 use super::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
-use super::tiles::{EMIT_TILES, EmitTilesPush, SUM_TILE_COUNTS, SlotBuffers, SumTileCountsPush, TILE_RANGES};
+use super::sum_tile_counts::{SUM_TILE_COUNTS, SumTileCountsBuffers, SumTileCountsPush};
+use super::tile_ranges::{TILE_RANGES, TileRangesBuffers};
+use super::tiles::SlotBuffers;
 use super::work_buffers::{DEPTH_KEY_BITS, SortBuffers, WorkBuffers};
 
 /// Buffers of one frame in flight.
@@ -32,10 +41,17 @@ pub(crate) struct FrameBuffers {
     pub(crate) host_pose: Option<Buffer>,
     /// `[H,W,4]` float.
     pub(crate) color: Buffer,
-    /// `[H,W]` float, or a dummy.
-    pub(crate) depth: Buffer,
+    /// `[H,W]` float, of frames with depth.
+    pub(crate) depth: Option<Buffer>,
     /// Copy of the counters for the host, looked at after the frame.
     pub(crate) counters: Buffer,
+}
+
+impl FrameBuffers {
+    /// Bytes of the images.
+    pub(crate) fn image_bytes(&self) -> u64 {
+        self.color.bytes() + self.depth.as_ref().map_or(0, Buffer::bytes)
+    }
 }
 
 /// What else decides the recording.
@@ -85,10 +101,15 @@ pub(crate) fn record_forward(
 ) -> Result<()> {
     r.fill(&work.zeroed, 0)?;
     if let Poses::Network { weights, superpoint_position, size } = &scene.poses {
-        let buffers = slices(&[&frame.frame, superpoint_position, weights, &scene.pose]);
-        let groups = u64::from(scene.superpoints.div_ceil(DEFORM_NETWORK_SUPERPOINTS));
-        let spec = deform_network::spec_constants(*size, scene.fp16_weights);
-        r.dispatch_untyped(&DEFORM_NETWORK, &spec, &[], &buffers, Groups::Direct(groups))?;
+        let buffers = DeformNetworkBuffers {
+            frame: frame.frame.whole(),
+            superpoint_position: superpoint_position.whole(),
+            weights: weights.whole(),
+            pose: scene.pose.whole(),
+        };
+        let groups = Groups::Direct(deform_network::groups(scene.superpoints));
+        let constants = DeformNetworkConstants::new(*size, scene.fp16_weights);
+        r.dispatch(&DEFORM_NETWORK, constants, (), buffers, groups)?;
     }
     let offset = nonrigid_offset(gpu, r, scene, frame, shape)?;
     deform_project(r, scene, work, frame, offset, &shape.quality)?;
@@ -114,19 +135,23 @@ fn nonrigid_offset(
         return field.record(gpu, r, scene, &frame.frame).map(Some);
     }
     let Some(network) = &scene.nonrigid else { return Ok(None) };
-    let pose = frame.host_pose.as_ref().unwrap_or(&scene.pose);
-    let offset = Slice::from(&network.offset);
-    let buffers = [
-        Slice::from(&frame.frame),
-        Slice::from(&scene.mean),
-        Slice::from(&scene.superpoint_of_gaussian),
-        Slice::from(pose),
-        Slice::from(&network.parameter),
-        offset.clone(),
-    ];
-    let specialisation = nonrigid_network::specialisation(gpu, scene.moves());
-    nonrigid_network::record(r, scene.gaussians, specialisation, scene.origin.as_vec3().to_array(), &buffers)?;
+    let offset = network.offset.whole();
+    let buffers = NonrigidNetworkBuffers {
+        frame: frame.frame.whole(),
+        mean: scene.mean.whole(),
+        superpoint_of_gaussian: scene.moves().then(|| scene.superpoint_of_gaussian.whole()),
+        pose: pose_of(scene, frame),
+        parameter: network.parameter.whole(),
+        nonrigid_offset: offset.clone(),
+    };
+    let constants = nonrigid_network::constants(gpu, scene.moves());
+    nonrigid_network::record(r, scene.gaussians, constants, scene.origin.as_vec3().to_array(), buffers)?;
     Ok(Some(offset))
+}
+
+/// Poses of a moving scene: the device's own, or those of this frame from the host.
+fn pose_of(scene: &SceneBuffers, frame: &FrameBuffers) -> Option<Slice> {
+    scene.moves().then(|| frame.host_pose.as_ref().unwrap_or(&scene.pose).whole())
 }
 
 fn deform_project(
@@ -137,41 +162,39 @@ fn deform_project(
     nonrigid_offset: Option<Slice>,
     quality: &Quality,
 ) -> Result<()> {
-    let pose = frame.host_pose.as_ref().unwrap_or(&scene.pose);
-    let [sh_0, sh_1, sh_2, sh_3] = &scene.sh;
-    let mut buffers = slices(&[
-        &frame.frame,
-        &scene.mean,
-        &scene.log_scale,
-        &scene.rotation,
-        &scene.opacity_logit,
-        &scene.superpoint_of_gaussian,
-        pose,
-        sh_0,
-        sh_1,
-        sh_2,
-        sh_3,
-        &work.splats,
-        &work.tile_count,
-    ]);
     let nonrigid = u32::from(nonrigid_offset.is_some());
-    // Without non-rigid offsets any buffer that is only read stands in for them.
-    let offset = nonrigid_offset.unwrap_or_else(|| Slice::from(&scene.mean));
-    buffers.extend([work.visible_block.clone(), work.counters.clone(), offset]);
-    let motion = if scene.moves() { MOTION_TABLE } else { MOTION_STATIC };
+    let sh_band = |band: usize| (band <= scene.sh_degree as usize).then(|| scene.sh[band].whole());
+    let buffers = DeformProjectBuffers {
+        frame: frame.frame.whole(),
+        mean: scene.mean.whole(),
+        log_scale: scene.log_scale.whole(),
+        rotation: scene.rotation.whole(),
+        opacity_logit: scene.opacity_logit.whole(),
+        superpoint_of_gaussian: scene.moves().then(|| scene.superpoint_of_gaussian.whole()),
+        pose: pose_of(scene, frame),
+        sh_0: scene.sh[0].whole(),
+        sh_1: sh_band(1),
+        sh_2: sh_band(2),
+        sh_3: sh_band(3),
+        splats: work.splats.whole(),
+        tile_count: work.tile_count.whole(),
+        visible_block: work.visible_block.clone(),
+        counters: work.counters.clone(),
+        nonrigid_offset,
+    };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
-    let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS));
-    let spec = [
-        scene.sh_degree,
-        motion,
+    let groups = Groups::Direct(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS).into());
+    let constants = DeformProjectConstants {
+        sh_degree: scene.sh_degree,
+        motion: if scene.moves() { MOTION_TABLE } else { MOTION_STATIC },
         nonrigid,
-        quality.alpha_cut_constant(),
-        quality.cull_constant(),
-        quality.packing_constant(),
-        scene.sh_storage.constant(),
-        mean_storage::constant(quality.position),
-    ];
-    r.dispatch_untyped(&DEFORM_PROJECT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+        alpha_cut: quality.alpha_cut_constant(),
+        tile_cull: quality.cull_constant(),
+        packing: quality.packing_constant(),
+        sh_storage: scene.sh_storage.constant(),
+        mean_storage: mean_storage::constant(quality.position),
+    };
+    r.dispatch(&DEFORM_PROJECT, constants, push, buffers, groups)
 }
 
 fn compact(
@@ -183,22 +206,22 @@ fn compact(
 ) -> Result<()> {
     let first = &work.depth.plan.digits[0];
     let push = CompactPush { block_capacity: work.block_capacity, digit_bits: first.bits };
-    let buffers = [
-        Slice::from(&frame.frame),
-        Slice::from(&work.tile_count),
-        Slice::from(&work.splats),
-        work.visible_block.clone(),
-        work.counters.clone(),
-        Slice::from(&work.indirect),
-        Slice::from(&work.depth.keys[0]),
-        Slice::from(&work.depth.values[0]),
-        work.depth.histograms[0].clone(),
-    ];
+    let buffers = CompactBuffers {
+        frame: frame.frame.whole(),
+        tile_count: work.tile_count.whole(),
+        splats: work.splats.whole(),
+        visible_block: work.visible_block.clone(),
+        counters: work.counters.clone(),
+        indirect: work.indirect.whole(),
+        keys: work.depth.keys[0].whole(),
+        values: work.depth.values[0].whole(),
+        next_histogram: work.depth.histograms[0].clone(),
+    };
     // The first workgroup writes the indirect arguments, so one runs even for an empty scene.
     let groups = u64::from(scene.gaussians.div_ceil(COMPACT_GAUSSIANS).max(1));
-    let bits = if quality.depth_bits < DEPTH_KEY_BITS { quality.depth_bits } else { 0 };
-    let spec = [bits, quality.packing_constant()];
-    r.dispatch_untyped(&COMPACT, &spec, bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))
+    let depth_bits = if quality.depth_bits < DEPTH_KEY_BITS { quality.depth_bits } else { 0 };
+    let constants = CompactConstants { depth_bits, packing: quality.packing_constant() };
+    r.dispatch(&COMPACT, constants, push, buffers, Groups::Direct(groups))
 }
 
 /// All passes of a sort whose first histogram the producer of the keys has counted.
@@ -241,31 +264,36 @@ fn emit(r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: &Shap
     let order = &work.depth.values[work.depth.plan.result_in()];
     let groups = || Groups::Indirect(work.indirect.clone(), u64::from(INDIRECT_EMIT) * 4);
     let push = SumTileCountsPush { block_capacity: work.block_capacity };
-    let buffers =
-        [work.counters.clone(), Slice::from(&work.tile_count), Slice::from(order), work.instance_block.clone()];
-    r.dispatch_untyped(&SUM_TILE_COUNTS, &[], bytemuck::bytes_of(&push), &buffers, groups())?;
-    let unused = |i: u64| work.unused.slice(i * SLICE_ALIGNMENT, SLICE_ALIGNMENT);
-    let (gaussian_of_slot, first_slot) = match &shape.slots {
-        Some(slots) => (Slice::from(&slots.gaussian_of_slot), Slice::from(&slots.first_slot)),
-        None => (unused(0), unused(1)),
+    let buffers = SumTileCountsBuffers {
+        counters: work.counters.clone(),
+        tile_count: work.tile_count.whole(),
+        order: order.whole(),
+        instance_block: work.instance_block.clone(),
     };
+    r.dispatch(&SUM_TILE_COUNTS, (), push, buffers, groups())?;
     let push = EmitTilesPush { block_capacity: work.block_capacity, digit_bits: work.tile.plan.digits[0].bits };
-    let buffers = [
-        Slice::from(&frame.frame),
-        work.counters.clone(),
-        Slice::from(&work.tile_count),
-        Slice::from(order),
-        Slice::from(&work.splats),
-        work.instance_block.clone(),
-        Slice::from(&work.tile.keys[0]),
-        Slice::from(&work.tile.values[0]),
-        work.tile.histograms[0].clone(),
-        gaussian_of_slot,
-        first_slot,
-    ];
+    let slots = shape.slots.as_ref();
+    let buffers = EmitTilesBuffers {
+        frame: frame.frame.whole(),
+        counters: work.counters.clone(),
+        tile_count: work.tile_count.whole(),
+        order: order.whole(),
+        splats: work.splats.whole(),
+        instance_block: work.instance_block.clone(),
+        keys: work.tile.keys[0].whole(),
+        values: work.tile.values[0].whole(),
+        next_histogram: work.tile.histograms[0].clone(),
+        gaussian_of_slot: slots.map(|s| s.gaussian_of_slot.whole()),
+        first_slot: slots.map(|s| s.first_slot.whole()),
+    };
     let q = &shape.quality;
-    let spec = [u32::from(shape.slots.is_some()), q.alpha_cut_constant(), q.cull_constant(), q.packing_constant()];
-    r.dispatch_untyped(&EMIT_TILES, &spec, bytemuck::bytes_of(&push), &buffers, groups())
+    let constants = EmitTilesConstants {
+        with_slots: u32::from(slots.is_some()),
+        alpha_cut: q.alpha_cut_constant(),
+        tile_cull: q.cull_constant(),
+        packing: q.packing_constant(),
+    };
+    r.dispatch(&EMIT_TILES, constants, push, buffers, groups())
 }
 
 fn ranges_and_blend(
@@ -276,76 +304,74 @@ fn ranges_and_blend(
     shape: &Shape,
 ) -> Result<()> {
     let sorted = work.tile.plan.result_in();
-    let buffers =
-        [Slice::from(&frame.frame), work.counters.clone(), Slice::from(&work.tile.keys[sorted]), work.ranges.clone()];
+    let buffers = TileRangesBuffers {
+        frame: frame.frame.whole(),
+        counters: work.counters.clone(),
+        keys: work.tile.keys[sorted].whole(),
+        ranges: work.ranges.clone(),
+    };
     let groups = Groups::Indirect(work.indirect.clone(), u64::from(INDIRECT_RANGES) * 4);
-    r.dispatch_untyped(&TILE_RANGES, &[], &[], &buffers, groups)?;
+    r.dispatch(&TILE_RANGES, (), (), buffers, groups)?;
+    blend(gpu, r, work, frame, shape)
+}
+
+fn blend(gpu: &Gpu, r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: &Shape) -> Result<()> {
     // All kernels that blend have the same.
     let size = gpu.subgroup_size_of(&BLEND);
     let pixels_per_lane = blend::pixels_per_lane(size);
-    let stage = blend::Stage::of_device(gpu) as u32;
-    let q = &shape.quality;
-    let spec = [
-        u32::from(shape.with_depth),
-        stage,
-        pixels_per_lane,
-        u32::from(shape.slots.is_some()),
-        q.alpha_cut_constant(),
-        q.stop_constant(),
-        q.packing_constant(),
-    ];
-    let values = Slice::from(work.tile_values());
-    let gaussian_of_slot = shape.slots.as_ref().map_or_else(|| values.clone(), |s| Slice::from(&s.gaussian_of_slot));
-    let buffers = [
-        Slice::from(&frame.frame),
-        work.ranges.clone(),
-        values,
-        Slice::from(&work.splats),
-        Slice::from(&frame.color),
-        Slice::from(&frame.depth),
-        gaussian_of_slot,
-    ];
     let groups = Groups::Direct(blend::groups(shape.tiles, size, pixels_per_lane));
-    if let (true, Some(kernel)) = (shape.to_image, shape.format.and_then(blend_image::kernel_of)) {
-        let [frame, ranges, values, splats, _, depth, gaussian_of_slot] = buffers;
-        let buffers = [frame, ranges, values, splats, depth, gaussian_of_slot];
-        return r.dispatch_untyped(kernel, &spec, &[], &buffers, groups);
-    }
+    let q = &shape.quality;
+    let constants = BlendConstants {
+        with_depth: u32::from(shape.with_depth),
+        stage: blend::Stage::of_device(gpu) as u32,
+        pixels_per_lane,
+        with_slots: u32::from(shape.slots.is_some()),
+        alpha_cut: q.alpha_cut_constant(),
+        transmittance_stop: q.stop_constant(),
+        packing: q.packing_constant(),
+    };
+    let depth = frame.depth.as_ref().filter(|_| shape.with_depth).map(Buffer::whole);
+    let (frame, color) = (frame.frame.whole(), frame.color.whole());
+    let (ranges, values, splats) = (work.ranges.clone(), work.tile_values().whole(), work.splats.whole());
+    let gaussian_of_slot = shape.slots.as_ref().map(|s| s.gaussian_of_slot.whole());
     match shape.format {
-        None | Some(PixelFormat::Rgba32F) => r.dispatch_untyped(&BLEND, &spec, &[], &buffers, groups),
+        Some(format) if shape.to_image && blend_image::can_store(format) => {
+            let buffers = BlendImageBuffers { frame, ranges, values, splats, depth, gaussian_of_slot };
+            blend_image::record(r, format, constants, buffers, groups)
+        }
+        None | Some(PixelFormat::Rgba32F) => {
+            let buffers = BlendBuffers { frame, ranges, values, splats, color, depth, gaussian_of_slot };
+            r.dispatch(&BLEND, constants, (), buffers, groups)
+        }
         Some(format) => {
-            let [a, b, c, d, e, f, g] = spec;
-            r.dispatch_untyped(&BLEND_PACKED, &[a, b, c, d, e, f, g, format as u32], &[], &buffers, groups)
+            let buffers = BlendPackedBuffers { frame, ranges, values, splats, pixels: color, depth, gaussian_of_slot };
+            r.dispatch(&BLEND_PACKED, BlendPackedConstants::new(constants, format), (), buffers, groups)
         }
     }
 }
 
-fn slices(buffers: &[&Buffer]) -> Vec<Slice> {
-    buffers.iter().map(|b| Slice::from(*b)).collect()
-}
-
 /// Every kernel of the renderer, for the tests, the docs and the freshness check.
 pub static KERNELS: &[&Kernel] = &[
-    &DEFORM_NETWORK,
-    &nonrigid_network::NONRIGID_NETWORK,
-    &super::linear_forward::LINEAR_FORWARD,
-    &super::field::FIELD_WAVES,
-    &super::field::FIELD_PLANES,
-    &super::field::FIELD_OFFSET,
-    &super::field::FIELD_NODES,
-    &DEFORM_PROJECT,
-    &COMPACT,
+    &DEFORM_NETWORK.kernel,
+    &NONRIGID_NETWORK.kernel,
+    &super::linear_forward::LINEAR_FORWARD.kernel,
+    &super::field::field_waves::FIELD_WAVES.kernel,
+    &super::field::field_planes::FIELD_PLANES.kernel,
+    &super::field::field_offset::FIELD_OFFSET.kernel,
+    &super::field::field_nodes::FIELD_NODES.kernel,
+    &DEFORM_PROJECT.kernel,
+    &COMPACT.kernel,
     &SORT_HISTOGRAM.kernel,
     &SORT_SPINE.kernel,
     &SORT_SCATTER.kernel,
-    &SUM_TILE_COUNTS,
-    &EMIT_TILES,
-    &TILE_RANGES,
-    &BLEND,
-    &BLEND_PACKED,
-    &blend_image::BLEND_RGBA8,
-    &blend_image::BLEND_RGBA16F,
-    &blend_image::BLEND_RGBA32F,
-    &super::display::DISPLAY,
-    &super::rate::ARITHMETIC_RATE,
+    &SUM_TILE_COUNTS.kernel,
+    &EMIT_TILES.kernel,
+    &TILE_RANGES.kernel,
+    &BLEND.kernel,
+    &BLEND_PACKED.kernel,
+    &super::blend_rgba8::BLEND_RGBA8.kernel,
+    &super::blend_rgba16f::BLEND_RGBA16F.kernel,
+    &super::blend_rgba32f::BLEND_RGBA32F.kernel,
+    &super::display::DISPLAY.kernel,
+    &super::arithmetic_rate::ARITHMETIC_RATE.kernel,
 ];

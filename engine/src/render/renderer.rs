@@ -231,27 +231,26 @@ impl Renderer {
     /// Reads the image of a finished frame, in the size that was asked for: one that was rendered smaller (see
     /// [`Quality::resolution`]) is enlarged bilinearly.
     pub fn read(&mut self, frame: FrameId) -> Result<Image> {
-        let with_depth = self.options.depth;
         let slot = self.slot(frame)?;
-        let [color, depth] = [&slot.buffers.color, &slot.buffers.depth].map(Buffer::clone);
+        let (color, depth) = (slot.buffers.color.clone(), slot.buffers.depth.clone());
         let (asked, size) = (slot.asked, slot.size);
         let Some(targets) = &mut self.targets else {
             return Err(Error::usage("renderer", "no targets", "a finished frame"));
         };
         let [width, height] = size;
         let pixels = width as usize * height as usize;
-        let (color_bytes, depth_bytes) = (pixels as u64 * 16, if with_depth { pixels as u64 * 4 } else { 0 });
+        let (color_bytes, depth_bytes) = (pixels as u64 * 16, if depth.is_some() { pixels as u64 * 4 } else { 0 });
         let readback = match &targets.readback {
             Some(buffer) => buffer.clone(),
             None => {
                 let room = u64::from(targets.room[0]) * u64::from(targets.room[1]);
-                let bytes = room * if with_depth { 20 } else { 16 };
+                let bytes = room * if depth.is_some() { 20 } else { 16 };
                 targets.readback.insert(self.gpu.buffer("image readback", bytes, Memory::Readback)?).clone()
             }
         };
         let mut recorder = self.gpu.recorder("read image");
         recorder.copy(color.slice(0, color_bytes), readback.slice(0, color_bytes))?;
-        if with_depth {
+        if let Some(depth) = &depth {
             recorder.copy(depth.slice(0, depth_bytes), readback.slice(color_bytes, depth_bytes))?;
         }
         recorder.host_read(&readback);
@@ -315,7 +314,7 @@ impl Renderer {
         let mut used = MemoryUse { scene: self.scene.bytes(), ..MemoryUse::default() };
         if let Some(targets) = &self.targets {
             (used.per_gaussian, used.per_instance) = targets.work.bytes();
-            used.images = targets.slots.iter().map(|s| s.buffers.color.bytes() + s.buffers.depth.bytes()).sum();
+            used.images = targets.slots.iter().map(|s| s.buffers.image_bytes()).sum();
             used.instance_capacity = targets.capacity.into();
         }
         used
@@ -386,14 +385,14 @@ impl Renderer {
 
     fn frame_buffers(&self, size: [u32; 2]) -> Result<FrameBuffers> {
         let pixels = u64::from(size[0]) * u64::from(size[1]);
-        let depth_bytes = if self.options.depth { pixels * 4 } else { 16 };
         let pose_bytes = u64::from(self.scene.superpoints) * 32;
         let host_pose = matches!(self.scene.poses, Poses::Host(..));
+        let depth = self.options.depth.then(|| self.gpu.buffer("depth", pixels * 4, Memory::Device));
         Ok(FrameBuffers {
             frame: self.gpu.buffer("frame", size_of::<Frame>() as u64, Memory::Constants)?,
             host_pose: host_pose.then(|| self.gpu.buffer("pose", pose_bytes, Memory::Constants)).transpose()?,
             color: self.gpu.buffer("color", pixels * 16, Memory::Device)?,
-            depth: self.gpu.buffer("depth", depth_bytes, Memory::Device)?,
+            depth: depth.transpose()?,
             counters: self.gpu.buffer("counters readback", COUNTER_WORDS * 4, Memory::Readback)?,
         })
     }

@@ -7,7 +7,6 @@ use super::radix_sort::*;
 use super::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers};
 use super::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
 use super::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
-use crate::gpu::kernel::{Kernel, TwinCall};
 
 /// Counts around every boundary of subgroup, workgroup, block and partition.
 const COUNTS: [u32; 15] = [0, 1, 7, 8, 31, 32, 33, 255, 256, 257, 4095, 4096, 4097, 65_535, 65_537];
@@ -25,14 +24,6 @@ impl Rng {
     pub(super) fn unit(&mut self) -> f64 {
         f64::from(self.next()) / 4_294_967_296.0
     }
-}
-
-pub(super) fn call(kernel: &Kernel, spec: &[u32], push: &[u8], groups: u32, buffers: &mut [Vec<u32>]) {
-    let mut all = vec![32];
-    all.extend(spec);
-    assert_eq!(all.len(), kernel.spec.len());
-    assert_eq!(buffers.len(), kernel.bindings.len());
-    (kernel.twin)(&mut TwinCall { groups: [groups, 1, 1], spec: &all, push, buffers });
 }
 
 /// Sorts by the twins, pass by pass; everything that a pass need not read is poison.

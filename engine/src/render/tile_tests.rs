@@ -3,12 +3,17 @@
 
 use super::compact::*;
 use super::ellipse::Ellipse;
+use super::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use super::limits::*;
 use super::radix_sort::SortPlan;
-use super::sort_tests::{Rng, call, sort_by_twins};
+use super::sort_tests::{Rng, sort_by_twins};
+use super::sum_tile_counts::{SUM_TILE_COUNTS, SumTileCountsBuffers, SumTileCountsPush};
+use super::tile_ranges::{TILE_RANGES, TileRangesBuffers};
 use super::tiles::*;
 
 const POISON: u32 = 0x7FC0_DEAD;
+/// The twins do the same for every subgroup size.
+const LANES: u32 = 32;
 
 /// An ellipse with the given standard deviations (px, before the 0.3 px² dilation) and angle.
 fn ellipse(mean: [f64; 2], sigma: [f64; 2], angle: f64, opacity: f64) -> Ellipse {
@@ -199,19 +204,19 @@ impl Chain {
         let rows = |plan: &SortPlan| vec![0; plan.histogram_rows() as usize * 256];
         let push = CompactPush { block_capacity, digit_bits: depth.digits[0].bits };
         let keys = vec![POISON; n as usize];
-        let mut buffers = [
-            frame.clone(),
-            tile_count.clone(),
-            splats.clone(),
+        let buffers = CompactBuffers {
+            frame: frame.clone(),
+            tile_count: tile_count.clone(),
+            splats: splats.clone(),
             visible_block,
             counters,
-            vec![POISON; 16],
-            keys.clone(),
-            keys,
-            rows(&depth),
-        ];
-        call(&COMPACT, &[0, 0], bytemuck::bytes_of(&push), n.div_ceil(1024), &mut buffers);
-        let [_, _, _, _, counters, indirect, keys, values, histogram] = buffers;
+            indirect: vec![POISON; 16],
+            keys: keys.clone(),
+            values: keys,
+            next_histogram: rows(&depth),
+        };
+        let done = COMPACT.run_twin(LANES, CompactConstants::default(), push, buffers, n.div_ceil(1024));
+        let CompactBuffers { counters, indirect, keys, values, next_histogram: histogram, .. } = done;
         let mut lists = Lists { counters, indirect, tiles: vec![vec![]; (tiles_x * tiles_y) as usize], sentinels: 0 };
         if n == 0 || lists.counters[3] != 0 {
             return lists;
@@ -219,35 +224,36 @@ impl Chain {
         let v = visible as usize;
         let (_, order) = sort_by_twins(&depth, &keys[..v], Some(&values[..v]), Some(histogram));
 
-        let mut buffers = [lists.counters.clone(), tile_count, order, vec![0; words as usize]];
+        let instance_block = vec![0; words as usize];
+        let buffers = SumTileCountsBuffers { counters: lists.counters.clone(), tile_count, order, instance_block };
         let push = SumTileCountsPush { block_capacity };
         let emit_groups = lists.indirect[4] * lists.indirect[5];
-        call(&SUM_TILE_COUNTS, &[], bytemuck::bytes_of(&push), emit_groups, &mut buffers);
-        let [counters, tile_count, order, blocks] = buffers;
+        let sums = SUM_TILE_COUNTS.run_twin(LANES, (), push, buffers, emit_groups);
         let out = vec![POISON; capacity as usize];
-        let mut buffers = [
-            frame.clone(),
-            counters,
-            tile_count,
-            order,
+        let buffers = EmitTilesBuffers {
+            frame: frame.clone(),
+            counters: sums.counters,
+            tile_count: sums.tile_count,
+            order: sums.order,
             splats,
-            blocks,
-            out.clone(),
-            out,
-            rows(&tile),
-            vec![0; 4],
-            vec![0; 4],
-        ];
+            instance_block: sums.instance_block,
+            keys: out.clone(),
+            values: out,
+            next_histogram: rows(&tile),
+            gaussian_of_slot: None,
+            first_slot: None,
+        };
         let push = EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits };
-        call(&EMIT_TILES, &[0; 4], bytemuck::bytes_of(&push), emit_groups, &mut buffers);
-        let [_, counters, _, _, _, _, keys, values, histogram, _, _] = buffers;
+        let done = EMIT_TILES.run_twin(LANES, EmitTilesConstants::default(), push, buffers, emit_groups);
+        let EmitTilesBuffers { counters, keys, values, next_histogram: histogram, .. } = done;
         let instances = counters[5] as usize;
         assert!(keys[instances..].iter().all(|k| *k == POISON), "written past the instances");
         let (keys, values) = sort_by_twins(&tile, &keys[..instances], Some(&values[..instances]), Some(histogram));
-        let mut buffers = [frame, counters, keys.clone(), vec![0; 2 * lists.tiles.len()]];
-        call(&TILE_RANGES, &[], &[], lists.indirect[12] * lists.indirect[13], &mut buffers);
+        let buffers = TileRangesBuffers { frame, counters, keys: keys.clone(), ranges: vec![0; 2 * lists.tiles.len()] };
+        let groups = lists.indirect[12] * lists.indirect[13];
+        let ranges = TILE_RANGES.run_twin(LANES, (), (), buffers, groups).ranges;
         for (t, list) in lists.tiles.iter_mut().enumerate() {
-            let (first, end) = (buffers[3][2 * t] as usize, buffers[3][2 * t + 1] as usize);
+            let (first, end) = (ranges[2 * t] as usize, ranges[2 * t + 1] as usize);
             assert!(keys[first..end].iter().all(|k| *k == t as u32));
             list.extend(&values[first..end]);
         }

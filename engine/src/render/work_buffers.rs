@@ -37,8 +37,6 @@ pub(crate) struct WorkBuffers {
     pub(crate) tile_count: Buffer,
     pub(crate) depth: SortBuffers,
     pub(crate) tile: SortBuffers,
-    /// Stands for buffers that a kernel declares but does not use as specialised.
-    pub(crate) unused: Buffer,
 }
 
 impl WorkBuffers {
@@ -97,7 +95,6 @@ impl WorkBuffers {
             indirect: word("indirect", INDIRECT_WORDS)?,
             splats: gpu.buffer("splats", u64::from(gaussians.max(1)) * 48, Memory::Device)?,
             tile_count: word("tile_count", gaussians)?,
-            unused: gpu.buffer("unused", 2 * SLICE_ALIGNMENT, Memory::Device)?,
             depth: sort(
                 ["depth_keys_a", "depth_keys_b", "depth_values_a", "depth_values_b"],
                 depth_plan,

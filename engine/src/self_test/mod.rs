@@ -40,12 +40,12 @@ use crate::gpu::capability::TRAINING_STORAGE_BUFFERS;
 use crate::gpu::proof::Watch;
 use crate::gpu::{DeviceInfo, Gpu, GpuOptions, Kernel};
 #[doc(hidden)]
-pub use subgroup_order::{SUBGROUP_ORDER, SubgroupOrderPush};
+pub use subgroup_order::{SUBGROUP_ORDER, SubgroupOrderBuffers, SubgroupOrderPush};
 pub use verdict::{Subject, Verdict, known};
 
 /// Kernels of this module.
 #[doc(hidden)]
-pub static KERNELS: &[&Kernel] = &[&SUBGROUP_ORDER];
+pub static KERNELS: &[&Kernel] = &[&SUBGROUP_ORDER.kernel];
 
 impl Suite {
     /// Whether a device has what the suite needs. One that cannot train is not tested for it.

@@ -1,8 +1,8 @@
 //! Kernel `subgroup_order`: what the other kernels take for granted of a device.
 
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::Tolerance;
 use crate::gpu::proof::KernelCase;
-use crate::render::twin;
 
 /// Threads of a workgroup.
 const THREADS: u32 = 256;
@@ -22,34 +22,41 @@ crate::gpu_struct! {
     }
 }
 
-/// Size and order of subgroups, their operations, a scan over the workgroup, atomics of many workgroups on the same words.
-/// `probe uint[10][invocations]`, `tally uint[35]`. Dispatch invocations / 256 workgroups.
-pub static SUBGROUP_ORDER: Kernel = Kernel {
-    name: "subgroup_order",
-    doc: "self-test: order and size of subgroups, their operations, atomics of many workgroups on the same words",
-    local_size: THREADS,
-    spec: &["SUBGROUP_SIZE"],
-    push: SubgroupOrderPush::FIELDS,
-    bindings: &[
-        Binding::new("probe", Access::Write, Element::U32),
-        Binding::new("tally", Access::Atomic, Element::U32),
-    ],
-    twin: subgroup_order_twin,
-    tolerance: Tolerance::EXACT,
-    bytes: |w| w.get("invocations") * 4 * PLANES as u64,
-    spirv: include_bytes!("../../../spirv_cache/subgroup_order.spv"),
-};
+crate::gpu_buffers! {
+    /// Buffers of [`SUBGROUP_ORDER`].
+    pub struct SubgroupOrderBuffers {
+        /// `[10][invocations]`
+        probe: Write U32,
+        /// `[35]`: sum, maximum, bits, 32 bins.
+        tally: Atomic U32,
+    }
+}
+
+crate::kernel! {
+    /// Size and order of subgroups, their operations, a scan over the workgroup, atomics of many workgroups on the same words.
+    /// Dispatch invocations / 256 workgroups.
+    pub static SUBGROUP_ORDER: SubgroupOrder = {
+        name: "subgroup_order",
+        doc: "self-test: order and size of subgroups, their operations, atomics of many workgroups on the same words",
+        local_size: THREADS,
+        constants: (),
+        push: SubgroupOrderPush,
+        buffers: SubgroupOrderBuffers,
+        twin: subgroup_order_twin,
+        tolerance: Tolerance::EXACT,
+        bytes: |w| w.get("invocations") * 4 * PLANES as u64,
+    }
+}
 
 /// Value of an invocation: 12 bits.
 fn value(i: usize) -> u32 {
     (i as u32).wrapping_mul(2_654_435_761) >> 20
 }
 
-fn subgroup_order_twin(call: &mut TwinCall<'_>) {
-    let push: SubgroupOrderPush = twin::push(call);
-    let size = twin::spec(call, 0) as usize;
-    let (n, threads) = (push.invocations as usize, THREADS as usize);
-    let [probe, tally] = call.buffers else { return };
+fn subgroup_order_twin(call: Call<'_, SubgroupOrder>) {
+    let size = call.subgroup_size as usize;
+    let (n, threads) = (call.push.invocations as usize, THREADS as usize);
+    let SubgroupOrderBuffers { probe, tally } = call.buffers;
     for i in 0..n {
         let (group, subgroup, lane) = (i / threads * threads, i / size * size, i % size);
         let lanes: Vec<u32> = (subgroup..subgroup + size).map(value).collect();
@@ -83,11 +90,6 @@ fn subgroup_order_twin(call: &mut TwinCall<'_>) {
 /// The kernel on every invocation of a few workgroups.
 pub(super) fn case() -> KernelCase {
     let invocations = GROUPS * THREADS;
-    KernelCase {
-        kernel: &SUBGROUP_ORDER,
-        spec: Vec::new(),
-        push: bytemuck::bytes_of(&SubgroupOrderPush { invocations }).to_vec(),
-        buffers: vec![vec![0; PLANES * invocations as usize], vec![0; TALLY_WORDS]],
-        groups: GROUPS,
-    }
+    let buffers = SubgroupOrderBuffers { probe: vec![0; PLANES * invocations as usize], tally: vec![0; TALLY_WORDS] };
+    KernelCase::new(&SUBGROUP_ORDER, (), SubgroupOrderPush { invocations }, buffers, GROUPS)
 }

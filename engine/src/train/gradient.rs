@@ -127,7 +127,7 @@ impl Run<'_> {
             frame: gpu.buffer_with("frame", bytemuck::bytes_of(&self.frame(capacity)?))?,
             host_pose: None,
             color: device("color", 4 * u64::from(width) * u64::from(height))?,
-            depth: device("depth", 1)?,
+            depth: None,
             counters: gpu.buffer("counters readback", 4 * COUNTER_WORDS, Memory::Readback)?,
         };
         let shape = Shape { tiles, slots: Some(slots.clone()), ..Shape::default() };

@@ -17,7 +17,7 @@ use super::linear::{Layer, Network, Output, Parameters, Pass, Shape, Split, Stag
 use crate::error::{Error, Result};
 use crate::gpu::kernel::Kernel;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
-use crate::render::nonrigid_network;
+use crate::render::nonrigid_network::{self, NonrigidNetworkBuffers};
 use crate::scene::NonrigidNetwork;
 use crate::scene::network::{NONRIGID_ENCODING, NONRIGID_LAYERS, NONRIGID_ROWS, NONRIGID_WIDTH};
 
@@ -188,10 +188,16 @@ impl NetworkG {
             return Ok(());
         }
         let Inputs { frame, mean, superpoint_of_gaussian, pose, moving } = from;
-        let buffers =
-            [*frame, *mean, *superpoint_of_gaussian, *pose, &self.parameter(), nonrigid_offset].map(Clone::clone);
-        let specialisation = nonrigid_network::specialisation(&self.gpu, *moving);
-        nonrigid_network::record(r, gaussians, specialisation, [0.0; 3], &buffers)
+        let buffers = NonrigidNetworkBuffers {
+            frame: Slice::clone(frame),
+            mean: Slice::clone(mean),
+            superpoint_of_gaussian: moving.then(|| Slice::clone(superpoint_of_gaussian)),
+            pose: moving.then(|| Slice::clone(pose)),
+            parameter: self.parameter(),
+            nonrigid_offset: nonrigid_offset.clone(),
+        };
+        let constants = nonrigid_network::constants(&self.gpu, *moving);
+        nonrigid_network::record(r, gaussians, constants, [0.0; 3], buffers)
     }
 
     /// Records: gradients of all weights from those of the offsets, given to Adam or kept for

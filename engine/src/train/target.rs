@@ -70,7 +70,7 @@ impl Target {
                 frame: gpu.buffer("frame", size_of::<crate::render::frame::Frame>() as u64, Memory::Constants)?,
                 host_pose: None,
                 color: device("color", pixels * 16)?,
-                depth: device("depth", 4)?,
+                depth: None,
                 counters: gpu.buffer("counters readback", 32, Memory::Readback)?,
             },
             instance_gradient: slots.as_ref().map(|_| device("instance_gradient", row_bytes)).transpose()?,

@@ -174,7 +174,7 @@ fn the_sparse_association_is_the_dense_one() {
                 *x = std::array::from_fn(|c| x[c] + 0.05 * v[c] * (t as f32 * 0.15).cos());
             }
             let bias = bias_corrections(0.9, 0.999, t);
-            case.step.bias_1 = [bias[0], bias[1], 0.0, 0.0];
+            case.step.bias_association = bias;
             gpu.upload(&device.buffers.step.buffer, bytemuck::bytes_of(&case.step)).unwrap();
             gpu.upload(&device.buffers.mean.buffer, bytemuck::cast_slice(&planes(&case.mean))).unwrap();
             let centers = floats(&download(&gpu, &device.state.position, 3 * m));

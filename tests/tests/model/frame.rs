@@ -1,37 +1,33 @@
 //! A whole small frame on the model, the output of one kernel as the input of the next, against the twins and the f64
 //! reference.
 
-use engine::gpu::interface::Interface;
-use engine::gpu::kernel::Kernel;
+use engine::gpu::Kernel;
+use engine::gpu::interface::{Buffers, Constants as _, Interface};
 use engine::image::difference;
 use engine::reference::{self, ReferenceOptions};
-use engine::render::blend::{self, BLEND, BLEND_PACKED, PixelFormat, Stage};
-use engine::render::blend_image::{BLEND_RGBA8, BLEND_RGBA16F, BLEND_RGBA32F};
+use engine::render::PixelFormat;
+use engine::render::blend::{self, BLEND, Blend, BlendBuffers, BlendConstants, Stage};
+use engine::render::blend_image::BlendImageBuffers;
+use engine::render::blend_packed::{BLEND_PACKED, BlendPackedBuffers, BlendPackedConstants};
+use engine::render::blend_rgba8::BLEND_RGBA8;
+use engine::render::blend_rgba16f::BLEND_RGBA16F;
+use engine::render::blend_rgba32f::BLEND_RGBA32F;
 use engine::render::compact::*;
-use engine::render::deform_project::DeformProjectPush;
+use engine::render::deform_project::{DeformProjectBuffers, DeformProjectPush};
+use engine::render::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use engine::render::frame::Frame;
 use engine::render::radix_sort::*;
 use engine::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
 use engine::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
-use engine::render::tiles::*;
+use engine::render::sum_tile_counts::{SUM_TILE_COUNTS, SumTileCountsBuffers, SumTileCountsPush};
+use engine::render::tile_ranges::{TILE_RANGES, TileRangesBuffers};
+use engine::render::tiles::{block_words, tile_key_bits};
 use engine::scene::Camera;
-use tests_harness::KernelCase;
-use tests_harness::UntypedCase;
 use tests_harness::model::{self, Options};
 use tests_harness::render_case::{RenderInput, test_camera};
+use tests_harness::{KernelCase, UntypedCase};
 
 /// A kernel on the model, compared with its twin.
-fn run(options: &Options, case: UntypedCase) -> Vec<Vec<u32>> {
-    let kernel: &'static Kernel = case.kernel;
-    let result = case.run_model(options);
-    result.assert_equal(kernel, &format!("{options:?}"));
-    result.gpu
-}
-
-fn case(kernel: &'static Kernel, spec: &[u32], push: &[u8], buffers: Vec<Vec<u32>>, groups: u32) -> UntypedCase {
-    UntypedCase { kernel, spec: spec.to_vec(), push: push.to_vec(), buffers, groups: groups.max(1) }
-}
-
 fn check<I: Interface>(options: &Options, case: KernelCase<I>) -> I::Buffers<Vec<u32>> {
     let result = case.run_model(options);
     result.assert_equal(&format!("{options:?}"));
@@ -75,89 +71,101 @@ fn sort(
     [keys, values]
 }
 
-/// What `blend` reads: frame, ranges, values, splats.
-fn lists(options: &Options, input: &RenderInput, frame: &Frame, capacity: u32) -> [Vec<u32>; 4] {
+/// What `blend` reads.
+struct Lists {
+    frame: Vec<u32>,
+    ranges: Vec<u32>,
+    values: Vec<u32>,
+    splats: Vec<u32>,
+}
+
+fn lists(options: &Options, input: &RenderInput, frame: &Frame, capacity: u32) -> Lists {
     let mut frame = *frame;
     frame.instance_capacity = capacity;
     let n = input.count as u32;
     let (words, block_capacity) = block_words(n);
-    let mut project = input.deform_project(&frame);
-    project.buffers[13] = vec![0; words as usize];
-    project.push = bytemuck::bytes_of(&DeformProjectPush { block_capacity }).to_vec();
+    let mut project = input.deform_project_case(&frame);
+    project.buffers.visible_block = vec![0; words as usize];
+    project.push = DeformProjectPush { block_capacity };
     // A Gaussian at the edge of a tile may count otherwise than in the twin: here the picture decides.
-    let mut projected = project.run_model(options).gpu;
-    let counters = projected.swap_remove(14);
-    let visible_block = projected.swap_remove(13);
-    let tile_count = projected.swap_remove(12);
-    let splats = projected.swap_remove(11);
+    let projected = project.run_model(options).gpu;
+    let DeformProjectBuffers { splats, tile_count, visible_block, counters, .. } = projected;
     let frame_words: Vec<u32> = bytemuck::cast_slice(&[frame]).to_vec();
 
     let depth = SortPlan::new(n, 32).unwrap();
     let tile = SortPlan::new(capacity, tile_key_bits(frame.tile_count)).unwrap();
     let out = vec![0; n as usize];
-    let buffers = vec![
-        frame_words.clone(),
-        tile_count.clone(),
-        splats.clone(),
+    let buffers = CompactBuffers {
+        frame: frame_words.clone(),
+        tile_count: tile_count.clone(),
+        splats: splats.clone(),
         visible_block,
         counters,
-        vec![0; INDIRECT_WORDS as usize],
-        out.clone(),
-        out,
-        vec![0; depth.histogram_rows() as usize * 256],
-    ];
-    let push = CompactPush { block_capacity, digit_bits: 8 };
-    let compact = case(&COMPACT, &[0, 0], bytemuck::bytes_of(&push), buffers, n.div_ceil(COMPACT_GAUSSIANS));
-    let mut done = run(options, compact);
-    let histogram = done.swap_remove(8);
-    let pairs = [done[6].clone(), done[7].clone()];
-    let (counters, indirect) = (done[4].clone(), done[5].clone());
+        indirect: vec![0; INDIRECT_WORDS as usize],
+        keys: out.clone(),
+        values: out,
+        next_histogram: vec![0; depth.histogram_rows() as usize * 256],
+    };
+    let (constants, push) = (CompactConstants::default(), CompactPush { block_capacity, digit_bits: 8 });
+    let groups = n.div_ceil(COMPACT_GAUSSIANS).max(1);
+    let compacted = check(options, KernelCase { kernel: &COMPACT, constants, push, buffers, groups });
+    let CompactBuffers { counters, indirect, keys, values, next_histogram, .. } = compacted;
     assert_eq!(counters[3], 0, "the frame fits");
-    let groups = |at: u32| indirect[at as usize] * indirect[at as usize + 1];
-    let [_, order] = sort(options, &depth, pairs, histogram, &counters, (0, groups(INDIRECT_DEPTH_SORT)));
+    let groups = |at: u32| (indirect[at as usize] * indirect[at as usize + 1]).max(1);
+    let sort_groups = groups(INDIRECT_DEPTH_SORT);
+    let [_, order] = sort(options, &depth, [keys, values], next_histogram, &counters, (0, sort_groups));
 
-    let push = SumTileCountsPush { block_capacity };
-    let buffers = vec![counters.clone(), tile_count.clone(), order.clone(), vec![0; words as usize]];
-    let sums = case(&SUM_TILE_COUNTS, &[], bytemuck::bytes_of(&push), buffers, groups(INDIRECT_EMIT));
-    let sums = run(options, sums).swap_remove(3);
-    let push = EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits };
+    let buffers = SumTileCountsBuffers {
+        counters: counters.clone(),
+        tile_count: tile_count.clone(),
+        order: order.clone(),
+        instance_block: vec![0; words as usize],
+    };
+    let (push, emit_groups) = (SumTileCountsPush { block_capacity }, groups(INDIRECT_EMIT));
+    let case = KernelCase { kernel: &SUM_TILE_COUNTS, constants: (), push, buffers, groups: emit_groups };
+    let instance_block = check(options, case).instance_block;
     let out = vec![0; capacity as usize];
-    let buffers = vec![
-        frame_words.clone(),
-        counters.clone(),
+    let buffers = EmitTilesBuffers {
+        frame: frame_words.clone(),
+        counters: counters.clone(),
         tile_count,
         order,
-        splats.clone(),
-        sums,
-        out.clone(),
-        out,
-        vec![0; tile.histogram_rows() as usize * 256],
-        vec![0; 4],
-        vec![0; 4],
-    ];
-    let emit = case(&EMIT_TILES, &[0; 4], bytemuck::bytes_of(&push), buffers, groups(INDIRECT_EMIT));
-    let mut done = run(options, emit);
-    let histogram = done.swap_remove(8);
-    let pairs = [done[6].clone(), done[7].clone()];
-    let [keys, values] = sort(options, &tile, pairs, histogram, &counters, (5, groups(INDIRECT_TILE_SORT)));
-    let buffers = vec![frame_words.clone(), counters, keys, vec![0; 2 * frame.tile_count as usize]];
-    let ranges = case(&TILE_RANGES, &[], &[], buffers, groups(INDIRECT_RANGES));
-    [frame_words, run(options, ranges).swap_remove(3), values, splats]
+        splats: splats.clone(),
+        instance_block,
+        keys: out.clone(),
+        values: out,
+        next_histogram: vec![0; tile.histogram_rows() as usize * 256],
+        gaussian_of_slot: None,
+        first_slot: None,
+    };
+    let constants = EmitTilesConstants::default();
+    let push = EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits };
+    let case = KernelCase { kernel: &EMIT_TILES, constants, push, buffers, groups: emit_groups };
+    let EmitTilesBuffers { keys, values, next_histogram, .. } = check(options, case);
+    let sort_groups = groups(INDIRECT_TILE_SORT);
+    let [keys, values] = sort(options, &tile, [keys, values], next_histogram, &counters, (5, sort_groups));
+    let ranges = vec![0; 2 * frame.tile_count as usize];
+    let buffers = TileRangesBuffers { frame: frame_words.clone(), counters, keys, ranges };
+    let groups = groups(INDIRECT_RANGES);
+    let ranges = check(options, KernelCase { kernel: &TILE_RANGES, constants: (), push: (), buffers, groups }).ranges;
+    Lists { frame: frame_words, ranges, values, splats }
 }
 
-fn blend_case(
-    kernel: &'static Kernel,
-    options: &Options,
-    stage: Stage,
-    lists: &[Vec<u32>; 4],
-    frame: &Frame,
-) -> UntypedCase {
-    let per_lane = blend::pixels_per_lane(options.lanes);
-    let mut buffers = lists.to_vec();
+fn blend_case(options: &Options, stage: Stage, lists: &Lists, frame: &Frame) -> KernelCase<Blend> {
+    let pixels_per_lane = blend::pixels_per_lane(options.lanes);
     let pixels = frame.pixels();
-    buffers.extend([vec![0; 4 * pixels], vec![0; pixels], Vec::new()]);
-    let groups = blend::groups(frame.tile_count, options.lanes, per_lane) as u32;
-    case(kernel, &[1, stage as u32, per_lane, 0, 0, 0, 0], &[], buffers, groups)
+    let buffers = BlendBuffers {
+        frame: lists.frame.clone(),
+        ranges: lists.ranges.clone(),
+        values: lists.values.clone(),
+        splats: lists.splats.clone(),
+        color: vec![0; 4 * pixels],
+        depth: Some(vec![0; pixels]),
+        gaussian_of_slot: None,
+    };
+    let constants = BlendConstants { with_depth: 1, stage: stage as u32, pixels_per_lane, ..BlendConstants::default() };
+    let groups = blend::groups(frame.tile_count, options.lanes, pixels_per_lane).max(1) as u32;
+    KernelCase { kernel: &BLEND, constants, push: (), buffers, groups }
 }
 
 fn truth(input: &RenderInput, camera: &Camera) -> Vec<f64> {
@@ -186,7 +194,7 @@ fn a_frame_at_every_subgroup_size() {
         for options in variants(lanes) {
             let lists = lists(&options, &input, &frame, 20_000);
             for stage in [Stage::Shuffle, Stage::Shared, Stage::Reread] {
-                let image = run(&options, blend_case(&BLEND, &options, stage, &lists, &frame)).swap_remove(4);
+                let image = check(&options, blend_case(&options, stage, &lists, &frame)).color;
                 let rgb = image.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).map(|w| f64::from(f32::from_bits(w)));
                 let d = difference(truth.iter().copied(), rgb);
                 println!("{lanes} lanes, {stage:?}: {:.1} dB", d.psnr);
@@ -196,36 +204,49 @@ fn a_frame_at_every_subgroup_size() {
     }
 }
 
+/// What the kernel that stores a format to a buffer leaves there.
+fn of_buffer(options: &Options, case: KernelCase<Blend>, format: PixelFormat) -> Vec<u32> {
+    if format == PixelFormat::Rgba32F {
+        return case.run_model(options).gpu.color;
+    }
+    let BlendBuffers { frame, ranges, values, splats, color, depth, gaussian_of_slot } = case.buffers;
+    let pixels = vec![0; color.len() / 4 * (format.bytes() as usize / 4)];
+    let buffers = BlendPackedBuffers { frame, ranges, values, splats, pixels, depth, gaussian_of_slot };
+    let constants = BlendPackedConstants::new(case.constants, format);
+    let case = KernelCase { kernel: &BLEND_PACKED, constants, push: (), buffers, groups: case.groups };
+    case.run_model(options).gpu.pixels
+}
+
+/// What the kernel that stores a format to an image leaves there.
+fn of_image(options: &Options, kernel: &'static Kernel, case: KernelCase<Blend>, format: PixelFormat) -> Vec<u32> {
+    let BlendBuffers { frame, ranges, values, splats, color, depth, gaussian_of_slot } = case.buffers;
+    let buffers = BlendImageBuffers { frame, ranges, values, splats, depth, gaussian_of_slot };
+    let mut buffers: Vec<Vec<u32>> = buffers.into_list().into_iter().map(Option::unwrap_or_default).collect();
+    // The image comes after the buffers.
+    buffers.push(vec![0; color.len() / 4 * (format.bytes() as usize / 4)]);
+    let (spec, push) = (case.constants.to_words(), vec![0; kernel.push_bytes() as usize]);
+    model::run(&UntypedCase { kernel, spec, push, buffers, groups: case.groups }, options).pop().unwrap()
+}
+
 /// The kernels that store to an image hold what those of buffers do: bits as floats, levels within one.
 #[test]
 fn images_hold_what_buffers_do() {
     let input = RenderInput::random(400, 1, 6);
     let frame = input.frame(&test_camera(75, 53));
-    let pixels = frame.pixels();
+    let to_image: [(&Kernel, PixelFormat); 3] = [
+        (&BLEND_RGBA8, PixelFormat::Rgba8),
+        (&BLEND_RGBA16F, PixelFormat::Rgba16F),
+        (&BLEND_RGBA32F, PixelFormat::Rgba32F),
+    ];
     for lanes in [32, 64, 128] {
         let options = Options::new(lanes, 7);
         let lists = lists(&options, &input, &frame, 20_000);
-        for (kernel, format) in [
-            (&BLEND_RGBA8, PixelFormat::Rgba8),
-            (&BLEND_RGBA16F, PixelFormat::Rgba16F),
-            (&BLEND_RGBA32F, PixelFormat::Rgba32F),
-        ] {
-            let mut buffer = blend_case(&BLEND_PACKED, &options, Stage::Shared, &lists, &frame);
-            if format == PixelFormat::Rgba32F {
-                buffer.kernel = &BLEND;
-            } else {
-                buffer.spec.push(format as u32);
-            }
+        for (kernel, format) in to_image {
+            let case = || blend_case(&options, Stage::Shared, &lists, &frame);
             let words = format.bytes() as usize / 4;
-            buffer.buffers[4] = vec![0; words * pixels];
-            let mut image = buffer.clone();
-            image.kernel = kernel;
-            image.spec.truncate(7);
-            image.push = vec![0; 8];
-            image.buffers[4..7].rotate_left(1);
-            image.buffers[5] = vec![0; 4];
-            let [of_buffer, of_image] = [&buffer, &image].map(|case| model::run(case, &options));
-            let pairs = of_buffer[4].chunks_exact(words).zip(of_image[6].chunks_exact(words));
+            let (of_buffer, of_image) =
+                (of_buffer(&options, case(), format), of_image(&options, kernel, case(), format));
+            let pairs = of_buffer.chunks_exact(words).zip(of_image.chunks_exact(words));
             let far = pairs.filter(|(b, i)| {
                 let (b, i) = (format.unpack(b), format.unpack(i));
                 let step = if words == 1 { 1.01 / 255.0 } else { 0.0 };

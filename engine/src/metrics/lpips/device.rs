@@ -1,11 +1,14 @@
 //! LPIPS on the device: both pictures through the network, slice by slice. Where a feature map is large, its slice runs in
 //! bands of rows, each going straight into the difference and the next pool, so that no map of full size is stored there.
 
-use super::kernels::{ConvPush, DifferencePush, LPIPS_CONV, LPIPS_DIFFERENCE, LPIPS_POOL, PoolPush, THREADS};
+use super::kernels::THREADS;
+use super::lpips_conv::{LPIPS_CONV, LpipsConvBuffers, LpipsConvConstants, LpipsConvPush};
+use super::lpips_difference::{LPIPS_DIFFERENCE, LpipsDifferenceBuffers, LpipsDifferencePush};
+use super::lpips_pool::{LPIPS_POOL, LpipsPoolBuffers, LpipsPoolConstants, LpipsPoolPush};
 use super::network::{Conv, Slice, pooled_side};
 use super::{Network, Range, Weights, check_size, input};
 use crate::error::Result;
-use crate::gpu::kernel::Kernel;
+use crate::gpu::interface::{Interface, KernelOf};
 use crate::gpu::product::{self, product_groups};
 use crate::gpu::{Buffer, Gpu, Groups, Memory, Slice as Bytes};
 use crate::metrics::planes::{Planes, same_size};
@@ -198,7 +201,7 @@ impl Lpips {
         let per_channel = (conv.depth() * rows * output.width).max(1);
         let step = (SUBMISSION_PRODUCTS / per_channel / CHANNEL_STEP).max(1) * CHANNEL_STEP;
         for first in (0..conv.outputs).step_by(step) {
-            let push = ConvPush {
+            let push = LpipsConvPush {
                 inputs: conv.inputs as u32,
                 outputs: conv.outputs as u32,
                 in_width: input.width as u32,
@@ -212,11 +215,20 @@ impl Lpips {
                 output_count: step.min(conv.outputs - first) as u32,
             };
             let stage = product::Stage::of(&self.gpu);
-            let spec = [stage as u32, conv.kernel as u32, conv.stride as u32, conv.pad as u32];
+            let constants = LpipsConvConstants {
+                stage: stage as u32,
+                kernel: conv.kernel as u32,
+                stride: conv.stride as u32,
+                pad: conv.pad as u32,
+            };
             let pixels = push.out_rows * push.out_width;
             let groups = product_groups(stage, self.gpu.subgroup_size_of(&LPIPS_CONV), push.output_count, pixels, 1);
-            let buffers = [(&input.buffer).into(), parameter.into(), (&output.buffer).into()];
-            self.run(&LPIPS_CONV, &spec, bytemuck::bytes_of(&push), &buffers, groups)?;
+            let buffers = LpipsConvBuffers {
+                feature_input: input.buffer.whole(),
+                parameter: parameter.whole(),
+                feature_output: output.buffer.whole(),
+            };
+            self.run(&LPIPS_CONV, constants, push, buffers, groups)?;
         }
         Ok(())
     }
@@ -229,10 +241,15 @@ impl Lpips {
         distance: &Buffer,
     ) -> Result<()> {
         let [first, second] = bands else { return Ok(()) };
-        let push = DifferencePush { channels: channels as u32, pixels: pixels as u32 };
-        let buffers = [(&first.buffer).into(), (&second.buffer).into(), (&self.heads[index]).into(), distance.into()];
+        let push = LpipsDifferencePush { channels: channels as u32, pixels: pixels as u32 };
+        let buffers = LpipsDifferenceBuffers {
+            first: first.buffer.whole(),
+            second: second.buffer.whole(),
+            head: self.heads[index].whole(),
+            distance_of_pixel: distance.whole(),
+        };
         let groups = (pixels as u64).div_ceil(THREADS.into());
-        self.run(&LPIPS_DIFFERENCE, &[], bytemuck::bytes_of(&push), &buffers, groups)
+        self.run(&LPIPS_DIFFERENCE, (), push, buffers, groups)
     }
 
     /// The rows of a pooled map that a band gives.
@@ -249,7 +266,7 @@ impl Lpips {
         if rows == 0 {
             return Ok(());
         }
-        let push = PoolPush {
+        let push = LpipsPoolPush {
             channels: channels as u32,
             in_width: band.width as u32,
             in_rows: (band.end - band.first) as u32,
@@ -259,14 +276,21 @@ impl Lpips {
             out_rows: rows as u32,
         };
         let groups = ((channels * rows * width) as u64).div_ceil(THREADS.into());
-        let buffers = [(&band.buffer).into(), to.into()];
-        self.run(&LPIPS_POOL, &[kernel as u32], bytemuck::bytes_of(&push), &buffers, groups)
+        let buffers = LpipsPoolBuffers { feature_input: band.buffer.whole(), feature_output: to.whole() };
+        self.run(&LPIPS_POOL, LpipsPoolConstants { kernel: kernel as u32 }, push, buffers, groups)
     }
 
     /// Submits one dispatch and waits for it.
-    fn run(&self, kernel: &'static Kernel, spec: &[u32], push: &[u8], buffers: &[Bytes], groups: u64) -> Result<()> {
+    fn run<I: Interface>(
+        &self,
+        kernel: &'static KernelOf<I>,
+        constants: I::Constants,
+        push: I::Push,
+        buffers: I::Buffers<Bytes>,
+        groups: u64,
+    ) -> Result<()> {
         let mut r = self.gpu.recorder(kernel.name);
-        r.dispatch_untyped(kernel, spec, push, buffers, Groups::Direct(groups))?;
+        r.dispatch(kernel, constants, push, buffers, Groups::Direct(groups))?;
         self.gpu.run(r).map(drop)
     }
 }

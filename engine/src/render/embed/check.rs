@@ -27,7 +27,7 @@ pub(super) fn options(options: &ViewOptions) -> Result<()> {
         let expected = format!("1 to {MAX_IN_FLIGHT}");
         return Err(Error::usage("frames in flight", options.in_flight.to_string(), expected));
     }
-    if options.storage && blend_image::kernel_of(options.format).is_none() {
+    if options.storage && !blend_image::can_store(options.format) {
         let found = format!("{:?} with a storage view", options.format);
         let expected = "Rgba8, Rgba16F or Rgba32F, or an image that is copied to";
         return Err(Error::usage("format of a view", found, expected));

@@ -1,6 +1,6 @@
 //! What a view looks like, where it goes, and what came of it.
 
-use super::super::blend::PixelFormat;
+use super::super::pixel_format::PixelFormat;
 use super::super::renderer::FrameStatistics;
 use crate::gpu::HostImage;
 

@@ -229,7 +229,7 @@ impl View {
             let (gaussians, instances) = targets.work.bytes();
             used.per_gaussian += gaussians;
             used.per_instance += instances;
-            used.images += targets.buffers.color.bytes() + targets.buffers.depth.bytes();
+            used.images += targets.buffers.image_bytes();
         }
         used.instance_capacity = self.targets.as_ref().map_or(0, |t| t.capacity.into());
         used
@@ -328,7 +328,7 @@ impl View {
             frame: device("frame", size_of::<Frame>() as u64)?,
             host_pose: host_pose.then(|| device("pose", pose_bytes)).transpose()?,
             color: device("pixels", if self.options.storage { 16 } else { pixels * self.options.format.bytes() })?,
-            depth: device("depth", if self.options.depth { pixels * 4 } else { 16 })?,
+            depth: self.options.depth.then(|| device("depth", pixels * 4)).transpose()?,
             counters: self.ring.clone(),
         };
         let format = Some(self.options.format);
@@ -358,8 +358,8 @@ impl View {
         if !shape.to_image {
             r.copy_to_image(buffers.color.slice(0, pixels * pixel_bytes), size, pixel_bytes)?;
         }
-        if shape.with_depth {
-            r.copy_to_image(buffers.depth.slice(0, pixels * 4), size, 4)?;
+        if let Some(depth) = &buffers.depth {
+            r.copy_to_image(depth.slice(0, pixels * 4), size, 4)?;
         }
         r.copy_to_slot(&work.counters, self.ring.slice(0, COUNTER_BYTES), RING_BYTES)?;
         r.update(self.ring.slice(COUNTER_BYTES, 8), RING_BYTES)?;

@@ -3,7 +3,7 @@
 
 use super::{FrameId, Renderer};
 use crate::error::{Error, Result};
-use crate::gpu::Slice;
+use crate::gpu::{Buffer, Slice};
 use crate::render::blend::{MAX_ALPHA, MIN_TRANSMITTANCE};
 use crate::render::ellipse::log2_cut;
 use crate::render::limits::TILE_SIZE;
@@ -24,6 +24,15 @@ pub struct Picked {
     pub depth: f32,
     /// Gaussians that the pixel blends.
     pub blended: u32,
+}
+
+/// What a frame leaves for windows.
+pub(crate) struct Output {
+    pub(crate) color: Slice,
+    /// Of a frame with depth.
+    pub(crate) depth: Option<Slice>,
+    pub(crate) ranges: Slice,
+    pub(crate) counters: Slice,
 }
 
 impl Renderer {
@@ -83,13 +92,15 @@ impl Renderer {
         Ok(slots.into_iter().position(|s| s.frame == frame.0).unwrap_or(0))
     }
 
-    /// Colour, depth, tile ranges and counters of each frame in flight.
-    pub(crate) fn outputs(&self) -> impl Iterator<Item = [Slice; 4]> {
+    /// What each frame in flight leaves.
+    pub(crate) fn outputs(&self) -> impl Iterator<Item = Output> {
         let targets = self.targets.iter();
         targets.flat_map(|t| {
-            t.slots.iter().map(|s| {
-                let [color, depth] = [&s.buffers.color, &s.buffers.depth].map(Slice::from);
-                [color, depth, t.work.ranges.clone(), t.work.counters.clone()]
+            t.slots.iter().map(|s| Output {
+                color: s.buffers.color.whole(),
+                depth: s.buffers.depth.as_ref().map(Buffer::whole),
+                ranges: t.work.ranges.clone(),
+                counters: t.work.counters.clone(),
             })
         })
     }

@@ -47,7 +47,7 @@ impl Step {
             frame: gpu.buffer_with("frame", bytemuck::bytes_of(&frame)).unwrap(),
             host_pose: None,
             color: buffer("color", pixels * 16),
-            depth: buffer("depth", 16),
+            depth: None,
             counters: gpu.buffer("counters readback", COUNTER_WORDS * 4, Memory::Readback).unwrap(),
         };
         let gradient: Vec<f32> = (0..4 * pixels).map(|i| ((i * 2_654_435_761) % 1000) as f32 / 500.0 - 1.0).collect();

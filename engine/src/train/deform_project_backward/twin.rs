@@ -177,11 +177,11 @@ impl Job {
 
     fn view(&self) -> View {
         let f = &self.frame;
-        let v = |v: [f32; 4]| DVec3::new(v[0].into(), v[1].into(), v[2].into());
-        let rows = [f.world_to_camera_0, f.world_to_camera_1, f.world_to_camera_2].map(v);
+        let v = |v: &[f32]| DVec3::new(v[0].into(), v[1].into(), v[2].into());
+        let rows = [&f.world_to_camera_0, &f.world_to_camera_1, &f.world_to_camera_2].map(|row| v(row));
         View {
             rotation: DMat3::from_cols(rows[0], rows[1], rows[2]).transpose(),
-            position: v(f.camera_position_high) + v(f.camera_position_low),
+            position: v(&f.camera_position_high) + v(&f.camera_position_low),
             focal: DVec2::new(f.intrinsics[0].into(), f.intrinsics[1].into()),
             tangent: f.tan_limit.map(f64::from),
         }

@@ -10,7 +10,7 @@ use super::{LinearConstants, Network, Output, Shape, Stage, THREADS};
 use crate::error::Result;
 use crate::gpu::product::product_groups;
 use crate::gpu::{Groups, Recorder, Slice};
-use crate::render::linear_forward::{self, ForwardPush};
+use crate::render::linear_forward::{self, ForwardPush, LinearForwardBuffers};
 
 /// What the dispatches of a backward pass share.
 #[derive(Debug, Clone)]
@@ -60,8 +60,12 @@ impl Layer {
     pub(in crate::train) fn forward(&self, r: &mut Recorder) -> Result<()> {
         let Shape { inputs_0, inputs_1, outputs } = self.shape;
         let push = ForwardPush { rows: self.rows, outputs, inputs_0, inputs_1, input_1_at: self.input_1_at };
-        let buffers = [self.input.clone(), self.parameters[0].clone(), self.output.clone()];
-        linear_forward::record(r, self.stage, push, self.relu, &buffers)
+        let buffers = LinearForwardBuffers {
+            layer_input: self.input.clone(),
+            parameter: self.parameters[0].clone(),
+            layer_output: self.output.clone(),
+        };
+        linear_forward::record(r, self.stage, push, self.relu, buffers)
     }
 
     /// Gradient towards the last input, before the ReLU of `below`, the layer that made it.

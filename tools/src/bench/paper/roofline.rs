@@ -8,7 +8,7 @@ use engine::gpu::Gpu;
 use engine::reference::gradient::image::visible_splats;
 use engine::reference::{self, ALPHA_MIN, Deformation, ReferenceOptions, Splat};
 use engine::render::RenderOptions;
-use engine::render::rate::arithmetic_rate;
+use engine::render::arithmetic_rate::arithmetic_rate;
 use engine::scene::{Camera, Scene};
 use serde::Serialize;
 

@@ -114,7 +114,7 @@ fn on_device(gpu: &Gpu, case: &LossCase) -> Result<LossErrors> {
     let four = |values: &[f64]| -> Vec<f32> {
         values.chunks_exact(3).flat_map(|p| [p[0] as f32, p[1] as f32, p[2] as f32, 0.0]).collect()
     };
-    let frame = Frame { size: [width, height, 0, 0], ..Frame::default() };
+    let frame = Frame { size: [width, height], ..Frame::default() };
     let step = Step { weight_dssim: LAMBDA as f32, ..Step::default() };
     let upload = |name: &str, bytes: &[u8]| gpu.buffer_with(name, bytes);
     let frame = upload("frame", bytemuck::bytes_of(&frame))?;

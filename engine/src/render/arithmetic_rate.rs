@@ -2,10 +2,10 @@
 
 use std::time::Instant;
 
-use super::twin;
 use crate::error::Result;
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
-use crate::gpu::{Gpu, Groups, Memory, Slice};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::Tolerance;
+use crate::gpu::{Gpu, Groups, Memory};
 
 crate::gpu_struct! {
     /// Push constants of `arithmetic_rate`.
@@ -24,24 +24,32 @@ const MAX_ROUNDS: u32 = 4096;
 /// Floating-point operations of a round: 16 multiplications and 16 additions.
 const ROUND_FLOPS: f64 = 32.0;
 
-/// Four chains of vectors through multiply-adds. Dispatch ceil(count / 256) workgroups.
-pub static ARITHMETIC_RATE: Kernel = Kernel {
-    name: "arithmetic_rate",
-    doc: "multiply-adds in registers: measures the device's f32 rate for the roofline",
-    local_size: ARITHMETIC_RATE_THREADS,
-    spec: &["SUBGROUP_SIZE"],
-    push: ArithmeticRatePush::FIELDS,
-    bindings: &[Binding::new("sums", Access::Write, Element::F32)],
-    twin: arithmetic_rate_twin,
-    tolerance: Tolerance { absolute: 0.0, relative: 1e-5, flips: 0.0 },
-    bytes: |w| 4 * w.get("invocations"),
-    spirv: include_bytes!("../../../spirv_cache/arithmetic_rate.spv"),
-};
+crate::gpu_buffers! {
+    /// Buffers of [`ARITHMETIC_RATE`].
+    pub struct ArithmeticRateBuffers {
+        /// `[count]`
+        sums: Write F32,
+    }
+}
 
-fn arithmetic_rate_twin(call: &mut TwinCall<'_>) {
-    let push: ArithmeticRatePush = twin::push(call);
-    let invocations = (twin::group_count(call) * ARITHMETIC_RATE_THREADS).min(push.count);
-    let [sums] = call.buffers else { return };
+crate::kernel! {
+    /// Four chains of vectors through multiply-adds. Dispatch ceil(count / 256) workgroups.
+    pub static ARITHMETIC_RATE: ArithmeticRate = {
+        name: "arithmetic_rate",
+        doc: "multiply-adds in registers: measures the device's f32 rate for the roofline",
+        local_size: ARITHMETIC_RATE_THREADS,
+        constants: (),
+        push: ArithmeticRatePush,
+        buffers: ArithmeticRateBuffers,
+        twin: arithmetic_rate_twin,
+        tolerance: Tolerance { absolute: 0.0, relative: 1e-5, flips: 0.0 },
+        bytes: |w| 4 * w.get("invocations"),
+    }
+}
+
+fn arithmetic_rate_twin(call: Call<'_, ArithmeticRate>) {
+    let invocations = (call.group_count() * ARITHMETIC_RATE_THREADS).min(call.push.count);
+    let Call { push, buffers: ArithmeticRateBuffers { sums }, .. } = call;
     for i in 0..invocations {
         let component = |part: f32| {
             let seed = (i & 255) as f32 / 256.0 + part;
@@ -88,7 +96,7 @@ fn timed(gpu: &Gpu, groups: u32) -> Result<f64> {
     let push = ArithmeticRatePush { count, rounds: MAX_ROUNDS };
     let mut r = gpu.recorder("arithmetic rate").with_timestamps(true);
     let groups = Groups::Direct(groups.into());
-    r.dispatch_untyped(&ARITHMETIC_RATE, &[], bytemuck::bytes_of(&push), &[Slice::from(&sums)], groups)?;
+    r.dispatch(&ARITHMETIC_RATE, (), push, ArithmeticRateBuffers { sums: sums.whole() }, groups)?;
     let mut commands = r.finish()?;
     let mut best = f64::INFINITY;
     for _ in 0..RUNS {

@@ -1,15 +1,16 @@
 //! Kernel `field_planes`: products of learned planes, `[rows, scales·channels]`.
 
 use crate::error::Result;
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::Tolerance;
 use crate::gpu::{Groups, Recorder, Slice};
 use crate::render::frame::Frame;
-use crate::render::twin::{f32_at, push, set_f32, struct_at};
+use crate::render::twin::{f32_at, set_f32, struct_at};
 use crate::scene::field::{FIELD_PAIRS, FieldPlanes};
 
 crate::gpu_struct! {
     /// Push constants of [`FIELD_PLANES`].
-    pub struct PlanesPush {
+    pub struct FieldPlanesPush {
         /// Point of the first row.
         pub first_row: u32,
         /// Rows to write.
@@ -35,7 +36,7 @@ crate::gpu_struct! {
     }
 }
 
-impl PlanesPush {
+impl FieldPlanesPush {
     /// What the planes say; the rows are the caller's.
     pub fn of(planes: &FieldPlanes) -> Self {
         let [[low_x, low_y, low_z], [high_x, high_y, high_z]] = planes.bounds;
@@ -46,32 +47,42 @@ impl PlanesPush {
 
 const THREADS: u32 = 256;
 
-/// Bilinear samples of six planes multiplied, for each resolution and channel.
-pub static FIELD_PLANES: Kernel = Kernel {
-    name: "field_planes",
-    doc: "deformation field: products of planes over space and time",
-    local_size: THREADS,
-    spec: &["SUBGROUP_SIZE"],
-    push: PlanesPush::FIELDS,
-    bindings: &[
-        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
-        Binding::new("point", Access::Read, Element::F32),
-        Binding::new("plane", Access::Read, Element::F32),
-        Binding::new("plane_size", Access::Read, Element::U32),
-        Binding::new("encoding", Access::Write, Element::F32),
-    ],
-    twin: planes_twin,
-    // Bilinear shares differ by an ulp of the place on a plane of up to some hundred values.
-    tolerance: Tolerance { absolute: 1e-4, relative: 1e-4, flips: 0.0 },
-    bytes: |work| work.get("rows") * 4 * (3 + work.get("channels") * work.get("scales")),
-    spirv: include_bytes!("../../../../spirv_cache/field_planes.spv"),
-};
+crate::gpu_buffers! {
+    /// Buffers of [`FIELD_PLANES`].
+    pub struct FieldPlanesBuffers {
+        frame: Read Struct(Frame),
+        /// `[3][points]`, world units.
+        point: Read F32,
+        /// All planes ([`pack_planes`]).
+        plane: Read F32,
+        /// `[scales][6][3]`: first float, width, height of each plane.
+        plane_size: Read U32,
+        /// `[rows, scales·channels]`
+        encoding: Write F32,
+    }
+}
+
+crate::kernel! {
+    /// Bilinear samples of six planes multiplied, for each resolution and channel.
+    pub static FIELD_PLANES: FieldPlanesKernel = {
+        name: "field_planes",
+        doc: "deformation field: products of planes over space and time",
+        local_size: THREADS,
+        constants: (),
+        push: FieldPlanesPush,
+        buffers: FieldPlanesBuffers,
+        twin: field_planes_twin,
+        // Bilinear shares differ by an ulp of the place on a plane of up to some hundred values.
+        tolerance: Tolerance { absolute: 1e-4, relative: 1e-4, flips: 0.0 },
+        bytes: |work| work.get("rows") * 4 * (3 + work.get("channels") * work.get("scales")),
+    }
+}
 
 /// Records it.
-pub(super) fn record(r: &mut Recorder, push: PlanesPush, buffers: &[Slice; 5]) -> Result<()> {
+pub(super) fn record(r: &mut Recorder, push: FieldPlanesPush, buffers: FieldPlanesBuffers<Slice>) -> Result<()> {
     let items = u64::from(push.rows) * u64::from(push.channels) * u64::from(push.scales);
     let groups = Groups::Direct(items.div_ceil(THREADS.into()));
-    r.dispatch_untyped(&FIELD_PLANES, &[], bytemuck::bytes_of(&push), buffers, groups)
+    r.dispatch(&FIELD_PLANES, (), push, buffers, groups)
 }
 
 /// All planes `[height, width, channels]` one after another, and of each its first float, width and height.
@@ -93,14 +104,14 @@ fn place_along(v: f32, size: u32) -> (u32, f32) {
     (place as u32, place - place.floor())
 }
 
-fn planes_twin(call: &mut TwinCall<'_>) {
-    let p: PlanesPush = push(call);
-    let frame: Frame = struct_at(&call.buffers[0], 0);
+fn field_planes_twin(call: Call<'_, FieldPlanesKernel>) {
+    let Call { push: p, buffers: b, .. } = call;
+    let frame: Frame = struct_at(b.frame, 0);
     let (low, high) = ([p.low_x, p.low_y, p.low_z], [p.high_x, p.high_y, p.high_z]);
     let columns = p.channels * p.scales;
     for row in 0..p.rows {
         let at = |axis: usize| {
-            let x = f32_at(&call.buffers[1], axis * p.points as usize + (p.first_row + row) as usize);
+            let x = f32_at(b.point, axis * p.points as usize + (p.first_row + row) as usize);
             (x - low[axis]) * 2.0 / (high[axis] - low[axis]) - 1.0
         };
         let place = [at(0), at(1), at(2), frame.time];
@@ -108,18 +119,16 @@ fn planes_twin(call: &mut TwinCall<'_>) {
             let (scale, channel) = (column / p.channels, column % p.channels);
             let sample = |i: usize| {
                 let entry = 3 * (6 * scale as usize + i);
-                let [first, width, height] = [0, 1, 2].map(|k| call.buffers[3][entry + k]);
+                let [first, width, height] = [0, 1, 2].map(|k| b.plane_size[entry + k]);
                 let [(x0, wx), (y0, wy)] = [(FIELD_PAIRS[i][0], width), (FIELD_PAIRS[i][1], height)]
                     .map(|(c, size)| place_along(place[c], size));
                 let (x1, y1) = ((x0 + 1).min(width - 1), (y0 + 1).min(height - 1));
-                let value = |y: u32, x: u32| {
-                    f32_at(&call.buffers[2], (first + (y * width + x) * p.channels + channel) as usize)
-                };
+                let value = |y: u32, x: u32| f32_at(b.plane, (first + (y * width + x) * p.channels + channel) as usize);
                 let line = |y: u32| value(y, x0) * (1.0 - wx) + value(y, x1) * wx;
                 line(y0) * (1.0 - wy) + line(y1) * wy
             };
             let product: f32 = (0..FIELD_PAIRS.len()).map(sample).product();
-            set_f32(&mut call.buffers[4], (row * columns + column) as usize, product);
+            set_f32(b.encoding, (row * columns + column) as usize, product);
         }
     }
 }

@@ -1,0 +1,135 @@
+//! Twins of the kernels that blend.
+
+use super::super::ellipse::{Ellipse, log2_cut};
+use super::super::frame::Frame;
+use super::super::limits::TILE_SIZE;
+use super::super::pixel_format::PixelFormat;
+use super::super::splat::{Splat, unpack_splat};
+use super::super::twin::{set_f32, set_vec4, struct_at};
+use super::{Blend, BlendConstants, MAX_ALPHA, MIN_TRANSMITTANCE, subtile};
+use crate::gpu::interface::Call;
+
+/// What every kernel that blends reads.
+pub(in super::super) struct Inputs<'a> {
+    pub(in super::super) subgroup_size: u32,
+    pub(in super::super) constants: BlendConstants,
+    pub(in super::super) frame: &'a [u32],
+    pub(in super::super) ranges: &'a [u32],
+    pub(in super::super) values: &'a [u32],
+    pub(in super::super) splats: &'a [u32],
+    pub(in super::super) gaussian_of_slot: Option<&'a [u32]>,
+}
+
+impl Inputs<'_> {
+    /// Gaussian of instance `at`.
+    fn gaussian(&self, at: usize) -> usize {
+        let value = self.values[at] as usize;
+        match self.gaussian_of_slot {
+            Some(gaussian_of_slot) if self.constants.with_slots == 1 => gaussian_of_slot[value] as usize,
+            _ => value,
+        }
+    }
+}
+
+/// What ends a splat and a pixel.
+struct Limits {
+    log2_cut: f32,
+    min_transmittance: f32,
+}
+
+/// A pixel's state.
+#[derive(Clone, Copy)]
+struct Pixel {
+    transmittance: f32,
+    colour: [f32; 3],
+    depth: f32,
+}
+
+fn blend_splat(pixel: &mut Pixel, [first, second, third]: Splat, limits: &Limits, x: f32, y: f32) {
+    let (dx, dy) = (x - first[0], y - first[1]);
+    let u = first[2] * dx + first[3] * dy;
+    let v = second[0] * dy;
+    let log2_alpha = second[1] - u * u - v * v;
+    let live = log2_alpha >= -limits.log2_cut && pixel.transmittance > 0.0;
+    let alpha = if live { log2_alpha.exp2().min(MAX_ALPHA) } else { 0.0 };
+    let weight = alpha * pixel.transmittance;
+    let after = pixel.transmittance - weight;
+    let stop = live && after < limits.min_transmittance;
+    let weight = if stop { 0.0 } else { weight };
+    pixel.transmittance = if stop { -pixel.transmittance } else { after };
+    (0..3).for_each(|c| pixel.colour[c] += weight * third[c]);
+    pixel.depth += weight * second[2];
+}
+
+/// Twin of `blend`.
+pub(super) fn blend(call: Call<'_, Blend>) {
+    let Call { constants, subgroup_size, buffers: b, .. } = call;
+    let input = Inputs {
+        subgroup_size,
+        constants,
+        frame: b.frame,
+        ranges: b.ranges,
+        values: b.values,
+        splats: b.splats,
+        gaussian_of_slot: b.gaussian_of_slot.as_deref(),
+    };
+    blend_tiles(&input, b.depth, |at, value| set_vec4(b.color, at, value));
+}
+
+/// Blends into tightly packed pixels of a format.
+pub(in super::super) fn blend_into(
+    input: &Inputs<'_>,
+    format: PixelFormat,
+    pixels: &mut [u32],
+    depth: Option<&mut [u32]>,
+) {
+    let words = format.bytes() as usize / 4;
+    blend_tiles(input, depth, |at, value| {
+        pixels[words * at..words * (at + 1)].copy_from_slice(&format.pack(value)[..words]);
+    });
+}
+
+fn blend_tiles(input: &Inputs<'_>, depth: Option<&mut [u32]>, mut store_pixel: impl FnMut(usize, [f32; 4])) {
+    let BlendConstants { with_depth, pixels_per_lane, alpha_cut, transmittance_stop, packing, .. } = input.constants;
+    let frame: Frame = struct_at(input.frame, 0);
+    let mut depth = depth.filter(|_| with_depth == 1);
+    let min_transmittance =
+        if transmittance_stop == 0 { MIN_TRANSMITTANCE } else { f32::from_bits(transmittance_stop) };
+    let limits = Limits { log2_cut: log2_cut(alpha_cut), min_transmittance };
+    let [columns, _, rows] = subtile(input.subgroup_size, pixels_per_lane);
+    let ([width, height], tiles_x) = (frame.size, frame.tiles[0]);
+    for tile in 0..frame.tile_count {
+        let (tile_x, tile_y) = (tile % tiles_x * TILE_SIZE, tile / tiles_x * TILE_SIZE);
+        let range = input.ranges[2 * tile as usize] as usize..input.ranges[2 * tile as usize + 1] as usize;
+        for inside in 0..(TILE_SIZE / columns) * (TILE_SIZE / rows) {
+            let x0 = tile_x + columns * (inside % (TILE_SIZE / columns));
+            let y0 = tile_y + rows * (inside / (TILE_SIZE / columns));
+            let [x_low, y_low] = [x0 as f32 + 0.5, y0 as f32 + 0.5];
+            let [x_high, y_high] = [x_low + (columns - 1) as f32, y_low + (rows - 1) as f32];
+            let mut pixels =
+                vec![Pixel { transmittance: 1.0, colour: [0.0; 3], depth: 0.0 }; (columns * rows) as usize];
+            for at in range.clone() {
+                let splat = unpack_splat(packing, input.splats, input.gaussian(at));
+                let e = Ellipse::of_splat(splat[0], splat[1]).with_constants(alpha_cut, 0);
+                let x = e.row_interval(y_low, y_high);
+                if x[0] <= x_high && x[1] >= x_low && x[0] <= x[1] {
+                    for (i, pixel) in (0..).zip(&mut pixels) {
+                        blend_splat(pixel, splat, &limits, x_low + (i % columns) as f32, y_low + (i / columns) as f32);
+                    }
+                }
+            }
+            for (i, pixel) in (0..).zip(&pixels) {
+                let (x, y) = (x0 + i % columns, y0 + i / columns);
+                if x < width && y < height {
+                    let at = (y * width + x) as usize;
+                    let rest = pixel.transmittance.abs();
+                    let [r, g, b] = std::array::from_fn(|c| pixel.colour[c] + rest * frame.background[c]);
+                    store_pixel(at, [r, g, b, 1.0 - rest]);
+                    if let Some(depth) = depth.as_mut() {
+                        set_f32(depth, at, pixel.depth);
+                    }
+                }
+            }
+        }
+    }
+}
