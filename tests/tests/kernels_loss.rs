@@ -16,7 +16,7 @@ const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.125];
 
 fn frame(size: [u32; 2]) -> Frame {
     let [r, g, b] = BACKGROUND;
-    Frame { background: [r, g, b, 0.0], size: [size[0], size[1], 0, 0], ..Frame::default() }
+    Frame { background: [r, g, b], size, ..Frame::default() }
 }
 
 fn step(lambda: f32) -> Step {
