@@ -9,14 +9,14 @@ use super::blend_image;
 use super::compact::{
     COMPACT, COMPACT_GAUSSIANS, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT, INDIRECT_RANGES, INDIRECT_TILE_SORT,
 };
-use super::deform_network::{self, DEFORM_NETWORK, DEFORM_NETWORK_SUPERPOINTS};
+use super::deform_network::DEFORM_NETWORK;
 use super::deform_project::{DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectPush, MOTION_STATIC, MOTION_TABLE};
 use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
 use super::mean_storage;
 use super::nonrigid_network;
 use super::quality::Quality;
 use super::radix_sort::{SORT_SCATTER, SORT_SPINE, SPINE_GROUPS, rank_by_ballot};
-use super::scene_buffers::{Poses, SceneBuffers};
+use super::scene_buffers::SceneBuffers;
 use super::tiles::{EMIT_TILES, EmitTilesPush, SUM_TILE_COUNTS, SlotBuffers, SumTileCountsPush, TILE_RANGES};
 use super::work_buffers::{DEPTH_KEY_BITS, SortBuffers, WorkBuffers};
 
@@ -44,8 +44,6 @@ pub(crate) struct Shape {
     pub(crate) with_depth: bool,
     /// Tile lists of slots, for the backward pass.
     pub(crate) slots: Option<SlotBuffers>,
-    /// `[10][N]` non-rigid offsets that are added after the rigid motion.
-    pub(crate) nonrigid_offset: Option<Slice>,
     /// What may be given up; exact unless said.
     pub(crate) quality: Quality,
     /// `frame.color` holds pixels of this format; `None`: floats.
@@ -70,8 +68,8 @@ pub(super) fn record(
     r.finish()
 }
 
-/// Appends the whole way from the scene to `frame.color`. Network F runs first when it is the scene's source of poses; else
-/// `scene.pose` (or `frame.host_pose`) must hold them.
+/// Appends the whole way from the scene to `frame.color`. What moves the scene runs first; where poses
+/// come from elsewhere, `scene.deformation.pose` (or `frame.host_pose`) must hold them.
 pub(crate) fn record_forward(
     gpu: &Gpu,
     r: &mut Recorder,
@@ -81,49 +79,14 @@ pub(crate) fn record_forward(
     shape: &Shape,
 ) -> Result<()> {
     r.fill(&work.zeroed, 0)?;
-    if let Poses::Network { weights, superpoint_position, size } = &scene.poses {
-        let buffers = slices(&[&frame.frame, superpoint_position, weights, &scene.pose]);
-        let groups = u64::from(scene.superpoints.div_ceil(DEFORM_NETWORK_SUPERPOINTS));
-        let spec = deform_network::spec_constants(*size, scene.fp16_weights);
-        r.dispatch(&DEFORM_NETWORK, &spec, &[], &buffers, Groups::Direct(groups))?;
-    }
-    let offset = nonrigid_offset(gpu, r, scene, frame, shape)?;
+    let pose = frame.host_pose.as_ref().unwrap_or(&scene.deformation.pose);
+    let offset = scene.deformation.record(gpu, r, scene, &frame.frame, pose)?;
     deform_project(r, scene, work, frame, offset, &shape.quality)?;
     compact(r, scene, work, frame, &shape.quality)?;
     sort(r, "depth", &work.depth, work, COUNT_VISIBLE, INDIRECT_DEPTH_SORT)?;
     emit(r, work, frame, shape)?;
     sort(r, "tile", &work.tile, work, COUNT_INSTANCES, INDIRECT_TILE_SORT)?;
     ranges_and_blend(gpu, r, work, frame, shape)
-}
-
-/// Offsets of the scene's network G or deformation field at the frame's time, or those that the caller has.
-fn nonrigid_offset(
-    gpu: &Gpu,
-    r: &mut Recorder,
-    scene: &SceneBuffers,
-    frame: &FrameBuffers,
-    shape: &Shape,
-) -> Result<Option<Slice>> {
-    if shape.nonrigid_offset.is_some() {
-        return Ok(shape.nonrigid_offset.clone());
-    }
-    if let Some(field) = &scene.field {
-        return field.record(gpu, r, scene, &frame.frame).map(Some);
-    }
-    let Some(network) = &scene.nonrigid else { return Ok(None) };
-    let pose = frame.host_pose.as_ref().unwrap_or(&scene.pose);
-    let offset = Slice::from(&network.offset);
-    let buffers = [
-        Slice::from(&frame.frame),
-        Slice::from(&scene.mean),
-        Slice::from(&scene.superpoint_of_gaussian),
-        Slice::from(pose),
-        Slice::from(&network.parameter),
-        offset.clone(),
-    ];
-    let specialisation = nonrigid_network::specialisation(gpu, scene.moves());
-    nonrigid_network::record(r, scene.gaussians, specialisation, scene.origin.as_vec3().to_array(), &buffers)?;
-    Ok(Some(offset))
 }
 
 fn deform_project(
@@ -134,7 +97,7 @@ fn deform_project(
     nonrigid_offset: Option<Slice>,
     quality: &Quality,
 ) -> Result<()> {
-    let pose = frame.host_pose.as_ref().unwrap_or(&scene.pose);
+    let pose = frame.host_pose.as_ref().unwrap_or(&scene.deformation.pose);
     let [sh_0, sh_1, sh_2, sh_3] = &scene.sh;
     let mut buffers = slices(&[
         &frame.frame,
@@ -142,7 +105,7 @@ fn deform_project(
         &scene.log_scale,
         &scene.rotation,
         &scene.opacity_logit,
-        &scene.superpoint_of_gaussian,
+        &scene.deformation.superpoint_of_gaussian,
         pose,
         sh_0,
         sh_1,
@@ -155,7 +118,7 @@ fn deform_project(
     // Without non-rigid offsets any buffer that is only read stands in for them.
     let offset = nonrigid_offset.unwrap_or_else(|| Slice::from(&scene.mean));
     buffers.extend([work.visible_block.clone(), work.counters.clone(), offset]);
-    let motion = if scene.moves() { MOTION_TABLE } else { MOTION_STATIC };
+    let motion = if scene.deformation.moves() { MOTION_TABLE } else { MOTION_STATIC };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
     let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS));
     let spec = [
