@@ -77,7 +77,7 @@ impl Posed {
 /// What the images show.
 fn scene(options: &PosedOptions) -> Scene {
     let mut scene = moving_scene(options.gaussians, options.superpoints, 33, 7, false);
-    if let Some(motion) = &mut scene.motion {
+    if let Some(motion) = scene.deformation.table_mut() {
         let superpoints = options.superpoints;
         for (at, translation) in motion.translation.iter_mut().enumerate() {
             let (time, j) = (motion.times[at / superpoints], at % superpoints);

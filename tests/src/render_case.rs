@@ -8,7 +8,7 @@ use engine::render::deform_project::{
 use engine::render::ellipse::Ellipse;
 use engine::render::frame::{Frame, FrameOptions};
 use engine::render::twin::vec4_at;
-use engine::scene::{Camera, Gaussians, Motion, Scene, Superpoints};
+use engine::scene::{Camera, Gaussians, Motion, Scene, SuperpointDeformation, Superpoints};
 use glam::DVec3;
 
 use crate::{KernelCase, UntypedCase};
@@ -155,7 +155,11 @@ impl RenderInput {
             of_gaussian: self.superpoint_of_gaussian.clone(),
             position: vec![[0.0; 3]; self.superpoints as usize],
         };
-        Scene { gaussians, motion: Some(motion), superpoints: Some(superpoints), ..Scene::default() }
+        Scene {
+            gaussians,
+            deformation: SuperpointDeformation::of_table(superpoints, motion).into(),
+            ..Scene::default()
+        }
     }
 
     /// [`RenderInput::deform_project_case`] in words.

@@ -4,10 +4,16 @@ use std::path::Path;
 
 use engine::data::transforms;
 use engine::file::{self, model, picture, ply};
-use engine::scene::{Association, Camera, Gaussians, Motion, Scene, Superpoints};
+use engine::scene::{Association, Camera, Gaussians, Motion, Scene, SuperpointDeformation, Superpoints};
 use proptest::prelude::*;
 
 fn small_scene() -> Scene {
+    let deformation = SuperpointDeformation {
+        superpoints: Superpoints { of_gaussian: vec![0, 1, 0], position: vec![[0.0; 3]; 2] },
+        table: Some(Motion { times: vec![0.0, 1.0], rotation: vec![[0.0; 3]; 4], translation: vec![[0.1; 3]; 4] }),
+        association: Some(Association { neighbors: 1, neighbor: vec![0, 1, 1], logit: vec![0.0; 3] }),
+        ..SuperpointDeformation::default()
+    };
     Scene {
         gaussians: Gaussians {
             mean: vec![[1.0, 2.0, 3.0]; 3],
@@ -17,9 +23,7 @@ fn small_scene() -> Scene {
             sh_degree: 1,
             sh: vec![0.25; 36],
         },
-        superpoints: Some(Superpoints { of_gaussian: vec![0, 1, 0], position: vec![[0.0; 3]; 2] }),
-        motion: Some(Motion { times: vec![0.0, 1.0], rotation: vec![[0.0; 3]; 4], translation: vec![[0.1; 3]; 4] }),
-        association: Some(Association { neighbors: 1, neighbor: vec![0, 1, 1], logit: vec![0.0; 3] }),
+        deformation: deformation.into(),
         ..Scene::default()
     }
 }
@@ -101,8 +105,8 @@ fn feed(bytes: &[u8]) {
         assert_eq!(g.sh.len(), g.len() * g.sh_coefficients() * 3);
     }
     if let Ok((scene, _)) = model::parse(bytes, path) {
-        let m = scene.superpoints.as_ref().map_or(0, |s| s.position.len());
-        assert!(scene.superpoints.iter().flat_map(|s| &s.of_gaussian).all(|&s| (s as usize) < m));
+        let m = scene.deformation.superpoint_count();
+        assert!(scene.deformation.superpoint_of_gaussian().iter().all(|&s| (s as usize) < m));
     }
     if let Ok(set) = transforms::parse(bytes, path, None) {
         assert!(set.cameras.iter().all(is_finite));

@@ -184,7 +184,7 @@ fn field(skip: usize, wide: usize) -> DeformationField {
 fn chunks_change_nothing() {
     let gpu = tests_harness::gpu();
     let g = random_gaussians(17_000, 5, 0);
-    let scene = Scene { gaussians: g.clone(), field: Some(field(2, 480)), ..Scene::default() };
+    let scene = Scene { gaussians: g.clone(), deformation: field(2, 480).into(), ..Scene::default() };
     let all = FieldEvaluator::new(&gpu, &scene).unwrap().offsets(0.3).unwrap();
     // The same Gaussians few at a time, from both sides of the border between chunks.
     for first in [0, 16_040, 16_960] {
@@ -206,7 +206,7 @@ fn every_layer_can_see_the_input_again() {
     for skip in [1, 2, 3, 4, 9] {
         let field = field(skip, 24);
         assert_eq!(field.skip_layer(), (skip < 5).then_some(skip));
-        let scene = Scene { gaussians: g.clone(), field: Some(field.clone()), ..Scene::default() };
+        let scene = Scene { gaussians: g.clone(), deformation: field.clone().into(), ..Scene::default() };
         let device = FieldEvaluator::new(&gpu, &scene).unwrap().offsets(0.7).unwrap();
         let truth = engine::reference::field_offsets(&field, &g, 0.7);
         for (a, b) in device.iter().zip(&truth) {
@@ -223,7 +223,7 @@ fn a_field_of_a_scene_without_gaussians_is_nothing() {
     for nodes in [None, Some(nodes)] {
         let field = DeformationField { nodes, ..field(2, 16) };
         let gaussians = random_gaussians(0, 1, 0);
-        let scene = Scene { gaussians, field: Some(field), ..Scene::default() };
+        let scene = Scene { gaussians, deformation: field.into(), ..Scene::default() };
         assert!(FieldEvaluator::new(&gpu, &scene).unwrap().offsets(0.5).unwrap().is_empty());
     }
 }

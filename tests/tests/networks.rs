@@ -187,7 +187,7 @@ fn array(path: &Path, name: &str) -> Vec<f64> {
 
 /// dL/dr and dL/dτ of L = Σ mean_t·d_mean_t + Σ rotation_t·d_rotation_t.
 fn motion_upstream(case: &oracle::case::SuperpointCase, poses: &[Pose]) -> [Vec<DVec3>; 2] {
-    let superpoints = case.scene.superpoints.as_ref().unwrap();
+    let superpoints = case.scene.deformation.superpoints().unwrap();
     let (d_mean, d_rotation) = (array(&case.path, "d_mean_t"), array(&case.path, "d_rotation_t"));
     let mut sums = vec![[DVec3::ZERO; 2]; poses.len()];
     for (i, &m) in superpoints.of_gaussian.iter().enumerate() {
@@ -214,7 +214,8 @@ fn network_f_agrees_with_the_oracle() {
     let Some(folder) = tests_harness::data("oracle") else { return };
     let gpu = tests_harness::gpu();
     let case = oracle::case::load_superpoint(&folder.join("superpoint_400_20.npz")).unwrap();
-    let (weights, position) = (case.scene.deform.clone().unwrap(), case.scene.superpoints.clone().unwrap().position);
+    let scene = &case.scene.deformation;
+    let (weights, position) = (scene.network().unwrap().clone(), scene.superpoints().unwrap().position.clone());
     let poses = reference::network_poses(&weights, &position, case.time);
     let rotation = relative(poses.iter().flat_map(|p| p.rotation.to_array()), case.pose_rotation.iter().copied());
     assert!(rotation <= 1e-12, "{rotation:e}");

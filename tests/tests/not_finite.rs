@@ -50,29 +50,30 @@ fn field() -> DeformationField {
 #[test]
 fn network_f() {
     let mut scene = moving_scene(300, 12, 5, 3, true);
-    scene.deform = Some(DeformNetwork::init(4, DeformSize::PAPER, false));
+    scene.deformation.superpoint_deformation_mut().unwrap().network =
+        Some(DeformNetwork::init(4, DeformSize::PAPER, false));
     let [visible, refused] = drawn(&scene, MotionSource::Network);
     assert!(visible > 100 && refused == 0, "{visible} drawn, {refused} refused");
-    overflow(&mut scene.deform.as_mut().unwrap().linear);
+    overflow(&mut scene.deformation.network_mut().unwrap().linear);
     assert_eq!(drawn(&scene, MotionSource::Network), [0, 300]);
 }
 
 #[test]
 fn network_g() {
     let mut scene = moving_scene(300, 12, 5, 3, false);
-    scene.nonrigid = Some(NonrigidNetwork::init(4));
+    scene.deformation = scene.deformation.with_nonrigid(NonrigidNetwork::init(4)).unwrap();
     let [visible, refused] = drawn(&scene, MotionSource::Table);
     assert!(visible > 100 && refused == 0, "{visible} drawn, {refused} refused");
-    overflow(&mut scene.nonrigid.as_mut().unwrap().linear);
+    overflow(&mut scene.deformation.nonrigid_mut().unwrap().linear);
     assert_eq!(drawn(&scene, MotionSource::Table), [0, 300]);
 }
 
 #[test]
 fn deformation_field() {
-    let mut scene = Scene { gaussians: random_gaussians(300, 3, 1), field: Some(field()), ..Scene::default() };
+    let mut scene = Scene { gaussians: random_gaussians(300, 3, 1), deformation: field().into(), ..Scene::default() };
     let [visible, refused] = drawn(&scene, MotionSource::Auto);
     assert!(visible > 100 && refused == 0, "{visible} drawn, {refused} refused");
-    overflow(&mut scene.field.as_mut().unwrap().layers);
+    overflow(&mut scene.deformation.field_mut().unwrap().layers);
     assert_eq!(drawn(&scene, MotionSource::Auto), [0, 300]);
     let gpu = tests_harness::gpu();
     let offsets = FieldEvaluator::new(&gpu, &scene).unwrap().offsets(0.4).unwrap();

@@ -275,7 +275,7 @@ fn knobs_that_cost_nothing_leave_every_bit() {
         assert!(e.psnr > psnr, "{list}: {e:?}");
     }
     // At a key there is nothing to interpolate.
-    let key = f64::from(scene.motion.as_ref().unwrap().times[3]);
+    let key = f64::from(scene.deformation.table().unwrap().times[3]);
     let (linear, geodesic) = (image(&gpu, &scene, "", key), image(&gpu, &scene, "interpolation=geodesic", key));
     assert!(difference(linear.rgb(), geodesic.rgb()).psnr > 80.0);
 }

@@ -2,7 +2,7 @@
 
 use engine::reference::gradient::image::{Gradients, image_gradients};
 use engine::reference::gradient::splats::Upstream;
-use engine::reference::{Deformation, Gaussians64, ReferenceOptions, table_poses};
+use engine::reference::{DeformationAt, Gaussians64, ReferenceOptions, table_poses};
 use engine::scene::synthetic::random_scene;
 use engine::scene::{Camera, Scene};
 use engine::train::gradient::{GradientOptions, SceneGradients, scene_gradients};
@@ -33,9 +33,9 @@ fn random_gradient(camera: &Camera, seed: u64) -> Vec<f32> {
 
 fn truth(scene: &Scene, camera: &Camera, gradient: &[f32]) -> Gradients {
     let gaussians = in_f64(scene);
-    let poses = scene.motion.as_ref().map(|motion| table_poses(motion, TIME));
-    let group = scene.superpoints.as_ref().map_or(&[][..], |s| &s.of_gaussian);
-    let deformation = Deformation { group, poses: poses.as_deref(), offsets: None };
+    let poses = scene.deformation.table().map(|motion| table_poses(motion, TIME));
+    let group = scene.deformation.superpoint_of_gaussian();
+    let deformation = DeformationAt { group, poses: poses.as_deref(), offsets: None };
     let color: Vec<f64> = gradient.chunks_exact(4).flat_map(|g| [g[0], g[1], g[2]]).map(f64::from).collect();
     let alpha: Vec<f64> = gradient.chunks_exact(4).map(|g| g[3].into()).collect();
     let options = ReferenceOptions { background: BACKGROUND.map(f64::from), ..ReferenceOptions::default() };

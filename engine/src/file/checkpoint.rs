@@ -19,6 +19,7 @@ mod sp_gs;
 
 use std::path::{Path, PathBuf};
 
+use super::check::{self, Problem};
 use super::torch::Weights;
 use super::{model, ply};
 use crate::error::{Error, Result};
@@ -126,23 +127,25 @@ pub fn read(path: &Path) -> Read {
     };
     match Kind::of(&weights) {
         Some(Kind::SpGs) => sp_gs::apply(&mut scene, &weights, &file, &mut warnings)?,
-        Some(Kind::Deformable) => scene.field = Some(deformable::read(&weights, "", &file)?),
-        Some(Kind::FourD) => scene.field = Some(four_d::read(&weights, &file)?),
+        Some(Kind::Deformable) => scene.deformation = deformable::read(&weights, "", &file)?.into(),
+        Some(Kind::FourD) => scene.deformation = four_d::read(&weights, &file)?.into(),
         Some(Kind::ScGs) => {
             let features = ply::numbered(&cloud, "fea_")?;
-            scene.field = Some(sc_gs::read(&weights, &scene.gaussians, &features, &file)?);
+            scene.deformation = sc_gs::read(&weights, &scene.gaussians, &features, &file)?.into();
         }
         Some(Kind::SpGsFine) => return Err(unsupported(Kind::SpGsFine.name())),
         None => return Err(unsupported("weights of no known method")),
     }
     if let Some((_, fine)) = of_iteration(&path.join("fine_deform"), iteration, "deform.pth") {
         let bytes = map_file(&fine)?;
-        scene.nonrigid = Some(sp_gs::nonrigid(&Weights::parse(&bytes, &fine)?, &fine)?);
+        let network = sp_gs::nonrigid(&Weights::parse(&bytes, &fine)?, &fine)?;
+        let rigid = std::mem::take(&mut scene.deformation);
+        scene.deformation = rigid.with_nonrigid(network).map_err(|e| Problem::from(e).corrupt(&file))?;
     }
     scene
         .metadata
         .insert("source".into(), format!("{}, iteration {iteration}", Kind::of(&weights).map_or("", Kind::name)));
-    super::check::scene(&scene).map_err(|problem| problem.corrupt(&file))?;
+    check::scene(&scene).map_err(|problem| problem.corrupt(&file))?;
     Ok((scene, warnings))
 }
 

@@ -124,12 +124,12 @@ pub fn describe(path: &Path) -> Result<Description> {
         statistics: statistics(&scene.gaussians),
         bounds: bounds(&scene.gaussians.mean),
         opacity_quantiles: opacity_quantiles(&scene.gaussians.opacity_logit),
-        superpoints: scene.superpoints.as_ref().map(|s| s.position.len()),
+        superpoints: scene.deformation.superpoints().map(|s| s.position.len()),
         motion: motion(&scene),
-        association_neighbors: scene.association.as_ref().map(|a| a.neighbors),
-        deform_network: scene.deform.is_some(),
-        nonrigid_network: scene.nonrigid.is_some(),
-        deformation_field: scene.field.as_ref().map(field),
+        association_neighbors: scene.deformation.association().map(|a| a.neighbors),
+        deform_network: scene.deformation.network().is_some(),
+        nonrigid_network: scene.deformation.nonrigid().is_some(),
+        deformation_field: scene.deformation.field().map(field),
         metadata: scene.metadata,
         tensors,
         properties,
@@ -209,7 +209,7 @@ fn opacity_quantiles(logits: &[f32]) -> Vec<f64> {
 }
 
 fn motion(scene: &Scene) -> Option<MotionDescription> {
-    let table = scene.motion.as_ref()?;
+    let table = scene.deformation.table()?;
     let longest = |vectors: &[[f32; 3]]| {
         let length = |v: &[f32; 3]| v.iter().map(|&c| f64::from(c).powi(2)).sum::<f64>().sqrt();
         vectors.iter().map(length).fold(0.0, f64::max)

@@ -143,18 +143,7 @@ fn clean(mut scene: Scene, mut warnings: Vec<String>, path: &Path) -> Loaded {
 /// Keeps some Gaussians, with all that belongs to them.
 fn retain(scene: &mut Scene, keep: &[bool]) {
     scene.gaussians.retain(keep);
-    if let Some(superpoints) = &mut scene.superpoints {
-        retain_chunks(&mut superpoints.of_gaussian, 1, keep);
-    }
-    if let Some(association) = &mut scene.association {
-        retain_chunks(&mut association.neighbor, association.neighbors, keep);
-        retain_chunks(&mut association.logit, association.neighbors, keep);
-    }
-    if let Some(nodes) = scene.field.as_mut().and_then(|f| f.nodes.as_mut()) {
-        retain_chunks(&mut nodes.neighbor, nodes.neighbors, keep);
-        retain_chunks(&mut nodes.weight, nodes.neighbors, keep);
-        retain_chunks(&mut nodes.share, 1, keep);
-    }
+    scene.deformation.retain(keep);
     let per_gaussian = scene
         .extra
         .iter_mut()

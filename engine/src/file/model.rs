@@ -26,6 +26,7 @@
 //!
 //! Any changed bit is thus found. Equal scenes give equal files, byte for byte.
 
+pub(super) mod deformation;
 mod read;
 #[cfg(test)]
 mod tests;

@@ -103,16 +103,12 @@ fn lost(output: Output, scene: &Scene) -> Vec<String> {
         return Vec::new();
     }
     let degree = scene.gaussians.sh_degree;
-    let parts = [
-        (format!("SH degrees 1 to {degree}"), output == Output::Splat && degree > 0),
-        ("superpoints".into(), scene.superpoints.is_some()),
-        ("motion".into(), scene.motion.is_some()),
-        ("association".into(), scene.association.is_some()),
-        ("network F".into(), scene.deform.is_some()),
-        ("network G".into(), scene.nonrigid.is_some()),
-        ("deformation field".into(), scene.field.is_some()),
-        ("further tensors".into(), !scene.extra.is_empty()),
-        ("metadata".into(), !scene.metadata.is_empty()),
-    ];
-    parts.into_iter().filter_map(|(name, is_there)| is_there.then_some(name)).collect()
+    let mut lost = Vec::new();
+    if output == Output::Splat && degree > 0 {
+        lost.push(format!("SH degrees 1 to {degree}"));
+    }
+    lost.extend(scene.deformation.parts().into_iter().map(String::from));
+    lost.extend((!scene.extra.is_empty()).then(|| "further tensors".into()));
+    lost.extend((!scene.metadata.is_empty()).then(|| "metadata".into()));
+    lost
 }

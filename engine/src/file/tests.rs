@@ -3,7 +3,9 @@
 
 use super::*;
 use crate::scene::network::DeformSize;
-use crate::scene::{Association, DeformNetwork, Gaussians, Linear, Motion, NonrigidNetwork, Superpoints, Tensor};
+use crate::scene::{
+    Association, DeformNetwork, Gaussians, Linear, Motion, NonrigidNetwork, SuperpointDeformation, Superpoints, Tensor,
+};
 
 /// A small deterministic generator (a 64-bit LCG's high bits): values over several magnitudes.
 pub(crate) struct Values(pub(crate) u64);
@@ -51,18 +53,17 @@ pub(crate) fn full_scene(n: usize, m: usize, t: usize) -> Scene {
         rotation: layer(size.width, 3),
     };
     let mut scene = moving_scene(n, m, t);
-    scene.deform = Some(deform);
-    scene.nonrigid = Some(NonrigidNetwork::init(5));
+    let superpoints = scene.deformation.superpoint_deformation_mut().unwrap();
+    (superpoints.network, superpoints.nonrigid) = (Some(deform), Some(NonrigidNetwork::init(5)));
     scene
 }
 
 /// A scene with everything but the networks (whose 2 MB would slow tests over every byte).
 pub(crate) fn moving_scene(n: usize, m: usize, t: usize) -> Scene {
     let mut v = Values(8);
-    Scene {
-        gaussians: gaussians(n, 1),
-        superpoints: Some(Superpoints { of_gaussian: (0..n).map(|i| (i % m) as u32).collect(), position: v.many(m) }),
-        motion: Some(Motion {
+    let deformation = SuperpointDeformation {
+        superpoints: Superpoints { of_gaussian: (0..n).map(|i| (i % m) as u32).collect(), position: v.many(m) },
+        table: Some(Motion {
             times: (0..t).map(|i| i as f32 * 0.25 - 0.1).collect(),
             rotation: v.many(t * m),
             translation: v.many(t * m),
@@ -72,9 +73,11 @@ pub(crate) fn moving_scene(n: usize, m: usize, t: usize) -> Scene {
             neighbor: (0..2 * n).map(|i| (i * 5 % m) as u32).collect(),
             logit: v.floats(2 * n),
         }),
-        deform: None,
-        nonrigid: None,
-        field: None,
+        ..SuperpointDeformation::default()
+    };
+    Scene {
+        gaussians: gaussians(n, 1),
+        deformation: deformation.into(),
         extra: [
             ("nonrigid.notes".to_string(), Tensor { shape: vec![2, 3], data: v.floats(6) }),
             ("gaussians.age".to_string(), Tensor { shape: vec![n, 2], data: v.floats(2 * n) }),
@@ -128,8 +131,12 @@ fn poison_values_are_dropped_everywhere_and_counted() {
         assert!(described.statistics.iter().filter(|s| !s.name.contains("logit")).all(|s| s.max.is_finite()));
         if name == "p.safetensors" {
             let s = loaded.scene;
-            assert_eq!(s.superpoints.unwrap().of_gaussian, scene.superpoints.as_ref().unwrap().of_gaussian[bad..]);
-            assert_eq!(s.association.unwrap().neighbor, scene.association.as_ref().unwrap().neighbor[2 * bad..]);
+            let of_gaussian = scene.deformation.superpoint_of_gaussian();
+            assert_eq!(*s.deformation.superpoint_of_gaussian(), of_gaussian[bad..]);
+            assert_eq!(
+                s.deformation.association().unwrap().neighbor,
+                scene.deformation.association().unwrap().neighbor[2 * bad..]
+            );
             assert_eq!(s.extra["gaussians.age"].shape, [40 - bad, 2]);
             assert_eq!(s.extra["gaussians.age"].data, scene.extra["gaussians.age"].data[2 * bad..]);
             assert_eq!(described.motion.unwrap().key_times, 3);

@@ -2,9 +2,8 @@
 
 use glam::DQuat;
 
-use super::field::field_offsets;
-use super::motion::{Deformation, Offset, Placed, place_deformed, poses};
-use super::network::nonrigid_offsets;
+use super::deformation::place_scene;
+use super::motion::{DeformationAt, Offset, Placed, place_deformed};
 use super::project::Parameters;
 use crate::error::Result;
 use crate::scene::{Gaussians, MotionSource, Scene};
@@ -17,11 +16,12 @@ use crate::scene::{Gaussians, MotionSource, Scene};
 /// [`crate::Error::Usage`] when the asked-for motion source is absent or arrays do not fit together.
 pub fn freeze(scene: &Scene, time: f64, source: MotionSource) -> Result<Gaussians> {
     Parameters::from(&scene.gaussians).check()?;
-    if scene.motion_source(source)?.is_none() && scene.nonrigid.is_none() && scene.field.is_none() {
+    let sizes_change = scene.deformation.changes_scales();
+    if scene.deformation.motion_source(source)?.is_none() && !sizes_change {
         return Ok(scene.gaussians.clone());
     }
     let placed = place_scene(scene, time, source)?;
-    Ok(frozen(&scene.gaussians, &placed, scene.nonrigid.is_some() || scene.field.is_some()))
+    Ok(frozen(&scene.gaussians, &placed, sizes_change))
 }
 
 /// The Gaussians of a scene that stands still but for `offsets` `[N]`.
@@ -31,30 +31,8 @@ pub fn freeze(scene: &Scene, time: f64, source: MotionSource) -> Result<Gaussian
 pub fn freeze_with(gaussians: &Gaussians, offsets: &[Offset]) -> Result<Gaussians> {
     let parameters = Parameters::from(gaussians);
     parameters.check()?;
-    let placed = place_deformed(&parameters, &Deformation { offsets: Some(offsets), ..Deformation::default() })?;
+    let placed = place_deformed(&parameters, &DeformationAt { offsets: Some(offsets), ..DeformationAt::default() })?;
     Ok(frozen(gaussians, &placed, true))
-}
-
-/// Where the Gaussians of a scene are at `time`: moved by their superpoints, then by network G or a deformation field.
-///
-/// # Errors
-/// [`crate::Error::Usage`] when the asked-for motion source is absent or arrays do not fit together.
-pub fn place_scene(scene: &Scene, time: f64, source: MotionSource) -> Result<Placed> {
-    let parameters = Parameters::from(&scene.gaussians);
-    let poses = poses(scene, time, source)?;
-    let group = scene.superpoints.as_ref().map_or(&[][..], |s| &s.of_gaussian);
-    let rigid = Deformation { group, poses: poses.as_deref(), offsets: None };
-    if let Some(field) = &scene.field {
-        scene.check_field()?;
-        let offsets = field_offsets(field, &scene.gaussians, time);
-        return place_deformed(&parameters, &Deformation { offsets: Some(&offsets), ..rigid });
-    }
-    let placed = place_deformed(&parameters, &rigid)?;
-    let Some(network) = &scene.nonrigid else {
-        return Ok(placed);
-    };
-    let offsets = nonrigid_offsets(network, &placed.mean, time);
-    place_deformed(&parameters, &Deformation { offsets: Some(&offsets), ..rigid })
 }
 
 fn frozen(gaussians: &Gaussians, placed: &Placed, sizes_change: bool) -> Gaussians {

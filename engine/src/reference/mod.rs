@@ -13,6 +13,7 @@
 //! - image = Σ c·α·T + T·background; A = 1 − T; Z = Σ z·α·T.
 
 mod blend;
+mod deformation;
 mod field;
 mod freeze;
 pub mod gradient;
@@ -26,11 +27,12 @@ mod tests;
 
 use rayon::prelude::*;
 
+pub use deformation::{place_scene, poses};
 pub use field::field_offsets;
-pub use freeze::{freeze, freeze_with, place_scene};
+pub use freeze::{freeze, freeze_with};
 pub use motion::{
-    Deformation, Offset, Placed, Pose, SCALE_MIN, exp, exp_quaternion, place, place_deformed, poses,
-    rotation_of_quaternion, table_poses,
+    DeformationAt, Offset, Placed, Pose, SCALE_MIN, exp, exp_quaternion, place, place_deformed, rotation_of_quaternion,
+    table_poses,
 };
 pub use network::{network_poses, nonrigid_offsets};
 pub use project::{Parameters, Splat, project};
@@ -161,13 +163,13 @@ pub fn render_gaussians(
     camera: &Camera,
     options: &ReferenceOptions,
 ) -> Result<ReferenceImage> {
-    render_deformed(gaussians, &Deformation::default(), camera, options)
+    render_deformed(gaussians, &DeformationAt::default(), camera, options)
 }
 
 /// [`render_gaussians`] of Gaussians that `deformation` moves.
 pub fn render_deformed(
     gaussians: &Gaussians64,
-    deformation: &Deformation<'_>,
+    deformation: &DeformationAt<'_>,
     camera: &Camera,
     options: &ReferenceOptions,
 ) -> Result<ReferenceImage> {

@@ -3,10 +3,9 @@
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 
-use super::network::network_poses;
 use super::project::Parameters;
 use crate::error::{Error, Result};
-use crate::scene::{Motion, MotionSource, Scene, Superpoints};
+use crate::scene::{Motion, Superpoints};
 
 /// Rigid motion of one superpoint about the world origin: x ↦ Exp(rotation)·x + translation.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -33,9 +32,9 @@ pub struct Offset {
     pub scale: [f64; 3],
 }
 
-/// What moves Gaussians; nothing of it is needed.
+/// What moves Gaussians at one time; nothing of it is needed.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Deformation<'a> {
+pub struct DeformationAt<'a> {
     /// `[N]` superpoint of each Gaussian.
     pub group: &'a [u32],
     /// `[M]` poses of the superpoints.
@@ -97,17 +96,6 @@ pub fn table_poses(motion: &Motion, time: f64) -> Vec<Pose> {
         .collect()
 }
 
-/// Poses of all superpoints of `scene` at `time`; `None` when nothing moves.
-pub fn poses(scene: &Scene, time: f64, source: MotionSource) -> Result<Option<Vec<Pose>>> {
-    match (scene.motion_source(source)?, &scene.motion, &scene.deform, &scene.superpoints) {
-        (Some(MotionSource::Network), _, Some(network), Some(superpoints)) => {
-            Ok(Some(network_poses(network, &superpoints.position, time)))
-        }
-        (Some(_), Some(motion), _, Some(_)) => Ok(Some(table_poses(motion, time))),
-        _ => Ok(None),
-    }
-}
-
 /// Unit quaternion of Exp(r), with cos(|r|/2) as its scalar part.
 pub fn exp_quaternion(r: DVec3) -> DQuat {
     let theta = r.length();
@@ -122,13 +110,13 @@ pub fn place<T: Copy + Into<f64> + Sync>(
     poses: Option<&[Pose]>,
 ) -> Result<Placed> {
     let group = superpoints.map_or(&[][..], |s| &s.of_gaussian);
-    place_deformed(parameters, &Deformation { group, poses: superpoints.and(poses), offsets: None })
+    place_deformed(parameters, &DeformationAt { group, poses: superpoints.and(poses), offsets: None })
 }
 
 /// Moves every Gaussian with its superpoint and adds its non-rigid offset.
 pub fn place_deformed<T: Copy + Into<f64> + Sync>(
     parameters: &Parameters<'_, T>,
-    deformation: &Deformation<'_>,
+    deformation: &DeformationAt<'_>,
 ) -> Result<Placed> {
     let count = parameters.count();
     let mut placed = Placed { scale: (0..count).map(|i| parameters.scale(i)).collect(), ..Placed::default() };

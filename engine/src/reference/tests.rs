@@ -6,7 +6,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::*;
 use crate::scene::synthetic::{Random, hard_cases, moving_scene, random_gaussians, random_scene};
-use crate::scene::{Motion, Superpoints};
+use crate::scene::{Motion, SuperpointDeformation, Superpoints};
 
 /// The definition, word for word: at every pixel, every Gaussian.
 fn brute_force(splats: &[Splat], camera: &Camera, background: [f64; 3]) -> ReferenceImage {
@@ -37,7 +37,7 @@ fn brute_force(splats: &[Splat], camera: &Camera, background: [f64; 3]) -> Refer
 fn assert_same_as_brute_force(scene: &Scene, camera: &Camera, time: f64, options: &ReferenceOptions) {
     let parameters = Parameters::from(&scene.gaussians);
     let poses = poses(scene, time, options.motion).unwrap();
-    let placed = place(&parameters, scene.superpoints.as_ref(), poses.as_deref()).unwrap();
+    let placed = place(&parameters, scene.deformation.superpoints(), poses.as_deref()).unwrap();
     let valid: Vec<bool> =
         (0..scene.gaussians.len()).map(|i| scene.gaussians.is_valid(i, &mut Rejected::default())).collect();
     let splats = sorted_splats(&parameters, &placed, &valid, camera, options);
@@ -230,17 +230,11 @@ fn table_is_interpolated_inside_and_held_outside() {
 #[test]
 fn moving_the_scene_rigidly_equals_moving_the_camera() {
     let still = random_scene(300, 9, 0);
-    let moved = Scene {
-        superpoints: Some(Superpoints { of_gaussian: vec![0; 300], position: vec![[0.0; 3]] }),
-        motion: Some(Motion {
-            times: vec![0.0],
-            rotation: vec![[0.3, -0.2, 0.9]],
-            translation: vec![[0.2, 0.1, -0.3]],
-        }),
-        ..still.clone()
-    };
+    let superpoints = Superpoints { of_gaussian: vec![0; 300], position: vec![[0.0; 3]] };
+    let table = Motion { times: vec![0.0], rotation: vec![[0.3, -0.2, 0.9]], translation: vec![[0.2, 0.1, -0.3]] };
+    let moved = Scene { deformation: SuperpointDeformation::of_table(superpoints, table).into(), ..still.clone() };
     let f32_exact = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
-    let motion = moved.motion.as_ref().unwrap();
+    let motion = moved.deformation.table().unwrap();
     let pose = Pose { rotation: f32_exact(motion.rotation[0]), translation: f32_exact(motion.translation[0]) };
     let camera = camera(40, 30);
     let turn = exp(pose.rotation);
@@ -283,7 +277,7 @@ fn malformed_scenes_are_refused() {
     short.gaussians.sh.pop();
     assert!(refused(&short, &camera(4, 4)));
     let mut lost = good.clone();
-    lost.superpoints.as_mut().unwrap().of_gaussian[3] = 2;
+    lost.deformation.superpoints_mut().unwrap().of_gaussian[3] = 2;
     assert!(refused(&lost, &camera(4, 4)));
     let network = ReferenceOptions { motion: MotionSource::Network, ..options };
     assert_eq!(render(&good, &camera(4, 4), 0.0, &network).unwrap_err().exit_code(), 2);

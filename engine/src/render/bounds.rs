@@ -2,9 +2,9 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
+use super::deformation::Poses;
 use super::frame::Frame;
-use super::scene_buffers::Poses;
-use crate::scene::{Motion, Scene};
+use crate::scene::{Deformation, Motion};
 
 /// Room beyond the box, as a share of its diagonal, for poses between keys.
 const MARGIN: f64 = 0.01;
@@ -25,10 +25,10 @@ impl Bounds {
     const NOTHING: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
 
     /// Of a scene whose centres `mean` are relative to `origin`; NaN centres are left out.
-    pub(crate) fn of(scene: &Scene, mean: &[[f32; 3]], poses: &Poses, origin: DVec3) -> Self {
+    pub(crate) fn of(deformation: &Deformation, mean: &[[f32; 3]], poses: &Poses, origin: DVec3) -> Self {
         let centre = |m: &[f32; 3]| DVec3::from(m.map(f64::from));
         let canonical = mean.iter().map(centre).filter(|m| m.is_finite()).fold(Self::NOTHING, Self::with);
-        let (bounds, margin) = match (poses, &scene.superpoints) {
+        let (bounds, margin) = match (poses, deformation.superpoints()) {
             (Poses::Table(motion) | Poses::Host(motion, _), Some(superpoints)) => {
                 let spheres = spheres(mean, &superpoints.of_gaussian, motion.superpoint_count());
                 (moved(&spheres, motion, origin), MARGIN)
@@ -36,7 +36,7 @@ impl Bounds {
             (Poses::Static, _) => (canonical, 0.0),
             _ => (canonical, NETWORK_MARGIN),
         };
-        let margin = if scene.nonrigid.is_some() || scene.field.is_some() { NETWORK_MARGIN } else { margin };
+        let margin = if deformation.changes_scales() { NETWORK_MARGIN } else { margin };
         let room = DVec3::splat(margin * (bounds.high - bounds.low).length());
         Self { low: bounds.low - room, high: bounds.high + room }
     }
@@ -128,9 +128,9 @@ mod tests {
     #[test]
     fn the_box_of_a_moving_scene_holds_it_at_every_key() {
         let scene = moving_scene(200, 7, 5, 3, false);
-        let motion = scene.motion.clone().unwrap();
-        let bounds = Bounds::of(&scene, &scene.gaussians.mean, &Poses::Table(motion.clone()), DVec3::ZERO);
-        let of_gaussian = &scene.superpoints.as_ref().unwrap().of_gaussian;
+        let motion = scene.deformation.table().unwrap().clone();
+        let bounds = Bounds::of(&scene.deformation, &scene.gaussians.mean, &Poses::Table(motion.clone()), DVec3::ZERO);
+        let of_gaussian = scene.deformation.superpoint_of_gaussian();
         for key in 0..motion.times.len() {
             for (mean, j) in scene.gaussians.mean.iter().zip(of_gaussian) {
                 let at = key * 7 + *j as usize;

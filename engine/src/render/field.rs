@@ -20,9 +20,9 @@ use crate::reference::Offset;
 use crate::scene::field::{ControlNodes, DeformationField, FieldInput, FieldRule};
 use crate::scene::{Gaussians, Linear, MotionSource, Scene};
 
+use super::deformation::offset_buffer;
 use super::frame::{Frame, FrameOptions};
 use super::linear_forward::{self, ForwardPush, LinearForwardBuffers};
-use super::nonrigid_network::NONRIGID_PLANES;
 use super::quality::Quality;
 use super::scene_buffers::{SceneBuffers, planes as component_planes};
 
@@ -105,11 +105,7 @@ impl FieldBuffers {
             parameter,
             activation: gpu.buffer("field_activation", bytes, Memory::Device)?,
             width,
-            offset: gpu.buffer(
-                "nonrigid_offset",
-                gaussians.max(1) as u64 * 4 * NONRIGID_PLANES as u64,
-                Memory::Device,
-            )?,
+            offset: offset_buffer(gpu, gaussians)?,
         })
     }
 
@@ -334,7 +330,7 @@ impl FieldEvaluator {
     /// # Errors
     /// `Usage` when the scene has none or it does not fit together; `OutOfMemory`, `Limit`.
     pub fn new(gpu: &Gpu, scene: &Scene) -> Result<Self> {
-        let Some(field) = &scene.field else {
+        let Some(field) = scene.deformation.field() else {
             return Err(crate::Error::usage("deformation field", "a scene without one", "a scene with one"));
         };
         // Colours play no part: one band of them is the least there is.

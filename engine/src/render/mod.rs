@@ -40,6 +40,7 @@ pub mod compact;
 pub mod deform_network;
 #[doc(hidden)]
 pub mod deform_project;
+pub(crate) mod deformation;
 pub mod display;
 #[doc(hidden)]
 pub mod ellipse;

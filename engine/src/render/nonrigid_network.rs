@@ -6,13 +6,15 @@
 //! input is the rigidly moved centre, which the kernel computes itself. Source: SP-GS, section 3.5.
 
 use super::angle::sin_cos;
+use super::deformation::offset_buffer;
 use super::frame::Frame;
 use super::quaternion;
+use super::scene_buffers::SceneBuffers;
 use super::twin::{f32_at, set_f32, struct_at, vec4_at};
 use crate::error::Result;
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::{Tolerance, Workload};
-use crate::gpu::{Gpu, Groups, Recorder, Slice};
+use crate::gpu::{Buffer, Gpu, Groups, Recorder, Slice};
 use crate::scene::NonrigidNetwork;
 use crate::scene::network::{NONRIGID_ENCODING, NONRIGID_LAYERS, NONRIGID_ROWS, NONRIGID_WIDTH, relu};
 
@@ -103,6 +105,53 @@ pub fn pack_parameters(network: &NonrigidNetwork) -> Result<Vec<f32>> {
         words.resize(words.len().next_multiple_of(ALIGNMENT), 0.0);
     }
     Ok(words)
+}
+
+/// Network G on the device.
+#[derive(Debug)]
+pub(crate) struct NonrigidBuffers {
+    /// Packed weights.
+    parameter: Buffer,
+    /// `float[10][N]`.
+    offset: Buffer,
+}
+
+impl NonrigidBuffers {
+    pub(super) fn new(gpu: &Gpu, network: &NonrigidNetwork, gaussians: usize) -> Result<Self> {
+        let parameter = pack_parameters(network)?;
+        Ok(Self {
+            parameter: gpu.buffer_with("nonrigid_parameter", bytemuck::cast_slice(&parameter))?,
+            offset: offset_buffer(gpu, gaussians)?,
+        })
+    }
+
+    /// Bytes of device memory.
+    pub(super) fn bytes(&self) -> u64 {
+        self.parameter.bytes() + self.offset.bytes()
+    }
+
+    /// Records the offsets of all Gaussians at the frame's time.
+    pub(super) fn record(
+        &self,
+        gpu: &Gpu,
+        r: &mut Recorder,
+        scene: &SceneBuffers,
+        frame: &Buffer,
+        pose: &Buffer,
+    ) -> Result<Slice> {
+        let moves = scene.deformation.moves();
+        let buffers = NonrigidNetworkBuffers {
+            frame: frame.whole(),
+            mean: scene.mean.whole(),
+            superpoint_of_gaussian: moves.then(|| scene.deformation.superpoint_of_gaussian.whole()),
+            pose: moves.then(|| pose.whole()),
+            parameter: self.parameter.whole(),
+            nonrigid_offset: self.offset.whole(),
+        };
+        let constants = constants(gpu, moves);
+        record(r, scene.gaussians, constants, scene.origin.as_vec3().to_array(), buffers)?;
+        Ok(self.offset.whole())
+    }
 }
 
 /// Constants of [`NONRIGID_NETWORK`] on this device: moving or not, and how weights are read.

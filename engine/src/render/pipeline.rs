@@ -11,7 +11,7 @@ use super::compact::{
     COMPACT, COMPACT_GAUSSIANS, CompactBuffers, CompactConstants, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT,
     INDIRECT_RANGES, INDIRECT_TILE_SORT,
 };
-use super::deform_network::{self, DEFORM_NETWORK, DeformNetworkBuffers, DeformNetworkConstants};
+use super::deform_network::DEFORM_NETWORK;
 use super::deform_project::{
     DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectBuffers, DeformProjectConstants, DeformProjectPush,
     MOTION_STATIC, MOTION_TABLE,
@@ -19,11 +19,11 @@ use super::deform_project::{
 use super::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
 use super::mean_storage;
-use super::nonrigid_network::{self, NONRIGID_NETWORK, NonrigidNetworkBuffers};
+use super::nonrigid_network::NONRIGID_NETWORK;
 use super::pixel_format::PixelFormat;
 use super::quality::Quality;
 use super::radix_sort::rank_by_ballot;
-use super::scene_buffers::{Poses, SceneBuffers};
+use super::scene_buffers::SceneBuffers;
 use super::sort_histogram::SORT_HISTOGRAM;
 use super::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
 use super::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
@@ -63,8 +63,6 @@ pub(crate) struct Shape {
     pub(crate) with_depth: bool,
     /// Tile lists of slots, for the backward pass.
     pub(crate) slots: Option<SlotBuffers>,
-    /// `[10][N]` non-rigid offsets that are added after the rigid motion.
-    pub(crate) nonrigid_offset: Option<Slice>,
     /// What may be given up; exact unless said.
     pub(crate) quality: Quality,
     /// `frame.color` holds pixels of this format; `None`: floats.
@@ -89,8 +87,8 @@ pub(super) fn record(
     r.finish()
 }
 
-/// Appends the whole way from the scene to `frame.color`. Network F runs first when it is the scene's source of poses; else
-/// `scene.pose` (or `frame.host_pose`) must hold them.
+/// Appends the whole way from the scene to `frame.color`. What moves the scene runs first; where poses
+/// come from elsewhere, `scene.deformation.pose` (or `frame.host_pose`) must hold them.
 pub(crate) fn record_forward(
     gpu: &Gpu,
     r: &mut Recorder,
@@ -100,58 +98,14 @@ pub(crate) fn record_forward(
     shape: &Shape,
 ) -> Result<()> {
     r.fill(&work.zeroed, 0)?;
-    if let Poses::Network { weights, superpoint_position, size } = &scene.poses {
-        let buffers = DeformNetworkBuffers {
-            frame: frame.frame.whole(),
-            superpoint_position: superpoint_position.whole(),
-            weights: weights.whole(),
-            pose: scene.pose.whole(),
-        };
-        let groups = Groups::Direct(deform_network::groups(scene.superpoints));
-        let constants = DeformNetworkConstants::new(*size, scene.fp16_weights);
-        r.dispatch(&DEFORM_NETWORK, constants, (), buffers, groups)?;
-    }
-    let offset = nonrigid_offset(gpu, r, scene, frame, shape)?;
+    let pose = frame.host_pose.as_ref().unwrap_or(&scene.deformation.pose);
+    let offset = scene.deformation.record(gpu, r, scene, &frame.frame, pose)?;
     deform_project(r, scene, work, frame, offset, &shape.quality)?;
     compact(r, scene, work, frame, &shape.quality)?;
     sort(r, "depth", &work.depth, work, COUNT_VISIBLE, INDIRECT_DEPTH_SORT)?;
     emit(r, work, frame, shape)?;
     sort(r, "tile", &work.tile, work, COUNT_INSTANCES, INDIRECT_TILE_SORT)?;
     ranges_and_blend(gpu, r, work, frame, shape)
-}
-
-/// Offsets of the scene's network G or deformation field at the frame's time, or those that the caller has.
-fn nonrigid_offset(
-    gpu: &Gpu,
-    r: &mut Recorder,
-    scene: &SceneBuffers,
-    frame: &FrameBuffers,
-    shape: &Shape,
-) -> Result<Option<Slice>> {
-    if shape.nonrigid_offset.is_some() {
-        return Ok(shape.nonrigid_offset.clone());
-    }
-    if let Some(field) = &scene.field {
-        return field.record(gpu, r, scene, &frame.frame).map(Some);
-    }
-    let Some(network) = &scene.nonrigid else { return Ok(None) };
-    let offset = network.offset.whole();
-    let buffers = NonrigidNetworkBuffers {
-        frame: frame.frame.whole(),
-        mean: scene.mean.whole(),
-        superpoint_of_gaussian: scene.moves().then(|| scene.superpoint_of_gaussian.whole()),
-        pose: pose_of(scene, frame),
-        parameter: network.parameter.whole(),
-        nonrigid_offset: offset.clone(),
-    };
-    let constants = nonrigid_network::constants(gpu, scene.moves());
-    nonrigid_network::record(r, scene.gaussians, constants, scene.origin.as_vec3().to_array(), buffers)?;
-    Ok(Some(offset))
-}
-
-/// Poses of a moving scene: the device's own, or those of this frame from the host.
-fn pose_of(scene: &SceneBuffers, frame: &FrameBuffers) -> Option<Slice> {
-    scene.moves().then(|| frame.host_pose.as_ref().unwrap_or(&scene.pose).whole())
 }
 
 fn deform_project(
@@ -163,6 +117,8 @@ fn deform_project(
     quality: &Quality,
 ) -> Result<()> {
     let nonrigid = u32::from(nonrigid_offset.is_some());
+    let moves = scene.deformation.moves();
+    let pose = frame.host_pose.as_ref().unwrap_or(&scene.deformation.pose);
     let sh_band = |band: usize| (band <= scene.sh_degree as usize).then(|| scene.sh[band].whole());
     let buffers = DeformProjectBuffers {
         frame: frame.frame.whole(),
@@ -170,8 +126,8 @@ fn deform_project(
         log_scale: scene.log_scale.whole(),
         rotation: scene.rotation.whole(),
         opacity_logit: scene.opacity_logit.whole(),
-        superpoint_of_gaussian: scene.moves().then(|| scene.superpoint_of_gaussian.whole()),
-        pose: pose_of(scene, frame),
+        superpoint_of_gaussian: moves.then(|| scene.deformation.superpoint_of_gaussian.whole()),
+        pose: moves.then(|| pose.whole()),
         sh_0: scene.sh[0].whole(),
         sh_1: sh_band(1),
         sh_2: sh_band(2),
@@ -186,7 +142,7 @@ fn deform_project(
     let groups = Groups::Direct(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS).into());
     let constants = DeformProjectConstants {
         sh_degree: scene.sh_degree,
-        motion: if scene.moves() { MOTION_TABLE } else { MOTION_STATIC },
+        motion: if moves { MOTION_TABLE } else { MOTION_STATIC },
         nonrigid,
         alpha_cut: quality.alpha_cut_constant(),
         tile_cull: quality.cull_constant(),

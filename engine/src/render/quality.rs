@@ -139,7 +139,7 @@ impl Quality {
     /// instead of f16. Network G and deformation fields read the centres too, as f32.
     pub fn for_scene(mut self, scene: &Scene) -> Self {
         let gaussians = &scene.gaussians;
-        if scene.nonrigid.is_some() && self.nonrigid || scene.field.is_some() {
+        if scene.deformation.nonrigid().is_some() && self.nonrigid || scene.deformation.field().is_some() {
             self.position = Storage::F32;
         }
         let rows = gaussians.sh.chunks_exact(3 * gaussians.sh_coefficients());

@@ -17,7 +17,7 @@ use super::limits::TILE_SIZE;
 use super::mean_storage;
 use super::pipeline::{self, FrameBuffers, Shape};
 use super::quality::Quality;
-use super::scene_buffers::{Poses, SceneBuffers};
+use super::scene_buffers::SceneBuffers;
 use super::splat::splat_words;
 use super::work_buffers::{COUNTER_WORDS, WorkBuffers};
 
@@ -189,7 +189,7 @@ impl Renderer {
         let mut frame = self.frame(camera, time)?;
         let size = [camera.width, camera.height];
         let slot = self.prepare(size, asked)?;
-        self.scene.write_host_poses(time, &mut self.host_pose);
+        self.scene.deformation.poses.write(time, self.scene.origin, &mut self.host_pose);
         let Some(targets) = &mut self.targets else {
             return Err(Error::usage("renderer", "no targets", "targets after prepare"));
         };
@@ -289,17 +289,17 @@ impl Renderer {
         Workload(
             [
                 ("gaussians", u64::from(self.scene.gaussians)),
-                ("superpoints", u64::from(self.scene.superpoints)),
+                ("superpoints", u64::from(self.scene.deformation.superpoints)),
                 ("visible", u64::from(statistics.visible)),
                 ("instances", statistics.instances),
                 ("tiles", tiles),
                 ("pixels", u64::from(size[0]) * u64::from(size[1])),
                 ("sh_degree", u64::from(self.scene.sh_degree)),
                 ("sh_coefficients", u64::from((self.scene.sh_degree + 1) * (self.scene.sh_degree + 1))),
-                ("moving", u64::from(self.scene.moves())),
+                ("moving", u64::from(self.scene.deformation.moves())),
                 ("depth", u64::from(self.options.depth)),
-                ("network_bytes", self.scene.network_bytes()),
-                ("network_products", self.scene.network_products()),
+                ("network_bytes", self.scene.deformation.poses.network_bytes()),
+                ("network_products", self.scene.deformation.poses.network_products()),
                 ("splat_bytes", 4 * splat_words(self.options.quality.packing_constant()) as u64),
                 ("mean_bytes", mean_storage::bytes(self.options.quality.position)),
                 ("sh_bytes", self.scene.sh_bytes()),
@@ -385,12 +385,11 @@ impl Renderer {
 
     fn frame_buffers(&self, size: [u32; 2]) -> Result<FrameBuffers> {
         let pixels = u64::from(size[0]) * u64::from(size[1]);
-        let pose_bytes = u64::from(self.scene.superpoints) * 32;
-        let host_pose = matches!(self.scene.poses, Poses::Host(..));
+        let host_pose = self.scene.deformation.host_pose_bytes();
         let depth = self.options.depth.then(|| self.gpu.buffer("depth", pixels * 4, Memory::Device));
         Ok(FrameBuffers {
             frame: self.gpu.buffer("frame", size_of::<Frame>() as u64, Memory::Constants)?,
-            host_pose: host_pose.then(|| self.gpu.buffer("pose", pose_bytes, Memory::Constants)).transpose()?,
+            host_pose: host_pose.map(|bytes| self.gpu.buffer("pose", bytes, Memory::Constants)).transpose()?,
             color: self.gpu.buffer("color", pixels * 16, Memory::Device)?,
             depth: depth.transpose()?,
             counters: self.gpu.buffer("counters readback", COUNTER_WORDS * 4, Memory::Readback)?,

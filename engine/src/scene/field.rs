@@ -18,6 +18,8 @@
 //! | `field.node.share` | `[N]` | by which a Gaussian's motion is multiplied |
 
 use super::Linear;
+use super::gaussians::retain_chunks;
+use super::network::finite;
 use crate::error::{Error, Result};
 
 /// Most octaves of the centre's encoding, and their number in the released codes.
@@ -194,6 +196,15 @@ impl DeformationField {
         self.nodes.as_ref().map_or(Ok(()), |nodes| nodes.check(gaussians))
     }
 
+    /// Keeps the Gaussians for which `keep` is true, in all arrays that have a row for each.
+    pub(super) fn retain(&mut self, keep: &[bool]) {
+        if let Some(nodes) = &mut self.nodes {
+            retain_chunks(&mut nodes.neighbor, nodes.neighbors, keep);
+            retain_chunks(&mut nodes.weight, nodes.neighbors, keep);
+            retain_chunks(&mut nodes.share, 1, keep);
+        }
+    }
+
     fn check_input(&self) -> Result<()> {
         match &self.input {
             FieldInput::Waves { octaves, .. } if *octaves > FIELD_MOST_OCTAVES => Err(Error::usage(
@@ -283,21 +294,5 @@ impl ControlNodes {
         finite("field.node.position", self.position.as_flattened())?;
         finite("field.node.weight", &self.weight)?;
         finite("field.node.share", &self.share)
-    }
-}
-
-fn finite(name: &str, values: &[f32]) -> Result<()> {
-    match values.iter().position(|v| !v.is_finite()) {
-        None => Ok(()),
-        Some(i) => Err(Error::usage(name, format!("{} at element {i}", values[i]), "finite numbers")),
-    }
-}
-
-impl Linear {
-    /// Of this shape, and finite.
-    fn check(&self, name: &str, [inputs, outputs]: [usize; 2]) -> Result<()> {
-        self.check_shape(name, (inputs, outputs))?;
-        finite(&format!("{name}.weight"), &self.weight)?;
-        finite(&format!("{name}.bias"), &self.bias)
     }
 }

@@ -152,6 +152,12 @@ impl DeformNetwork {
         let expected = |i: usize| if i < size.layers { (size.layer_inputs(i), size.width) } else { (size.width, 3) };
         layers.iter().enumerate().try_for_each(|(i, (name, l))| l.check_shape(name, expected(i)))
     }
+
+    /// [`DeformNetwork::check_shapes`], and finite numbers.
+    pub(super) fn check(&self) -> Result<()> {
+        self.check_shapes()?;
+        self.named_layers().iter().try_for_each(|(name, l)| l.check_finite(name))
+    }
 }
 
 /// Octaves of both encodings of network G.
@@ -278,6 +284,12 @@ impl NonrigidNetwork {
         let layers = self.named_layers();
         layers.iter().enumerate().try_for_each(|(i, (name, l))| l.check_shape(name, expected(i)))
     }
+
+    /// [`NonrigidNetwork::check_shapes`], and finite numbers.
+    pub(super) fn check(&self) -> Result<()> {
+        self.check_shapes()?;
+        self.named_layers().iter().try_for_each(|(name, l)| l.check_finite(name))
+    }
 }
 
 impl Linear {
@@ -294,6 +306,17 @@ impl Linear {
         Self { inputs: self.inputs, outputs: self.outputs, weight, bias }
     }
 
+    /// Of this shape, `[inputs, outputs]`, and finite.
+    pub(super) fn check(&self, name: &str, [inputs, outputs]: [usize; 2]) -> Result<()> {
+        self.check_shape(name, (inputs, outputs))?;
+        self.check_finite(name)
+    }
+
+    fn check_finite(&self, name: &str) -> Result<()> {
+        finite(&format!("{name}.weight"), &self.weight)?;
+        finite(&format!("{name}.bias"), &self.bias)
+    }
+
     pub(super) fn check_shape(&self, name: &str, (inputs, outputs): (usize, usize)) -> Result<()> {
         let found = [self.outputs, self.inputs, self.weight.len(), self.bias.len()];
         if found == [outputs, inputs, outputs * inputs, outputs] {
@@ -302,6 +325,14 @@ impl Linear {
         let [o, i, w, b] = found;
         let expected = format!("{outputs} x {inputs}, {} weights, {outputs} biases", outputs * inputs);
         Err(Error::usage(name, format!("{o} x {i}, {w} weights, {b} biases"), expected))
+    }
+}
+
+/// Refuses numbers that are not finite, naming the first.
+pub(super) fn finite(name: &str, values: &[f32]) -> Result<()> {
+    match values.iter().position(|v| !v.is_finite()) {
+        None => Ok(()),
+        Some(i) => Err(Error::usage(name, format!("{} at element {i}", values[i]), "finite numbers")),
     }
 }
 

@@ -21,11 +21,11 @@ const PLANE_SIZE: [usize; 4] = [5, 7, 4, 3];
 /// Frames of each kind of field, each dispatch against its twin.
 pub(super) fn test(gpu: &Gpu) -> Result<()> {
     let mut random = Random::new(SEED);
-    let scene = Scene { superpoints: None, motion: None, ..scene() };
+    let scene = scene();
     let gaussians = scene.gaussians.len();
     for field in [of_nodes(&mut random, gaussians), of_planes(&mut random)] {
         let options = RenderOptions { background: BACKGROUND, ..RenderOptions::default() };
-        watched_frames(gpu, &Scene { field: Some(field), ..scene.clone() }, &options)?;
+        watched_frames(gpu, &Scene { deformation: field.into(), ..scene.clone() }, &options)?;
     }
     Ok(())
 }

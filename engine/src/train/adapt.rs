@@ -1,6 +1,5 @@
 //! Density control in the trainer: what a pass needs and what it replaces.
 
-use super::association::Rows;
 use super::blend_backward::ROW_WORDS;
 use super::deform_project_backward::parameter_planes;
 use super::density::{Density, DensityBuffers, DensityChange, DensityOptions, NewRows, RowArray, reset_opacity};
@@ -8,7 +7,6 @@ use super::trainer::Trainer;
 use crate::data::dataset::View;
 use crate::error::{Error, Result};
 use crate::gpu::Memory;
-use crate::render::scene_buffers::Poses;
 
 /// Opacity that a reset leaves at most (3DGS).
 const RESET_OPACITY: f64 = 0.01;
@@ -21,9 +19,6 @@ const INSTANCES: u64 = 8;
 const INSTANCE_BYTES: u64 = 72;
 /// Bytes per pixel: photo, rendering, gradient, work space of SSIM.
 const PIXEL_BYTES: u64 = 96;
-/// Bytes of network G per Gaussian: offset and its gradient, activations of the chunk it is in.
-const NONRIGID_BYTES: u64 = 256;
-
 impl Trainer {
     /// Clone, split, prune and reset after `iteration`, as the schedule says.
     pub(super) fn adapt_density(&mut self, iteration: u64) -> Result<()> {
@@ -83,11 +78,10 @@ impl Trainer {
     fn most_gaussians(&self) -> u32 {
         let (used, budget) = self.gpu.memory_used();
         let n = u64::from(self.parameters.count());
-        let slots = self.moving.as_ref().map_or(0, |m| u64::from(m.superpoints.options().slots));
+        let (rows, work) = self.deformation.as_ref().map_or((0, 0), |m| (m.row_bytes(), m.bytes_per_gaussian()));
         // Parameters and moments exist twice while they are moved.
-        let kept = 2 * (3 * 4 * u64::from(parameter_planes(self.parameters.sh_degree)) + 16 * slots + 16);
-        let nonrigid = if self.nonrigid.is_some() { NONRIGID_BYTES } else { 0 };
-        let each = kept + WORK_BYTES + 32 * slots + nonrigid + INSTANCES * INSTANCE_BYTES;
+        let kept = 2 * (3 * 4 * u64::from(parameter_planes(self.parameters.sh_degree)) + rows + 16);
+        let each = kept + WORK_BYTES + work + INSTANCES * INSTANCE_BYTES;
         let pixels = |v: &View| u64::from(v.camera.width) * u64::from(v.camera.height);
         let images = PIXEL_BYTES * self.views.iter().map(pixels).max().unwrap_or(0);
         // The step's own buffers for the Gaussians there are were freed before this.
@@ -109,14 +103,8 @@ impl Trainer {
         let mut rows: Vec<RowArray> = (0..4).map(|b| row(&s.sh[b as usize], band(b), 1, NewRows::Copy)).collect();
         rows.push(row(&p.moment_1, planes, 1, NewRows::Zero));
         rows.push(row(&p.moment_2, planes, 1, NewRows::Zero));
-        rows.push(row(&s.superpoint_of_gaussian, 1, 1, NewRows::Copy));
-        if let Some(m) = &self.moving {
-            let (a, slots) = (m.superpoints.rows(), m.superpoints.options().slots);
-            rows.push(row(&a.neighbor, 1, slots, NewRows::Copy));
-            rows.push(row(&a.logit, 1, slots, NewRows::Copy));
-            rows.push(row(&a.moment_1, 1, slots, NewRows::Zero));
-            rows.push(row(&a.moment_2, 1, slots, NewRows::Zero));
-        }
+        rows.push(row(&s.deformation.superpoint_of_gaussian, 1, 1, NewRows::Copy));
+        rows.extend(self.deformation.iter().flat_map(|m| m.density_rows()));
         DensityBuffers {
             mean: s.mean.clone(),
             log_scale: s.log_scale.clone(),
@@ -138,14 +126,13 @@ impl Trainer {
         (p.scene.opacity_logit, p.density, p.max_radius) = (b.opacity_logit, b.density, b.max_radius);
         p.scene.sh = [next()?, next()?, next()?, next()?];
         (p.moment_1, p.moment_2) = (next()?, next()?);
-        p.scene.superpoint_of_gaussian = next()?;
-        if n == 0 {
-            // Nothing is left to move.
-            (p.scene.superpoints, p.scene.poses) = (0, Poses::Static);
-            self.moving = None;
-        } else if let Some(m) = &mut self.moving {
-            let rows = Rows { neighbor: next()?, logit: next()?, moment_1: next()?, moment_2: next()? };
-            m.superpoints.resize(&self.gpu, n, rows)?;
+        p.scene.deformation.superpoint_of_gaussian = next()?;
+        p.scene.deformation.rest();
+        if let Some(model) = self.deformation.take() {
+            self.deformation = model.resized(&self.gpu, n, &mut rows)?;
+        }
+        if let Some(model) = &self.deformation {
+            model.attach(&mut self.parameters.scene.deformation);
         }
         self.allocate_gradients()
     }
@@ -155,11 +142,6 @@ impl Trainer {
         let n = u64::from(self.parameters.count().max(1));
         self.splat_gradient = self.gpu.buffer("splat_gradient", n * u64::from(ROW_WORDS) * 4, Memory::Device)?;
         self.pose_gradient = self.gpu.buffer("pose_gradient", n * 24, Memory::Device)?;
-        if let Some(g) = &mut self.nonrigid {
-            g.offset = self.gpu.buffer("nonrigid_offset", n * 40, Memory::Device)?;
-            g.gradient = self.gpu.buffer("nonrigid_gradient", n * 40, Memory::Device)?;
-            g.network.grow(n as u32)?;
-        }
         Ok(())
     }
 }

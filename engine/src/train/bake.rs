@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::reference::{exp, rotation_of_quaternion};
-use crate::scene::{Camera, Gaussians, Motion, Superpoints};
+use crate::scene::{Camera, Deformation, Gaussians, Motion, SuperpointDeformation, Superpoints};
 
 pub use distance::Views;
 
@@ -25,10 +25,8 @@ const POINTS: usize = 2;
 /// A baked motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Baked {
-    /// The table; `None`: nothing moves.
-    pub motion: Option<Motion>,
-    /// The superpoints that are left; `None`: nothing moves.
-    pub superpoints: Option<Superpoints>,
+    /// The superpoints that are left, with their table; or nothing moves.
+    pub deformation: Deformation,
     /// For each superpoint before, the index it has now; those that never move share one.
     pub kept: Vec<u32>,
     /// Superpoints that never move (their pose is applied to their Gaussians).
@@ -89,19 +87,14 @@ pub fn bake(
     apply_constant_pose(gaussians, superpoints, motion, &moving);
     let kept = new_indices(&moving);
     if still == count {
-        return Ok(Baked {
-            motion: None,
-            superpoints: None,
-            kept,
-            still,
-            error_px: baker.still_error(&moving),
-            unseen,
-        });
+        let error_px = baker.still_error(&moving);
+        return Ok(Baked { deformation: Deformation::None, kept, still, error_px, unseen });
     }
     let keys = baker.keys(&moving, tolerance_px);
     let error_px = baker.error_of(&keys, &moving).max(baker.still_error(&moving));
     let (motion, superpoints) = reduced(superpoints, motion, &keys, &moving, &kept);
-    Ok(Baked { motion: Some(motion), superpoints: Some(superpoints), kept, still, error_px, unseen })
+    let deformation = SuperpointDeformation::of_table(superpoints, motion).into();
+    Ok(Baked { deformation, kept, still, error_px, unseen })
 }
 
 impl<'a> Baker<'a> {
@@ -373,7 +366,7 @@ mod tests {
         let (mut g, s, m) = scene();
         let before = g.clone();
         let baked = bake(&mut g, &s, &m, &views(), 0.1, true).unwrap();
-        let motion = baked.motion.unwrap();
+        let motion = baked.deformation.table().unwrap();
         assert_eq!(motion.times, [0.0, 0.5, 1.0]);
         assert_eq!((baked.still, baked.kept), (1, vec![2, 0, 1]));
         assert_eq!(motion.rotation[2], [0.0; 3], "the still superpoint's Gaussians carry its pose");
@@ -392,7 +385,7 @@ mod tests {
         let mut last = usize::MAX;
         for tolerance in [0.01, 0.3, 3.0] {
             let baked = bake(&mut g.clone(), &s, &m, &views(), tolerance, true).unwrap();
-            let keys = baked.motion.unwrap().times.len();
+            let keys = baked.deformation.key_times().len();
             assert!(baked.error_px <= tolerance, "{} > {tolerance}", baked.error_px);
             assert!(keys <= last && keys >= 3, "{keys} keys at {tolerance} px");
             last = keys;
@@ -406,7 +399,7 @@ mod tests {
         m.rotation.iter_mut().for_each(|r| *r = [0.2, 0.0, 0.0]);
         m.translation.iter_mut().for_each(|t| *t = [0.0; 3]);
         let baked = bake(&mut g, &s, &m, &views(), 0.1, true).unwrap();
-        assert_eq!((baked.motion, baked.superpoints, baked.still), (None, None, 3));
+        assert_eq!((baked.deformation, baked.still), (Deformation::None, 3));
     }
 
     #[test]
@@ -424,7 +417,7 @@ mod tests {
             // The bend counts where everything does.
             let all = Views { everywhere: true, ..only };
             let baked = bake(&mut g.clone(), &s, &m, &all, 0.1, true).unwrap();
-            assert_eq!(baked.motion.unwrap().times, [0.0, 0.5, 1.0]);
+            assert_eq!(baked.deformation.key_times(), [0.0, 0.5, 1.0]);
         }
         let none = Views { cameras: Vec::new(), near: 0.2, everywhere: true };
         assert!(bake(&mut g.clone(), &s, &m, &none, 0.1, true).unwrap_err().to_string().contains("no camera"));

@@ -12,7 +12,10 @@ use super::parameters::ParameterState;
 use super::schedule::Stage;
 use crate::error::{Error, Result};
 use crate::file::tensors::{self, NamedTensor, StoredTensor, floats, indices};
-use crate::scene::{Association, DeformNetwork, DeformSize, Gaussians, NonrigidNetwork};
+use crate::scene::{
+    Association, DeformNetwork, DeformSize, Deformation, Gaussians, NonrigidNetwork, Scene, SuperpointDeformation,
+    Superpoints,
+};
 
 /// Value of the metadata entry `format`.
 const FORMAT: [&str; 2] = ["spgs-checkpoint", "1"];
@@ -161,6 +164,24 @@ impl Checkpoint {
         let motion = r.has("superpoint_position").then(|| motion(&mut r, n)).transpose()?;
         let nonrigid = r.has("network_g.weights").then(|| network(&mut r, "network_g")).transpose()?;
         Ok(Self { config, stage, iteration, parameters, motion, nonrigid })
+    }
+
+    /// The scene as the run has it at this moment, without the association.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for another number of weights than the configuration's networks have.
+    pub fn into_scene(self) -> Result<Scene> {
+        let mut deformation = Deformation::None;
+        if let Some(motion) = self.motion {
+            let network = Some(motion.network.deform(self.config.motion.network_size())?);
+            let of_gaussian = self.parameters.superpoint_of_gaussian;
+            let superpoints = Superpoints { of_gaussian, position: motion.position };
+            deformation = SuperpointDeformation { superpoints, network, ..SuperpointDeformation::default() }.into();
+        }
+        if let Some(network) = self.nonrigid {
+            deformation = deformation.with_nonrigid(network.nonrigid()?)?;
+        }
+        Ok(Scene { gaussians: self.parameters.gaussians, deformation, ..Scene::default() })
     }
 
     /// The newest checkpoint in `folder` that can be read, and what was wrong with newer ones. `None`: there is none.

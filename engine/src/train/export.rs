@@ -6,7 +6,7 @@ use super::trainer::Trainer;
 use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::render::{RenderOptions, Renderer};
-use crate::scene::{Camera, Gaussians, MotionSource, Scene};
+use crate::scene::{Camera, Deformation, Gaussians, MotionSource, Scene};
 
 /// Smallest α that is drawn: a Gaussian whose opacity is below it shows nowhere.
 const MIN_ALPHA: f32 = 1.0 / 255.0;
@@ -32,36 +32,48 @@ pub fn export(gpu: &Gpu, trainer: &Trainer, cameras: &[Camera]) -> Result<Export
     let mut decisions = Vec::new();
     drop_invisible(&mut scene, &mut decisions);
     let times = candidate_times(cameras);
-    if let (Some(motion), Some(superpoints)) = (trainer.motion_at(&times)?, scene.superpoints.clone()) {
-        let keep = config.export.keep_network;
+    if let (Some(motion), Some(superpoints)) = (trainer.motion_at(&times)?, scene.deformation.superpoints().cloned()) {
         let tolerance = config.export.motion_error_px;
         // What no training camera sees keeps its motion, but asks for no key times.
         let views = Views { cameras: cameras.to_vec(), near: f64::from(config.near), everywhere: false };
+        let keep = config.export.keep_network;
         let baked = bake(&mut scene.gaussians, &superpoints, &motion, &views, tolerance, !keep)?;
-        let keys = baked.motion.as_ref().map_or(0, |m| m.times.len());
         decisions.push(format!(
-            "motion table: {keys} key times of {} candidates; largest error on the training cameras {:.3} px (bound {tolerance} px)",
+            "motion table: {} key times of {} candidates; largest error on the training cameras {:.3} px (bound {tolerance} px)",
+            baked.deformation.key_times().len(),
             times.len(),
             baked.error_px
         ));
         if !keep {
-            let kept = baked.superpoints.as_ref().map_or(0, |s| s.position.len());
             decisions.push(format!(
-                "superpoints: {kept} of {}; {} never move and share one or none",
+                "superpoints: {} of {}; {} never move and share one or none",
+                baked.deformation.superpoint_count(),
                 superpoints.position.len(),
                 baked.still
             ));
             decisions.push(
                 "left out: network F, association (play-back needs neither; export.keep_network keeps them)".into(),
             );
-            scene.deform = None;
-            scene.association = None;
         }
-        scene.superpoints = baked.superpoints;
-        scene.motion = baked.motion;
+        replace_motion(&mut scene, baked.deformation, keep)?;
     }
     drop_sh(gpu, &mut scene, cameras, trainer, &mut decisions)?;
     Ok(Exported { scene, decisions })
+}
+
+/// Puts the baked table where the trained motion was. Network G stays; network F and the association if they are to be kept.
+fn replace_motion(scene: &mut Scene, mut baked: Deformation, keep: bool) -> Result<()> {
+    let nonrigid = scene.deformation.take_nonrigid();
+    if let (true, Some(new), Some(trained)) =
+        (keep, baked.superpoint_deformation_mut(), scene.deformation.superpoint_deformation_mut())
+    {
+        (new.network, new.association) = (trained.network.take(), trained.association.take());
+    }
+    scene.deformation = match nonrigid {
+        Some(network) => baked.with_nonrigid(network)?,
+        None => baked,
+    };
+    Ok(())
 }
 
 /// The cameras' times and the middles between them.
@@ -80,21 +92,14 @@ fn candidate_times(cameras: &[Camera]) -> Vec<f32> {
 fn drop_invisible(scene: &mut Scene, decisions: &mut Vec<String>) {
     let g = &scene.gaussians;
     let shows = |logit: f32| 1.0 / (1.0 + (-logit).exp()) >= MIN_ALPHA;
-    let keep: Vec<usize> = (0..g.len()).filter(|&i| shows(g.opacity_logit[i])).collect();
-    let dropped = g.len() - keep.len();
-    if dropped == 0 {
+    let keep: Vec<bool> = g.opacity_logit.iter().map(|&logit| shows(logit)).collect();
+    let (before, after) = (g.len(), keep.iter().filter(|k| **k).count());
+    if after == before {
         return;
     }
-    decisions.push(format!("left out: {dropped} of {} Gaussians, with an opacity below 1/255", g.len()));
-    scene.gaussians = g.selected(&keep);
-    if let Some(s) = &mut scene.superpoints {
-        s.of_gaussian = keep.iter().map(|&i| s.of_gaussian[i]).collect();
-    }
-    if let Some(a) = &mut scene.association {
-        let k = a.neighbors;
-        a.neighbor = keep.iter().flat_map(|&i| a.neighbor[i * k..(i + 1) * k].to_vec()).collect();
-        a.logit = keep.iter().flat_map(|&i| a.logit[i * k..(i + 1) * k].to_vec()).collect();
-    }
+    decisions.push(format!("left out: {} of {before} Gaussians, with an opacity below 1/255", before - after));
+    scene.gaussians.retain(&keep);
+    scene.deformation.retain(&keep);
 }
 
 /// The lowest SH degree that changes no pixel visibly.

@@ -11,11 +11,12 @@ use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Groups, Memory, Slice};
 use crate::reference::gradient::splats::TWO_LN_2;
 use crate::render::deform_project::{MOTION_STATIC, MOTION_TABLE};
+use crate::render::deformation::{Offsets, Poses};
 use crate::render::frame::{Frame, FrameOptions};
 use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, TILE_SIZE};
 use crate::render::pipeline::{FrameBuffers, Shape, record_forward};
 use crate::render::quality::Quality;
-use crate::render::scene_buffers::{Poses, SceneBuffers};
+use crate::render::scene_buffers::SceneBuffers;
 use crate::render::tiles::SlotBuffers;
 use crate::render::work_buffers::{COUNTER_WORDS, WorkBuffers};
 use crate::scene::{Camera, MotionSource, Scene};
@@ -67,9 +68,10 @@ pub fn scene_gradients(
         let found = image_gradient.len().to_string();
         return Err(Error::usage("gradient of the image", found, format!("{} values", 4 * pixels)));
     }
-    let source = if scene.motion.is_some() { MotionSource::Table } else { MotionSource::Auto };
+    let source = if scene.deformation.table().is_some() { MotionSource::Table } else { MotionSource::Auto };
     let buffers = SceneBuffers::new(gpu, scene, source, &Quality::EXACT)?;
-    if !matches!(buffers.poses, Poses::Static | Poses::Table(_)) {
+    let moved = &buffers.deformation;
+    if !matches!((&moved.poses, &moved.offsets), (Poses::Static | Poses::Table(_), Offsets::None)) {
         return Err(Error::usage("motion of the scene", "no table near the origin", "a static scene or such a table"));
     }
     let image_gradient = gpu.buffer_with("image_gradient", bytemuck::cast_slice(image_gradient))?;
@@ -106,9 +108,9 @@ impl Run<'_> {
             background: self.options.background,
             near: self.options.near,
             time: self.time,
-            interval: self.scene.interval(self.time),
+            interval: self.scene.deformation.interval(self.time),
             gaussians: self.scene.gaussians,
-            superpoints: self.scene.superpoints,
+            superpoints: self.scene.deformation.superpoints,
             sh_degree: self.scene.sh_degree,
             instance_capacity: capacity,
         };
@@ -172,8 +174,8 @@ impl Run<'_> {
             &scene.log_scale,
             &scene.rotation,
             &scene.opacity_logit,
-            &scene.superpoint_of_gaussian,
-            &scene.pose,
+            &scene.deformation.superpoint_of_gaussian,
+            &scene.deformation.pose,
             sh_0,
             sh_1,
             sh_2,
@@ -190,7 +192,7 @@ impl Run<'_> {
         ];
         let mut slices: Vec<Slice> = buffers.into_iter().map(Slice::from).collect();
         slices[2] = work.counters.clone();
-        let motion = if scene.moves() { MOTION_TABLE } else { MOTION_STATIC };
+        let motion = if scene.deformation.moves() { MOTION_TABLE } else { MOTION_STATIC };
         let spec = [scene.sh_degree, motion, 0, OUTPUT_GRADIENT, 0];
         let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
         r.dispatch_untyped(&DEFORM_PROJECT_BACKWARD, &spec, &[], &slices, Groups::Direct(groups))?;
@@ -203,7 +205,7 @@ impl Run<'_> {
         }
         let part = |buffer: &Buffer, count: u64| Ok::<_, Error>(floats(words(gpu, &buffer.slice(0, 4 * count))?));
         let planes = part(&gradient, n * u64::from(planes))?;
-        let pose = if scene.moves() { part(&pose_gradient, 6 * n)? } else { Vec::new() };
+        let pose = if scene.deformation.moves() { part(&pose_gradient, 6 * n)? } else { Vec::new() };
         let splats = part(&work.splats, 12 * n)?;
         let tile_count = words(gpu, &work.tile_count.slice(0, 4 * n))?;
         let rows = part(&splat_gradient, n * u64::from(ROW_WORDS))?;

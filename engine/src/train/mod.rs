@@ -31,6 +31,7 @@ pub mod checkpoint;
 pub mod config;
 #[doc(hidden)]
 pub mod deform_project_backward;
+mod deformation;
 #[doc(hidden)]
 pub mod density;
 pub mod evaluate;

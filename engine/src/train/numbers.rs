@@ -38,25 +38,7 @@ impl Trainer {
         ];
         let bands = (0..=p.sh_degree).zip(&s.sh).zip(["sh_0", "sh_1", "sh_2", "sh_3"]);
         all.extend(bands.map(|((band, buffer), name)| of(name, buffer, 3 * (2 * band + 1))));
-        if let Some(m) = &self.moving {
-            let (rows, slots) = (m.superpoints.rows(), m.superpoints.options().slots);
-            all.push(of("association logit", &rows.logit, slots));
-            all.push(of("association moment_1", &rows.moment_1, slots));
-            all.push(of("association moment_2", &rows.moment_2, slots));
-            let count = 3 * m.superpoints.superpoints();
-            all.push(("superpoint position", Slice::from(&m.superpoints.position), count));
-            all.extend(network(["network F weight", "network F moment_1", "network F moment_2"], m.network.state()));
-        }
-        if let Some(g) = &self.nonrigid {
-            all.extend(network(["network G weight", "network G moment_1", "network G moment_2"], g.network.state()));
-        }
+        all.extend(self.deformation.iter().flat_map(|m| m.numbers()));
         all
     }
-}
-
-fn network(names: [&'static str; 3], state: [Slice; 3]) -> impl Iterator<Item = (&'static str, Slice, u32)> {
-    names.into_iter().zip(state).map(|(name, slice)| {
-        let words = (slice.bytes / 4) as u32;
-        (name, slice, words)
-    })
 }

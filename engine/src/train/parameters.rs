@@ -5,10 +5,11 @@ use glam::DVec3;
 
 use super::deform_project_backward::parameter_planes;
 use crate::error::{Error, Result};
-use crate::gpu::{Buffer, Gpu, Memory};
+use crate::gpu::{Buffer, Gpu};
 use crate::render::bounds::Bounds;
+use crate::render::deformation::DeformationBuffers;
 use crate::render::quality::Storage;
-use crate::render::scene_buffers::{Poses, SceneBuffers, planes, sh_band};
+use crate::render::scene_buffers::{SceneBuffers, planes, sh_band};
 use crate::scene::{Gaussians, Rejected};
 
 /// Gaussians on the device.
@@ -91,23 +92,16 @@ impl Parameters {
         let band = |b: u32| floats(&format!("sh_{b}"), &sh_band(g, b));
         let scene = SceneBuffers {
             gaussians: n as u32,
-            superpoints: 0,
             sh_degree: g.sh_degree,
             origin: DVec3::ZERO,
-            poses: Poses::Static,
-            fp16_weights: false,
+            deformation: DeformationBuffers::at_rest(gpu, &s.superpoint_of_gaussian)?,
             sh_storage: Storage::F32,
             bounds: Bounds::EVERYWHERE,
             rejected: Rejected::default(),
-            nonrigid: None,
-            field: None,
             mean: floats("mean", &planes(&g.mean))?,
             log_scale: floats("log_scale", &planes(&g.log_scale))?,
             rotation: floats("rotation", g.rotation.as_flattened())?,
             opacity_logit: floats("opacity_logit", &g.opacity_logit)?,
-            superpoint_of_gaussian: gpu
-                .buffer_with("superpoint_of_gaussian", bytemuck::cast_slice(&s.superpoint_of_gaussian))?,
-            pose: gpu.buffer("pose", 32, Memory::Device)?,
             sh: [band(0)?, band(1)?, band(2)?, band(3)?],
         };
         Ok(Self {
@@ -135,7 +129,7 @@ impl Parameters {
             moment_2: words(gpu, &self.moment_2, n * p)?,
             density: words(gpu, &self.density, 2 * n)?,
             max_radius: words(gpu, &self.max_radius, n)?,
-            superpoint_of_gaussian: words(gpu, &self.scene.superpoint_of_gaussian, n)?,
+            superpoint_of_gaussian: words(gpu, &self.scene.deformation.superpoint_of_gaussian, n)?,
         })
     }
 

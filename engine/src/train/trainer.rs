@@ -3,14 +3,12 @@
 mod record;
 mod restore;
 
-use super::association::{AssociationInit, AssociationOptions, SuperpointState};
+use super::association::AssociationOptions;
 use super::blend_backward::{Accumulation, ROW_WORDS};
-use super::config::{Config, Form};
+use super::config::Config;
+use super::deformation::{self, Trained};
 use super::density::DensityChange;
-use super::network_f::NetworkF;
-use super::network_g::NetworkG;
 use super::parameters::{ParameterState, Parameters};
-use super::property_loss::PropertyLoss;
 use super::rng;
 use super::sampler::ViewSampler;
 use super::schedule::{Counts, Schedule, Stage};
@@ -22,11 +20,10 @@ use crate::data::loader::ImageLoader;
 use crate::data::pixels::Pixels;
 use crate::error::{Error, Result};
 use crate::gpu::capability::TRAINING_STORAGE_BUFFERS;
-use crate::gpu::{Buffer, Gpu, Memory, Slice, Suite, Timing};
+use crate::gpu::{Buffer, Gpu, Memory, Suite, Timing};
 use crate::render::frame::{Frame, FrameOptions};
 use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE};
-use crate::render::scene_buffers::Poses;
-use crate::scene::{DeformNetwork, Gaussians};
+use crate::scene::Gaussians;
 use std::sync::Arc;
 
 /// Random stream of the noise on time.
@@ -81,22 +78,6 @@ pub struct StepReport {
     pub rejected: u32,
 }
 
-/// Superpoints, association, network F.
-#[derive(Debug)]
-pub(super) struct Moving {
-    pub(super) superpoints: SuperpointState,
-    pub(super) network: NetworkF,
-    pub(super) pose: Buffer,
-}
-
-/// Network G with what it gives and gets.
-#[derive(Debug)]
-pub(super) struct Nonrigid {
-    pub(super) network: NetworkG,
-    pub(super) offset: Buffer,
-    pub(super) gradient: Buffer,
-}
-
 /// Trains one scene.
 #[derive(Debug)]
 pub struct Trainer {
@@ -108,8 +89,8 @@ pub struct Trainer {
     pub(super) sampler: ViewSampler,
     pub(super) iteration: u64,
     pub(super) parameters: Parameters,
-    pub(super) moving: Option<Moving>,
-    pub(super) nonrigid: Option<Nonrigid>,
+    /// What moves the Gaussians; `None` before motion begins, and where nothing moves.
+    pub(super) deformation: Option<Trained>,
     pub(super) density_change: Option<DensityChange>,
     pub(super) targets: Vec<Target>,
     pub(super) capacity: u64,
@@ -177,8 +158,7 @@ impl Trainer {
             loader: ImageLoader::new(data.views.clone(), config.budget.image_bytes, workers)?,
             sampler,
             iteration,
-            moving: None,
-            nonrigid: None,
+            deformation: None,
             density_change: None,
             targets: Vec::new(),
             capacity: (n * FIRST_INSTANCES_PER_GAUSSIAN).max(4096),
@@ -225,6 +205,16 @@ impl Trainer {
         self.parameters.count()
     }
 
+    /// M; 0 before motion begins.
+    fn superpoints(&self) -> u32 {
+        self.parameters.scene.deformation.superpoints
+    }
+
+    /// Shape of the association, once motion has begun.
+    pub(super) fn association(&self) -> Option<&AssociationOptions> {
+        self.deformation.as_ref()?.association()
+    }
+
     /// One iteration: pick a photo, move, render, compare, go back, update, adapt the density.
     ///
     /// # Errors
@@ -254,54 +244,20 @@ impl Trainer {
         Ok(report)
     }
 
-    /// Samples superpoints from the Gaussians as they are and starts network F.
+    /// Starts the model of motion from the Gaussians as they are.
     fn begin_motion(&mut self) -> Result<()> {
         if self.parameters.count() == 0 {
             return Ok(());
         }
-        let s = &self.parameters.scene;
-        let options = self.association_options();
-        let superpoints = SuperpointState::init(
-            &self.gpu,
-            &Slice::from(&s.mean),
-            &Slice::from(&s.superpoint_of_gaussian),
-            self.parameters.count(),
-            options,
-        )?;
-        let weights =
-            DeformNetwork::init(self.config.seed, self.config.motion.network_size(), self.config.motion.zero_heads);
-        let network = NetworkF::new(&self.gpu, &weights, superpoints.superpoints())?;
-        self.set_motion(superpoints, network)
-    }
-
-    fn association_options(&self) -> AssociationOptions {
-        let m = &self.config.motion;
-        AssociationOptions {
-            superpoints: m.superpoints,
-            neighbors: m.neighbors,
-            slots: m.association_slots,
-            init: match m.association_init {
-                Form::Code => AssociationInit::Code,
-                Form::Paper => AssociationInit::Paper,
-            },
-            property_loss: match self.config.loss.prop_loss {
-                Form::Code => PropertyLoss::Code,
-                Form::Paper => PropertyLoss::Paper,
-            },
-            seed: self.config.seed,
-        }
-    }
-
-    fn set_motion(&mut self, superpoints: SuperpointState, network: NetworkF) -> Result<()> {
-        let m = superpoints.superpoints();
-        let pose = self.gpu.buffer("pose", u64::from(m) * 32, Memory::Device)?;
-        let scene = &mut self.parameters.scene;
-        scene.superpoints = m;
-        scene.poses = Poses::Given;
-        scene.pose = pose.clone();
-        self.moving = Some(Moving { superpoints, network, pose });
-        self.targets.iter_mut().for_each(|t| t.commands = None);
+        let model = deformation::begin(&self.gpu, &self.config, &self.parameters.scene)?;
+        self.set_deformation(model);
         Ok(())
+    }
+
+    fn set_deformation(&mut self, model: Trained) {
+        model.attach(&mut self.parameters.scene.deformation);
+        self.deformation = Some(model);
+        self.targets.iter_mut().for_each(|t| t.commands = None);
     }
 
     /// Runs the step on the device, with larger buffers until the view fits.
@@ -316,7 +272,7 @@ impl Trainer {
             let at = self.target([camera.width, camera.height])?;
             let frame = Frame::new(&camera, self.parameters.scene.origin, &self.frame_options(view, at))?;
             self.write_step(iteration, view)?;
-            let key = RecordingKey { sh_degree: self.parameters.scene.sh_degree, moves: self.moving.is_some() };
+            let key = RecordingKey { sh_degree: self.parameters.scene.sh_degree, moves: self.deformation.is_some() };
             let target = &self.targets[at];
             target.frame.frame.write(0, bytemuck::bytes_of(&frame))?;
             target.upload.write(0, bytemuck::cast_slice(&photo.rgba))?;
@@ -340,7 +296,7 @@ impl Trainer {
             near: self.config.near,
             time: self.views[view].time,
             gaussians: self.parameters.count(),
-            superpoints: self.parameters.scene.superpoints,
+            superpoints: self.superpoints(),
             sh_degree: self.parameters.scene.sh_degree,
             instance_capacity: self.targets[at].capacity,
             ..FrameOptions::default()
@@ -348,8 +304,8 @@ impl Trainer {
     }
 
     fn write_step(&self, iteration: u64, view: usize) -> Result<()> {
-        let slots = self.moving.as_ref().map_or(0, |m| m.superpoints.options().slots);
-        let (gaussians, superpoints) = (self.parameters.count(), self.parameters.scene.superpoints);
+        let slots = self.association().map_or(0, |a| a.slots);
+        let (gaussians, superpoints) = (self.parameters.count(), self.superpoints());
         let time = self.views[view].time;
         // Annealed smooth training of Deformable 3D Gaussians, as the released code has it: relative to the photos left.
         let spacing = 1.0 / self.sampler.remaining(iteration) as f64;
@@ -400,8 +356,8 @@ impl Trainer {
             return Err(Error::NonFinite { what, index: index as usize, value: "not finite".into() });
         }
         let c = &self.config.loss;
-        let property =
-            if self.moving.is_some() && self.nonrigid.is_none() { [0, 1, 2].map(|i| float(2, i)) } else { [0.0; 3] };
+        let has_property = self.deformation.as_ref().is_some_and(|m| m.property_loss().is_some());
+        let property = if has_property { [0, 1, 2].map(|i| float(2, i)) } else { [0.0; 3] };
         let weights = [c.lambda_position, c.lambda_rotation, c.lambda_translation].map(f64::from);
         Ok(Some(StepReport {
             iteration,
@@ -412,7 +368,7 @@ impl Trainer {
             psnr: -10.0 * float(1, 3).max(1e-30).log10(),
             property,
             gaussians: self.parameters.count(),
-            superpoints: self.parameters.scene.superpoints,
+            superpoints: self.superpoints(),
             visible: word(0, COUNT_VISIBLE),
             instances,
             rejected: word(0, COUNT_REJECTED),

@@ -44,7 +44,8 @@ impl Trainer {
         let size = self.targets.last().map_or([0, 0], |t| t.size);
         let tiles = u64::from(size[0].div_ceil(TILE_SIZE)) * u64::from(size[1].div_ceil(TILE_SIZE));
         let degree = u64::from(self.parameters.scene.sh_degree);
-        let association = self.moving.as_ref().map(|m| m.superpoints.options());
+        let has_offsets = self.deformation.as_ref().is_some_and(|m| m.project_inputs().offset.is_some());
+        let association = self.association();
         Workload(
             [
                 ("gaussians", u64::from(step.gaussians)),
@@ -58,8 +59,8 @@ impl Trainer {
                 ("sh_bytes", 12 * (degree + 1) * (degree + 1)),
                 ("mean_bytes", 12),
                 ("splat_bytes", 48),
-                ("moving", u64::from(self.moving.is_some())),
-                ("nonrigid", u64::from(self.nonrigid.is_some())),
+                ("moving", u64::from(self.parameters.scene.deformation.moves())),
+                ("nonrigid", u64::from(has_offsets)),
                 ("neighbors", association.map_or(0, |a| a.neighbors.into())),
                 ("slots", association.map_or(0, |a| a.slots.into())),
             ]
@@ -77,16 +78,8 @@ impl Trainer {
             gradients: sum(&[&self.splat_gradient, &self.pose_gradient]),
             ..TrainingMemory::default()
         };
-        if let Some(m) = &self.moving {
-            let rows = m.superpoints.rows();
-            used.parameters += sum(&[&m.superpoints.position, &rows.neighbor, &rows.logit]);
-            used.moments += sum(&[&rows.moment_1, &rows.moment_2]);
-            used.gradients += m.superpoints.gradient.bytes();
-            used.add_network(m.network.bytes()[0]);
-        }
-        if let Some(g) = &self.nonrigid {
-            used.gradients += sum(&[&g.gradient]);
-            used.add_network(g.network.bytes()[0]);
+        if let Some(model) = &self.deformation {
+            model.add_memory(&mut used);
         }
         for t in &self.targets {
             used.gradients += t.instance_gradient.as_ref().map_or(0, Buffer::bytes);
@@ -99,7 +92,7 @@ impl Trainer {
 
 impl TrainingMemory {
     /// A network's weights with their moments, `bytes` together, and a gradient of the weights' size.
-    fn add_network(&mut self, bytes: u64) {
+    pub(super) fn add_network(&mut self, bytes: u64) {
         self.parameters += bytes / 3;
         self.moments += bytes - bytes / 3;
         self.gradients += bytes / 3;

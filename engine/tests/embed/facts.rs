@@ -41,7 +41,7 @@ fn time_place_and_motion_of_a_scene() {
     assert_eq!((still.extent().times, still.motion(), still.one_after_another()), ([0.0; 2], None, false));
 
     let demo = demo_scene();
-    let keys = demo.motion.as_ref().unwrap().times.clone();
+    let keys = demo.deformation.key_times().to_vec();
     let moving = upload(&demo, MotionSource::Auto);
     let ends = [keys[0], keys[keys.len() - 1]].map(f64::from);
     assert_eq!((moving.extent().times, moving.motion()), (ends, Some(MotionSource::Table)));
@@ -51,7 +51,7 @@ fn time_place_and_motion_of_a_scene() {
     // Far away, where poses come from the host.
     let mut far = demo;
     far.gaussians.mean.iter_mut().for_each(|m| m[0] += 1.0e5);
-    let motion = far.motion.as_mut().unwrap();
+    let motion = far.deformation.table_mut().unwrap();
     motion.rotation.iter_mut().for_each(|r| *r = [0.0; 3]);
     let there = upload(&far, MotionSource::Auto);
     assert_eq!(there.extent().times, ends);

@@ -6,7 +6,7 @@ use engine::file::torch::Weights;
 use engine::file::{self, Format, ply};
 use engine::reference::freeze;
 use engine::scene::synthetic::{random_gaussians, random_network};
-use engine::scene::{DeformNetwork, Gaussians, Linear, MotionSource, NonrigidNetwork, Scene};
+use engine::scene::{DeformNetwork, Gaussians, Linear, MotionSource, NonrigidNetwork};
 use glam::{DQuat, DVec3};
 use tests_harness::data;
 
@@ -107,16 +107,16 @@ fn sp_gs_keeps_its_superpoints_tables_and_networks() {
     let scene = loaded.scene;
     assert_eq!((&scene.gaussians, loaded.rejected.total()), (&g, 0));
     assert_eq!(
-        (scene.deform.as_ref(), scene.nonrigid.as_ref()),
+        (scene.deformation.network(), scene.deformation.nonrigid()),
         (Some(&network), Some(&nonrigid)),
         "weights bit for bit"
     );
-    let superpoints = scene.superpoints.as_ref().unwrap();
+    let superpoints = scene.deformation.superpoints().unwrap();
     assert!(superpoints.of_gaussian.iter().enumerate().all(|(i, &j)| j as usize == i * 5 % M));
-    let motion = scene.motion.as_ref().unwrap();
+    let motion = scene.deformation.table().unwrap();
     assert_eq!(motion.rotation.as_flattened(), many(3, T * M * 3, 0.4));
     assert_eq!(motion.translation.as_flattened(), many(4, T * M * 3, 0.3));
-    let association = scene.association.as_ref().unwrap();
+    let association = scene.deformation.association().unwrap();
     assert_eq!(association.neighbors, 5);
     let a = many(1, N * M, 1.0);
     for i in 0..N {
@@ -129,7 +129,8 @@ fn sp_gs_keeps_its_superpoints_tables_and_networks() {
         assert!(list.iter().enumerate().all(|(k, &j)| association.logit[5 * i + k] == a[i * M + j]));
     }
     // The rigid part at a key time, from the definition.
-    let rigid = Scene { nonrigid: None, ..scene.clone() };
+    let mut rigid = scene.clone();
+    rigid.deformation.take_nonrigid();
     let placed = freeze(&rigid, 0.5, MotionSource::Table).unwrap();
     for i in 0..N {
         let pose = 2 * M + i * 5 % M;

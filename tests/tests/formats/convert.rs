@@ -35,7 +35,7 @@ fn a_moving_scene_becomes_a_sequence_a_moment_and_a_table() {
     let input = at("a.safetensors");
 
     convert(&[text(&input), text(&at("seq.ply")), "--times", "3", "--views", "1"]).unwrap();
-    let keys = &scene.motion.as_ref().unwrap().times;
+    let keys = &scene.deformation.table().unwrap().times;
     let (start, end) = (f64::from(keys[0]), f64::from(keys[keys.len() - 1]));
     for (i, time) in [start, 0.5 * (start + end), end].into_iter().enumerate() {
         let written = file::load(&at(&format!("seq_{i:05}.ply"))).unwrap().scene;
@@ -53,7 +53,11 @@ fn a_moving_scene_becomes_a_sequence_a_moment_and_a_table() {
     let bake = ["--motion", "network", "--bake", "--bake-error", "0.5", "--views", "2", "--json"];
     convert(&[&[text(&input), text(&at("baked.safetensors"))], bake.as_slice()].concat()).unwrap();
     let baked = file::load(&at("baked.safetensors")).unwrap().scene;
-    assert!(baked.deform.is_none() && baked.motion.is_some() && baked.association.is_none());
+    assert!(
+        baked.deformation.network().is_none()
+            && baked.deformation.table().is_some()
+            && baked.deformation.association().is_none()
+    );
     // At a time that is no key, the table is where the network is.
     let (a, b) =
         (freeze(&baked, 0.37, MotionSource::Auto).unwrap(), freeze(&scene, 0.37, MotionSource::Network).unwrap());

@@ -13,8 +13,8 @@ fn table(scale: f32, shift: f32) -> Scene {
     let mut scene = moving_scene(400, 5, 9, 3, false);
     scene.gaussians.mean.iter_mut().flatten().for_each(|v| *v *= scale);
     scene.gaussians.log_scale.iter_mut().flatten().for_each(|v| *v += scale.ln());
-    scene.superpoints.as_mut().unwrap().position.iter_mut().flatten().for_each(|v| *v *= scale);
-    for translation in &mut scene.motion.as_mut().unwrap().translation {
+    scene.deformation.superpoints_mut().unwrap().position.iter_mut().flatten().for_each(|v| *v *= scale);
+    for translation in &mut scene.deformation.table_mut().unwrap().translation {
         *translation = translation.map(|v| v * scale);
         translation[0] += shift;
     }
@@ -70,7 +70,7 @@ fn pictures_of_nothing_are_not_equal() {
 fn a_network_is_measured_between_the_times_of_its_table() {
     let slow = moving_scene(60, 3, 5, 3, true);
     let mut quick = slow.clone();
-    let network = quick.deform.as_mut().unwrap();
+    let network = quick.deformation.network_mut().unwrap();
     network.translation.weight.iter_mut().for_each(|w| *w *= 300.0);
     for (scene, is_quick) in [(&slow, false), (&quick, true)] {
         let (after, said) = baked(scene, &["--motion", "network", "--views", "0"]);

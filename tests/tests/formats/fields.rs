@@ -64,7 +64,7 @@ fn check_file(scene: &Scene) {
     let path = folder.path().join("field.safetensors");
     file::save(&path, scene).unwrap();
     let read = file::load(&path).unwrap().scene;
-    assert!(read.field == scene.field && read.gaussians == scene.gaussians);
+    assert!(read.deformation == scene.deformation && read.gaussians == scene.gaussians);
     assert!(file::describe(&path).unwrap().to_string().contains("deformation field"));
 }
 
@@ -210,7 +210,7 @@ fn deformable_3dgs_is_where_its_network_says() {
         assert!(moved > 0.02, "the test's network must move something: {moved}");
         let folder = run_folder(&g, &[("deform/iteration_300/deform.pth", pickle::file(&Value::Dict(weights)))]);
         let scene = file::load(folder.path()).unwrap().scene;
-        assert!(scene.is_dynamic() && scene.motion.is_none() && scene.superpoints.is_none());
+        assert!(scene.is_dynamic() && scene.deformation.superpoints().is_none());
         for (t, expected) in &expected {
             check(&scene, *t, expected);
         }
@@ -233,7 +233,7 @@ fn the_real_sample_plays() {
     let g = random_gaussians(N, 8, 1);
     let folder = run_folder(&g, &[("deform/iteration_300/deform.pth", bytes.clone())]);
     let scene = file::load(folder.path()).unwrap().scene;
-    let field = scene.field.as_ref().unwrap();
+    let field = scene.deformation.field().unwrap();
     assert!(matches!(field.input, FieldInput::Waves { octaves: 3, time: None }), "{:?}", field.input.width());
     for t in [0.0, 0.4, 1.0] {
         check(&scene, t, &deformable_at(&Plain(&named), &g, t, false, false));
@@ -411,8 +411,8 @@ fn a_field_is_baked_into_a_table_within_its_bound() {
     };
     convert("baked.safetensors", &["--bake", "--bake-error", "0.5", "--views", "1"]);
     let baked = file::load(&at("baked.safetensors")).unwrap().scene;
-    assert!(baked.field.is_none() && baked.superpoints.is_some());
-    let keys = baked.motion.as_ref().unwrap().times.len();
+    assert!(baked.deformation.field().is_none() && baked.deformation.superpoints().is_some());
+    let keys = baked.deformation.table().unwrap().times.len();
     assert!((3..=129).contains(&keys), "{keys}");
     // Most of these lie between the times that the tool looks at.
     let mut worst = 0.0_f64;
@@ -447,15 +447,14 @@ fn fields_that_do_not_fit_are_refused_by_name() {
         file::save(&folder.path().join("x.safetensors"), &broken).unwrap_err().to_string()
     };
     let field = |change: &'static dyn Fn(&mut engine::scene::DeformationField)| {
-        message(&|s: &mut Scene| change(s.field.as_mut().unwrap()))
+        message(&|s: &mut Scene| change(s.deformation.field_mut().unwrap()))
     };
     let found = field(&|f| f.layers[3].weight[5] = f32::NAN);
     assert!(found.contains("field.layer.3.weight") && found.contains("finite"), "{found}");
     let found = field(&|f| f.head.outputs = 11);
     assert!(found.contains("field.head"), "{found}");
-    let found = message(&|s| {
-        s.superpoints = Some(engine::scene::Superpoints { of_gaussian: vec![0; N], position: vec![[0.0; 3]] })
-    });
+    let network = engine::scene::NonrigidNetwork::init(1);
+    let found = scene.deformation.clone().with_nonrigid(network).unwrap_err().to_string();
     assert!(found.contains("only one of them"), "{found}");
     let gpu = tests_harness::gpu();
     let source = |motion| Renderer::new(&gpu, &scene, &RenderOptions { motion, ..RenderOptions::default() });
@@ -463,6 +462,6 @@ fn fields_that_do_not_fit_are_refused_by_name() {
     source(MotionSource::Network).unwrap();
     freeze(&scene, 0.5, MotionSource::Network).unwrap();
     let mut broken = scene.clone();
-    broken.field.as_mut().unwrap().layers[1].inputs = 7;
+    broken.deformation.field_mut().unwrap().layers[1].inputs = 7;
     assert_eq!(Renderer::new(&gpu, &broken, &RenderOptions::default()).unwrap_err().exit_code(), 2);
 }

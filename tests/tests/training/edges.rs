@@ -42,13 +42,13 @@ fn runs(options: &PosedOptions, over: &str) -> Trainer {
 #[test]
 fn one_image() {
     let trainer = runs(&PosedOptions { train: 1, test: 0, ..small() }, "");
-    assert!(trainer.scene().unwrap().superpoints.is_none(), "one image has one time: nothing can move");
+    assert!(trainer.scene().unwrap().deformation.superpoints().is_none(), "one image has one time: nothing can move");
 }
 
 #[test]
 fn one_superpoint() {
     let trainer = runs(&small(), "[motion]\nsuperpoints = 1");
-    assert_eq!(trainer.scene().unwrap().superpoints.unwrap().position.len(), 1);
+    assert_eq!(trainer.scene().unwrap().deformation.superpoint_count(), 1);
 }
 
 #[test]
@@ -60,7 +60,7 @@ fn more_neighbours_than_superpoints() {
 fn more_superpoints_than_gaussians() {
     let trainer =
         runs(&small(), "[gaussians]\nrandom_points = 5\n[motion]\nsuperpoints = 64\n[density]\nenabled = false");
-    assert!(trainer.scene().unwrap().superpoints.unwrap().position.len() <= 5);
+    assert!(trainer.scene().unwrap().deformation.superpoint_count() <= 5);
 }
 
 #[test]

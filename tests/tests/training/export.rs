@@ -35,8 +35,8 @@ fn pixel(c: &Camera, x: DVec3) -> Option<(f64, f64)> {
 /// Largest distance, on the training cameras at their times, between what the table and what network F say of the centres
 /// and of the points two standard deviations along the longest axes; and how far the network moves anything at all.
 fn table_error(scene: &Scene, cameras: &[Camera]) -> (f64, f64) {
-    let (g, superpoints) = (&scene.gaussians, scene.superpoints.as_ref().unwrap());
-    let (motion, network) = (scene.motion.as_ref().unwrap(), scene.deform.as_ref().unwrap());
+    let (g, superpoints) = (&scene.gaussians, scene.deformation.superpoints().unwrap());
+    let (motion, network) = (scene.deformation.table().unwrap(), scene.deformation.network().unwrap());
     let start = network_poses(network, &superpoints.position, cameras[0].time);
     let (mut error, mut moved) = (0.0_f64, 0.0_f64);
     for c in cameras {
@@ -76,19 +76,23 @@ fn the_key_time_table_is_within_its_bound() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("kept.safetensors");
         engine::file::save(&file, &exported.scene).unwrap();
-        assert_eq!(engine::file::load(&file).unwrap().scene.association, exported.scene.association);
+        assert_eq!(engine::file::load(&file).unwrap().scene.deformation, exported.scene.deformation);
         let (error, moved) = table_error(&exported.scene, &cameras);
         let said = exported.decisions.iter().find(|d| d.contains("largest error")).unwrap();
         assert!(moved > 1.0, "nothing moves: {moved:.3} px");
         // The table is made of f32 poses of the device.
         assert!(error <= bound + 2e-3, "{error:.4} px, bound {bound}: {said}");
-        keys.push(exported.scene.motion.unwrap().times.len());
+        keys.push(exported.scene.deformation.key_times().len());
     }
     assert!(keys[1] < keys[0], "the fewest keys: {keys:?}");
     // Without the network the same table is left.
     let trainer = Trainer::resume(&gpu, &data, &checkpoint).unwrap();
     let scene = export(&gpu, &trainer, &cameras).unwrap().scene;
-    assert!(scene.deform.is_none() && scene.association.is_none() && scene.motion.is_some());
+    assert!(
+        scene.deformation.network().is_none()
+            && scene.deformation.association().is_none()
+            && scene.deformation.table().is_some()
+    );
 }
 
 #[test]
@@ -100,7 +104,7 @@ fn what_shows_nothing_is_left_out() {
     let before = checkpoint.parameters.gaussians.opacity_logit.iter().filter(|l| **l >= -(254.0_f32.ln())).count();
     let exported = export(&gpu, &trainer, &cameras).unwrap();
     assert!(before <= 118 && exported.scene.gaussians.len() == before, "{before}: {:?}", exported.decisions);
-    assert_eq!(exported.scene.superpoints.as_ref().unwrap().of_gaussian.len(), before);
+    assert_eq!(exported.scene.deformation.superpoints().unwrap().of_gaussian.len(), before);
     assert_eq!(exported.scene.gaussians.sh_degree, 0, "colours do not depend on the view: {:?}", exported.decisions);
     assert!(exported.decisions.iter().any(|d| d.contains("opacity below 1/255")));
     // Colours that do depend on it keep their degree.

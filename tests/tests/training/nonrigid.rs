@@ -31,7 +31,7 @@ fn the_stage_learns_is_resumed_and_is_rendered_as_evaluated() {
 
     let path = whole.join("model.safetensors");
     let scene = engine::file::load(&path).unwrap().scene;
-    assert!(scene.nonrigid.is_some());
+    assert!(scene.deformation.nonrigid().is_some());
     let file = std::fs::read(&path).unwrap();
     assert!(String::from_utf8_lossy(&file[..4000]).contains("nonrigid."), "tensors nonrigid.*");
     let pictures = folder.path().join("pictures");

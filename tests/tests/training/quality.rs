@@ -1,5 +1,6 @@
 //! What training is for.
 
+use engine::scene::Deformation;
 use engine::train::evaluate;
 use engine::train::trainer::Trainer;
 
@@ -54,7 +55,7 @@ fn a_static_data_set_trains_without_motion() {
     let config = config_file(folder.path(), "");
     succeed(train(&posed, &out, &["--config", config.to_str().unwrap()]));
     let scene = engine::file::load(&out.join("model.safetensors")).unwrap().scene;
-    assert!(scene.motion.is_none() && scene.superpoints.is_none() && scene.deform.is_none());
+    assert_eq!(scene.deformation, Deformation::None);
     let model = std::fs::read(out.join("model.safetensors")).unwrap();
     for text in ["superpoint", "motion.", "deform", "association"] {
         let header = u64::from_le_bytes(model[..8].try_into().unwrap()) as usize;

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use engine::file;
-use engine::scene::{Scene, synthetic};
+use engine::scene::synthetic;
 
 use crate::desktop::{Desktop, Window, spgs};
 use crate::window::moving_model;
@@ -53,7 +53,8 @@ fn a_window_without_a_model_and_one_with_a_network_end_after_their_frames() {
     let folder = tempfile::tempdir().unwrap();
     let desktop = Desktop::new(300, 250);
     let network = folder.path().join("network.safetensors");
-    let scene = Scene { motion: None, ..synthetic::moving_scene(300, 6, 2, 73, true) };
+    let mut scene = synthetic::moving_scene(300, 6, 2, 73, true);
+    scene.deformation.superpoint_deformation_mut().unwrap().table = None;
     file::save(&network, &scene).unwrap();
     let table = moving_model(folder.path(), 100);
     let [network, table] = [&network, &table].map(|p| p.to_str().unwrap());

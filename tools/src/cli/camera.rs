@@ -22,7 +22,7 @@ pub fn default_camera(scene: &Scene, size: [u32; 2]) -> Camera {
 pub fn orbit(scene: &Scene, size: [u32; 2], count: usize) -> Vec<Camera> {
     let first = default_camera(scene, size);
     let (center, _) = extent(scene);
-    let [start, end] = time_range(scene);
+    let [start, end] = scene.deformation.time_range();
     let view = |i: usize| {
         let turn = DMat3::from_axis_angle(DVec3::Y, std::f64::consts::TAU * i as f64 / count as f64);
         let eye = center + turn * (first.position - center);
@@ -96,8 +96,8 @@ fn positions(scene: &Scene) -> Vec<DVec3> {
     let visible: Vec<usize> = all().filter(|&i| g.opacity_logit[i] >= FAINT_LOGIT).collect();
     let used = if visible.len() * 10 >= all().count() { visible } else { all().collect() };
     let at = |i: usize| DVec3::from_array(g.mean[i].map(f64::from));
-    let [start, end] = time_range(scene);
-    let Some(superpoints) = scene.superpoints.as_ref().filter(|_| end > start) else {
+    let [start, end] = scene.deformation.time_range();
+    let Some(superpoints) = scene.deformation.superpoints().filter(|_| end > start) else {
         return used.into_iter().map(at).collect();
     };
     let mut moved = Vec::with_capacity(TIMES * used.len());
@@ -119,16 +119,6 @@ pub fn overview(scene: &Scene, size: [u32; 2]) -> Camera {
     let distance = MARGIN * radius / tangent.atan().sin();
     let eye = center + distance * DVec3::new(0.25, -0.25, -1.0).normalize();
     Camera::look_at(eye, center, DVec3::NEG_Y, FOV_X, size)
-}
-
-/// First and last key time; [0, 1] for network F, which is trained on it; [0, 0] for what does not move.
-pub fn time_range(scene: &Scene) -> [f64; 2] {
-    let key = |t: Option<&f32>| t.map_or(0.0, |t| f64::from(*t));
-    match &scene.motion {
-        _ if !scene.is_dynamic() => [0.0, 0.0],
-        Some(motion) => [key(motion.times.first()), key(motion.times.last())],
-        None => [0.0, 1.0],
-    }
 }
 
 /// `camera` at another size: both sides given, one of them (the other in proportion), or none.

@@ -52,13 +52,13 @@ pub fn camera(set: &CameraSet, index: usize) -> Result<&Camera> {
 /// `36000 Gaussians of SH degree 2, 39 superpoints, 129 key times`.
 pub fn describe(scene: &Scene) -> String {
     let mut text = format!("{} Gaussians of SH degree {}", scene.gaussians.len(), scene.gaussians.sh_degree);
-    if let Some(superpoints) = &scene.superpoints {
+    if let Some(superpoints) = scene.deformation.superpoints() {
         text += &format!(", {} superpoints", superpoints.position.len());
     }
-    if let Some(motion) = &scene.motion {
+    if let Some(motion) = scene.deformation.table() {
         text += &format!(", {} key times", motion.times.len());
     }
-    if scene.deform.is_some() {
+    if scene.deformation.network().is_some() {
         text += ", network F";
     }
     text

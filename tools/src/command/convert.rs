@@ -15,8 +15,8 @@ use engine::gpu::Gpu;
 use engine::scene::{Gaussians, MotionSource, Scene};
 
 use crate::cli::args::{ConvertArgs, Global, motion_source};
-use crate::cli::{camera, gpu_session, model, output, progress};
-use moment::{Moments, is_moving};
+use crate::cli::{gpu_session, model, output, progress};
+use moment::Moments;
 use targets::Targets;
 
 pub use bake::Baked;
@@ -92,8 +92,8 @@ fn output_kind(args: &ConvertArgs) -> Result<Output> {
 
 /// Refuses options that ask for motion of a model that has none, or not that.
 fn check_motion(args: &ConvertArgs, scene: &Scene, source: MotionSource) -> Result<()> {
-    scene.motion_source(source)?;
-    if args.times.is_some() && !is_moving(scene) {
+    scene.deformation.motion_source(source)?;
+    if args.times.is_some() && !scene.is_dynamic() {
         return Err(Error::usage("--times", "a model that does not move", "one that moves"));
     }
     Ok(())
@@ -102,7 +102,7 @@ fn check_motion(args: &ConvertArgs, scene: &Scene, source: MotionSource) -> Resu
 /// The device, where something asks for one: opened before anything is written, so that a wrong name ends the program early.
 /// Without any device the files are written, with a warning.
 fn device(args: &ConvertArgs, scene: &Scene, global: &Global) -> Result<Option<Gpu>> {
-    let has_field = scene.field.is_some() && (args.bake || args.time.is_some() || args.times.is_some());
+    let has_field = scene.deformation.field().is_some() && (args.bake || args.time.is_some() || args.times.is_some());
     if args.views == 0 && !has_field {
         return Ok(None);
     }
@@ -124,15 +124,12 @@ fn device(args: &ConvertArgs, scene: &Scene, global: &Global) -> Result<Option<G
 /// What the options leave out.
 fn left_behind(args: &ConvertArgs, before: &Scene) -> Vec<String> {
     if args.bake {
-        let parts = [
-            ("network F", before.deform.is_some()),
-            ("association", before.association.is_some()),
-            ("deformation field", before.field.is_some()),
-        ];
-        return parts.iter().filter(|(_, is_there)| *is_there).map(|(name, _)| (*name).to_owned()).collect();
+        let stays = ["superpoints", "motion", "network G"];
+        let parts = before.deformation.parts().into_iter();
+        return parts.filter(|part| !stays.contains(part)).map(str::to_owned).collect();
     }
     let is_still = args.time.is_some() || args.times.is_some();
-    if is_still && is_moving(before) { vec!["motion: each file shows one time".into()] } else { Vec::new() }
+    if is_still && before.is_dynamic() { vec!["motion: each file shows one time".into()] } else { Vec::new() }
 }
 
 /// Writes the files: all of them, or none that is new.
@@ -174,7 +171,7 @@ fn times(args: &ConvertArgs, scene: &Scene) -> Vec<Option<f64>> {
     match (args.time, args.times) {
         (Some(time), _) => vec![Some(time)],
         (None, Some(count)) => {
-            let [start, end] = camera::time_range(scene);
+            let [start, end] = scene.deformation.time_range();
             let step = (end - start) / f64::from(count.max(2) - 1);
             (0..count).map(|i| Some(start + step * f64::from(i))).collect()
         }

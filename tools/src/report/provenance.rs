@@ -25,8 +25,8 @@ pub fn scene(name: &str, scene: &Scene) -> Value {
         "name": name,
         "gaussians": scene.gaussians.len(),
         "sh_degree": scene.gaussians.sh_degree,
-        "superpoints": scene.superpoints.as_ref().map_or(0, |s| s.position.len()),
-        "key_times": scene.motion.as_ref().map_or(0, |m| m.times.len()),
+        "superpoints": scene.deformation.superpoint_count(),
+        "key_times": scene.deformation.key_times().len(),
     })
 }
 

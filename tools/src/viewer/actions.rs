@@ -139,11 +139,8 @@ fn pick(gui: &mut Gui, state: &mut State, at: [f32; 2], go: bool) -> Result<()> 
     }
     let scene = &gui.model.scene;
     let index = picked.gaussian as usize;
-    let superpoint = scene.superpoints.as_ref().and_then(|s| s.of_gaussian.get(index).copied());
-    let count = match (superpoint, &scene.superpoints) {
-        (Some(superpoint), Some(s)) => s.of_gaussian.iter().filter(|g| **g == superpoint).count(),
-        _ => 0,
-    };
+    let superpoint = scene.deformation.superpoint_of_gaussian().get(index).copied();
+    let count = scene.deformation.superpoint_of_gaussian().iter().filter(|g| Some(**g) == superpoint).count();
     let g = &scene.gaussians;
     let opacity = g.opacity_logit.get(index).map_or(0.0, |logit| 1.0 / (1.0 + (-logit).exp()));
     let scales = g.log_scale.get(index).map_or([0.0; 3], |s| s.map(f32::exp));

@@ -116,7 +116,7 @@ impl Gui {
             model: self.model.name(),
             gaussians: scene.gaussians.len(),
             superpoints: self.model.superpoints(),
-            key_times: scene.motion.as_ref().map_or(0, |m| m.times.len()),
+            key_times: scene.deformation.key_times().len(),
             ..Info::default()
         };
         state.extent = (self.model.center, self.model.radius);

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime};
 
 use engine::error::{Error, Result};
-use engine::scene::{Scene, Superpoints};
+use engine::scene::Scene;
 use engine::train::checkpoint::Checkpoint;
 use winit::event_loop::EventLoopProxy;
 
@@ -111,21 +111,14 @@ fn open(path: &Path, of_folder: Option<&Path>, level: Option<u32>) -> Result<Ope
 /// The scene as a training run has it at this moment.
 fn open_checkpoint(folder: &Path, file: &Path) -> Result<Opened> {
     let checkpoint = Checkpoint::load(file)?;
-    let mut scene = Scene { gaussians: checkpoint.parameters.gaussians, ..Scene::default() };
-    if let Some(motion) = checkpoint.motion {
-        scene.deform = Some(motion.network.deform(checkpoint.config.motion.network_size())?);
-        let of_gaussian = checkpoint.parameters.superpoint_of_gaussian;
-        scene.superpoints = Some(Superpoints { of_gaussian, position: motion.position });
-    }
-    if let Some(network) = checkpoint.nonrigid {
-        scene.nonrigid = Some(network.nonrigid()?);
-    }
+    let (iteration, background) = (checkpoint.iteration, checkpoint.config.background);
+    let scene = checkpoint.into_scene()?;
     let count = scene.gaussians.len();
     Ok(Opened {
         path: folder.to_owned(),
         scene: Arc::new(scene),
-        messages: vec![format!("iteration {}: {count} Gaussians", checkpoint.iteration)],
-        background: Some(checkpoint.config.background),
+        messages: vec![format!("iteration {iteration}: {count} Gaussians")],
+        background: Some(background),
         again: false,
     })
 }

@@ -58,7 +58,7 @@ impl Model {
             path,
             center,
             radius,
-            time_range: camera::time_range(&scene),
+            time_range: scene.deformation.time_range(),
             centers: Vec::new(),
             posed_at: None,
             paths: Vec::new(),
@@ -77,7 +77,7 @@ impl Model {
     }
 
     pub(super) fn superpoints(&self) -> usize {
-        self.scene.superpoints.as_ref().map_or(0, |s| s.position.len())
+        self.scene.deformation.superpoint_count()
     }
 
     fn sample_paths(&self, source: MotionSource) -> Result<Vec<Vec<DVec3>>> {
@@ -157,8 +157,7 @@ impl Model {
 
     /// A colour for each Gaussian.
     fn colors(&self, tint: Tint, show: Show) -> Vec<[f32; 3]> {
-        let none = Vec::new();
-        let groups = self.scene.superpoints.as_ref().map_or(&none, |s| &s.of_gaussian);
+        let groups = self.scene.deformation.superpoint_of_gaussian();
         let g = &self.scene.gaussians;
         let k3 = g.sh_coefficients() * 3;
         let own = |i: usize| [0, 1, 2].map(|c| (0.5 + SH_0 * g.sh[i * k3 + c]).clamp(0.0, 1.0));
@@ -195,7 +194,7 @@ pub(super) fn superpoint_color(index: u32) -> [f32; 3] {
 }
 
 fn centers(scene: &Scene, time: f64, source: MotionSource) -> Result<Vec<DVec3>> {
-    let Some(superpoints) = &scene.superpoints else { return Ok(Vec::new()) };
+    let Some(superpoints) = scene.deformation.superpoints() else { return Ok(Vec::new()) };
     let position = superpoints.position.iter().map(|p| DVec3::from_array(p.map(f64::from)));
     Ok(match reference::poses(scene, time, source)? {
         Some(poses) => position.zip(poses).map(|(p, q)| reference::exp(q.rotation) * p + q.translation).collect(),

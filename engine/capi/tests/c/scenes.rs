@@ -59,7 +59,7 @@ fn what_was_skipped_is_counted_and_told() {
 fn time_place_and_motion_are_told() {
     let made = Made::new();
     let folder = tempfile::tempdir().unwrap();
-    let times = demo_scene().motion.unwrap().times;
+    let times = demo_scene().deformation.key_times().to_vec();
     unsafe {
         let mut extent = spgs_scene_extent::default();
         assert_eq!(spgs_scene_get_extent(made.scene, &raw mut extent), 0);

@@ -12,7 +12,10 @@ use crate::file::torch::Weights;
 use crate::reference::Offset;
 use crate::reference::tabulate::{PlacedGaussian, TableTimes, tabulate};
 use crate::scene::network::{DeformSize, NONRIGID_HEADS, NONRIGID_LAYERS, NONRIGID_WIDTH};
-use crate::scene::{Association, DeformNetwork, Gaussians, Linear, Motion, NonrigidNetwork, Scene, Superpoints};
+use crate::scene::{
+    Association, DeformNetwork, Deformation, Gaussians, Linear, Motion, NonrigidNetwork, Scene, SuperpointDeformation,
+    Superpoints,
+};
 
 /// Neighbours that the released code gives each Gaussian.
 const NEIGHBORS: usize = 5;
@@ -36,16 +39,19 @@ pub(super) fn apply(scene: &mut Scene, weights: &Weights<'_>, path: &Path, warni
     match shape[2] {
         3 => {
             let motion = Motion { times, rotation: triples(&rotation), translation: triples(&translation) };
-            scene.association = association(weights, &scene.gaussians, &position, path)?;
-            scene.superpoints = Some(Superpoints { of_gaussian, position });
+            let association = association(weights, &scene.gaussians, &position, path)?;
             // Untrained superpoints have an empty or all-zero table; network F then gives the motion.
             let is_filled = motion.times.windows(2).all(|w| w[0] < w[1]) && !motion.times.is_empty();
-            scene.deform = Some(network(weights, path)?);
-            if is_filled {
-                scene.motion = Some(motion);
-            } else {
+            if !is_filled {
                 warnings.push(format!("{}: its table of poses is empty: network F gives the motion", path.display()));
             }
+            scene.deformation = Deformation::from(SuperpointDeformation {
+                superpoints: Superpoints { of_gaussian, position },
+                table: is_filled.then_some(motion),
+                network: Some(network(weights, path)?),
+                association,
+                nonrigid: None,
+            });
             Ok(())
         }
         4 => {
@@ -57,7 +63,7 @@ pub(super) fn apply(scene: &mut Scene, weights: &Weights<'_>, path: &Path, warni
             let mut place = |g: &Gaussians, time: f64| Ok(added.place(g, time));
             let at = TableTimes::At(&times);
             let made = tabulate(&mut scene.gaussians, &mut place, at, &path.display().to_string())?;
-            (scene.motion, scene.superpoints) = (Some(made.motion), Some(made.superpoints));
+            scene.deformation = SuperpointDeformation::of_table(made.superpoints, made.motion).into();
             Ok(())
         }
         other => Err(Error::corrupt(path, "tensor `1.sp_delta_r`", format!("{other} values per pose"), "3 or 4")),

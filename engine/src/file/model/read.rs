@@ -1,20 +1,15 @@
 //! Tensors by name to a [`Scene`].
 
-mod field;
-
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
-use super::{FORMAT, VERSION};
+use super::{FORMAT, VERSION, deformation};
 use crate::error::{Error, Result};
 use crate::file::tensors::{check_format, own_metadata, parse_header};
 use crate::file::{check, checksum};
-use crate::scene::network::{
-    DeformNetwork, DeformSize, Linear, NONRIGID_HEADS, NONRIGID_LAYERS, NONRIGID_WIDTH, NonrigidNetwork,
-};
-use crate::scene::{Association, Gaussians, Motion, Scene, Superpoints, Tensor};
+use crate::scene::{Gaussians, Linear, Scene, Tensor};
 
 pub(super) fn model(bytes: &[u8], path: &Path) -> Result<(Scene, Vec<String>)> {
     let (data_begin, header) = parse_header(bytes, path)?;
@@ -29,31 +24,26 @@ pub(super) fn model(bytes: &[u8], path: &Path) -> Result<(Scene, Vec<String>)> {
         .map_err(|e| Error::corrupt(path, "byte 0 (header)", e.to_string(), "a safetensors header"))?;
     let mut tensors = Tensors { map: parsed.tensors().into_iter().collect(), path };
     let gaussians = gaussians(&mut tensors)?;
-    let superpoints = superpoints(&mut tensors, gaussians.len())?;
-    let motion = motion(&mut tensors)?;
-    let association = association(&mut tensors, gaussians.len())?;
-    let deform = deform(&mut tensors)?;
-    let nonrigid = nonrigid(&mut tensors)?;
-    let field = field::field(&mut tensors, gaussians.len())?;
+    let deformation = deformation::read(&mut tensors, gaussians.len())?;
     let extra = tensors.rest(&mut warnings)?;
     let metadata = own_metadata(metadata);
-    let scene = Scene { gaussians, superpoints, motion, association, deform, nonrigid, field, extra, metadata };
+    let scene = Scene { gaussians, deformation, extra, metadata };
     check::scene(&scene).map_err(|problem| problem.corrupt(path))?;
     Ok((scene, warnings))
 }
 
 /// The tensors not taken yet.
-struct Tensors<'a> {
-    map: BTreeMap<String, TensorView<'a>>,
-    path: &'a Path,
+pub(super) struct Tensors<'a> {
+    pub(super) map: BTreeMap<String, TensorView<'a>>,
+    pub(super) path: &'a Path,
 }
 
 /// A dimension that a tensor must have: `Some` a number, `None` any.
-type Shape<'a> = &'a [Option<usize>];
+pub(super) type Shape<'a> = &'a [Option<usize>];
 
 impl Tensors<'_> {
     /// Whether the tensors `names` are there; some but not all is an error.
-    fn group(&self, names: &[&str]) -> Result<bool> {
+    pub(super) fn group(&self, names: &[&str]) -> Result<bool> {
         let present = names.iter().find(|name| self.map.contains_key(**name));
         let absent = names.iter().find(|name| !self.map.contains_key(**name));
         match (present, absent) {
@@ -65,7 +55,7 @@ impl Tensors<'_> {
         }
     }
 
-    fn has(&self, name: &str) -> bool {
+    pub(super) fn has(&self, name: &str) -> bool {
         self.map.contains_key(name)
     }
 
@@ -86,36 +76,24 @@ impl Tensors<'_> {
         Ok((found.to_vec(), view.data()))
     }
 
-    fn f32s(&mut self, name: &str, shape: Shape<'_>) -> Result<(Vec<usize>, Vec<f32>)> {
+    pub(super) fn f32s(&mut self, name: &str, shape: Shape<'_>) -> Result<(Vec<usize>, Vec<f32>)> {
         let (shape, bytes) = self.take(name, Dtype::F32, shape)?;
         Ok((shape, words(bytes).map(f32::from_bits).collect()))
     }
 
-    fn u32s(&mut self, name: &str, shape: Shape<'_>) -> Result<(Vec<usize>, Vec<u32>)> {
+    pub(super) fn u32s(&mut self, name: &str, shape: Shape<'_>) -> Result<(Vec<usize>, Vec<u32>)> {
         let (shape, bytes) = self.take(name, Dtype::U32, shape)?;
         Ok((shape, words(bytes).collect()))
     }
 
-    /// Size of network F, by the tensors that are there.
-    fn deform_size(&self) -> Result<DeformSize> {
-        let named = |i: usize| self.map.get(&format!("deform.linear.{i}.weight"));
-        let layers = (0..DeformSize::MOST_LAYERS).rev().find(|&i| named(i).is_some()).map_or(1, |i| i + 1);
-        let width = named(0).and_then(|view| view.shape().first().copied()).unwrap_or(DeformSize::PAPER.width);
-        let size = DeformSize { layers, width };
-        size.check().map(|()| size).map_err(|_| {
-            let expected = format!("a multiple of {} up to {} rows", DeformSize::WIDTH_STEP, DeformSize::MOST_WIDTH);
-            Error::corrupt(self.path, "deform.linear.0.weight", format!("{width} rows"), expected)
-        })
-    }
-
-    fn linear(&mut self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
+    pub(super) fn linear(&mut self, name: &str, inputs: usize, outputs: usize) -> Result<Linear> {
         let (_, weight) = self.f32s(&format!("{name}.weight"), &[Some(outputs), Some(inputs)])?;
         let (_, bias) = self.f32s(&format!("{name}.bias"), &[Some(outputs)])?;
         Ok(Linear { inputs, outputs, weight, bias })
     }
 
     /// Rows of `W` numbers; all dimensions but the last make up the row count.
-    fn rows<const W: usize>(&mut self, name: &str, outer: Shape<'_>) -> Result<(Vec<usize>, Vec<[f32; W]>)> {
+    pub(super) fn rows<const W: usize>(&mut self, name: &str, outer: Shape<'_>) -> Result<(Vec<usize>, Vec<[f32; W]>)> {
         let shape: Vec<Option<usize>> = outer.iter().copied().chain([Some(W)]).collect();
         let (shape, bytes) = self.take(name, Dtype::F32, &shape)?;
         let row = |bytes: &[u8]| {
@@ -133,7 +111,7 @@ impl Tensors<'_> {
             if view.dtype() == Dtype::F32 {
                 let data = words(view.data()).map(f32::from_bits).collect();
                 extra.insert(name, Tensor { shape: view.shape().to_vec(), data });
-            } else if check::NAMESPACES.iter().any(|space| name.starts_with(space)) {
+            } else if name.starts_with("gaussians.") || deformation::is_reserved(&name) {
                 let found = format!("{} {:?}", view.dtype(), view.shape());
                 return Err(Error::corrupt(self.path, format!("tensor `{name}`"), found, "F32"));
             } else {
@@ -161,66 +139,4 @@ fn gaussians(tensors: &mut Tensors<'_>) -> Result<Gaussians> {
         return Err(Error::corrupt(tensors.path, "tensor `gaussians.sh`", format!("K = {}", shape[1]), expected));
     };
     Ok(Gaussians { mean, log_scale, rotation, opacity_logit, sh_degree: sh_degree as u32, sh })
-}
-
-fn superpoints(tensors: &mut Tensors<'_>, n: usize) -> Result<Option<Superpoints>> {
-    const NAMES: [&str; 2] = ["superpoints.of_gaussian", "superpoints.position"];
-    if !tensors.group(&NAMES)? {
-        return Ok(None);
-    }
-    let (_, of_gaussian) = tensors.u32s(NAMES[0], &[Some(n)])?;
-    let (_, position) = tensors.rows::<3>(NAMES[1], &[None])?;
-    Ok(Some(Superpoints { of_gaussian, position }))
-}
-
-fn motion(tensors: &mut Tensors<'_>) -> Result<Option<Motion>> {
-    const NAMES: [&str; 3] = ["motion.times", "motion.rotation", "motion.translation"];
-    if !tensors.group(&NAMES)? {
-        return Ok(None);
-    }
-    let (shape, times) = tensors.f32s(NAMES[0], &[None])?;
-    let t = Some(shape[0]);
-    let (shape, rotation) = tensors.rows::<3>(NAMES[1], &[t, None])?;
-    let (_, translation) = tensors.rows::<3>(NAMES[2], &[t, Some(shape[1])])?;
-    Ok(Some(Motion { times, rotation, translation }))
-}
-
-fn association(tensors: &mut Tensors<'_>, n: usize) -> Result<Option<Association>> {
-    const NAMES: [&str; 2] = ["association.neighbor", "association.logit"];
-    if !tensors.group(&NAMES)? {
-        return Ok(None);
-    }
-    let (shape, neighbor) = tensors.u32s(NAMES[0], &[Some(n), None])?;
-    let (_, logit) = tensors.f32s(NAMES[1], &[Some(n), Some(shape[1])])?;
-    Ok(Some(Association { neighbors: shape[1], neighbor, logit }))
-}
-
-fn deform(tensors: &mut Tensors<'_>) -> Result<Option<DeformNetwork>> {
-    if !tensors.map.keys().any(|name| name.starts_with("deform.")) {
-        return Ok(None);
-    }
-    let size = tensors.deform_size()?;
-    let mut layer = |name: &str, inputs, outputs| tensors.linear(name, inputs, outputs);
-    let linear = (0..size.layers)
-        .map(|i| layer(&format!("deform.linear.{i}"), size.layer_inputs(i), size.width))
-        .collect::<Result<_>>()?;
-    let translation = layer("deform.translation", size.width, 3)?;
-    let rotation = layer("deform.rotation", size.width, 3)?;
-    Ok(Some(DeformNetwork { linear, translation, rotation }))
-}
-
-fn nonrigid(tensors: &mut Tensors<'_>) -> Result<Option<NonrigidNetwork>> {
-    if !tensors.map.keys().any(|name| check::is_nonrigid(name)) {
-        return Ok(None);
-    }
-    let hidden = (0..NONRIGID_LAYERS)
-        .map(|i| tensors.linear(&format!("nonrigid.linear.{i}"), NonrigidNetwork::layer_inputs(i), NONRIGID_WIDTH))
-        .collect::<Result<_>>()?;
-    let [translation, rotation, scaling] = NONRIGID_HEADS;
-    Ok(Some(NonrigidNetwork {
-        linear: hidden,
-        translation: tensors.linear("nonrigid.translation", NONRIGID_WIDTH, translation)?,
-        rotation: tensors.linear("nonrigid.rotation", NONRIGID_WIDTH, rotation)?,
-        scaling: tensors.linear("nonrigid.scaling", NONRIGID_WIDTH, scaling)?,
-    }))
 }

@@ -8,7 +8,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use super::*;
 use crate::error::Error;
 use crate::file::tests::{Values, full_scene, gaussians, moving_scene};
-use crate::scene::{Motion, Superpoints, Tensor};
+use crate::scene::{Association, Deformation, Motion, Superpoints, Tensor};
 
 fn path() -> &'static Path {
     Path::new("test.safetensors")
@@ -34,7 +34,7 @@ fn everything_round_trips_and_equal_scenes_give_equal_bytes() {
         assert_eq!(bytes, encoded(&scene));
         let names = tensors(&bytes, path()).unwrap();
         assert!(names.len() >= 5 && names.is_sorted_by(|a, b| a.name < b.name));
-        if scene.superpoints.is_none() {
+        if scene.deformation == Deformation::None {
             assert_eq!(names.len(), 5, "a static scene has only `gaussians.*`");
         }
     }
@@ -137,7 +137,7 @@ fn files_of_other_programs_are_read_with_a_warning() {
     assert_eq!(scene.gaussians.sh_degree, 1);
     assert_eq!(scene.extra.keys().collect::<Vec<_>>(), ["camera.exposure"]);
     assert_eq!((scene.metadata.len(), scene.metadata["author"].as_str()), (1, "x"));
-    assert_eq!(scene.association.unwrap().neighbors, 3);
+    assert_eq!(scene.deformation.association().unwrap().neighbors, 3);
 }
 
 #[test]
@@ -196,7 +196,7 @@ fn wrong_shapes_types_and_groups_name_the_tensor() {
 fn indices_and_numbers_are_checked_in_both_directions() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("m.safetensors");
-    let edits: [(&str, SceneEdit); 11] = [
+    let edits: [(&str, SceneEdit); 10] = [
         ("`superpoints.of_gaussian`: found 3 at element 1", |s| superpoints(s).of_gaussian[1] = 3),
         ("`superpoints.position`: found NaN at element 4", |s| superpoints(s).position[1][1] = f32::NAN),
         ("`motion.times`: found inf", |s| motion(s).times[1] = f32::INFINITY),
@@ -204,10 +204,9 @@ fn indices_and_numbers_are_checked_in_both_directions() {
         ("`motion.rotation`: found NaN", |s| motion(s).rotation[0][0] = f32::NAN),
         ("`motion.translation`: found -inf", |s| motion(s).translation[5][2] = f32::NEG_INFINITY),
         ("`motion.translation`: found 8 poses", |s| motion(s).translation.truncate(8)),
-        ("`motion.times`: found no key time", |s| s.motion = Some(Motion::default())),
-        ("`association.neighbor`: found 9", |s| s.association.as_mut().unwrap().neighbor[3] = 9),
-        ("`association.neighbor`: found K' = 0", |s| s.association = Some(Default::default())),
-        ("`superpoints.of_gaussian`: found nothing, though `motion.times`", |s| s.superpoints = None),
+        ("`motion.times`: found no key time", |s| *motion(s) = Motion::default()),
+        ("`association.neighbor`: found 9", |s| association(s).neighbor[3] = 9),
+        ("`association.neighbor`: found K' = 0", |s| *association(s) = Default::default()),
     ];
     for (expected, edit) in edits {
         let mut scene = moving_scene(4, 3, 3);
@@ -232,14 +231,30 @@ fn indices_and_numbers_are_checked_in_both_directions() {
     );
 }
 
+#[test]
+fn models_of_motion_that_exclude_each_other_are_rejected() {
+    let message = |tensors: &[Foreign]| parse(&foreign(tensors, &SPGS), path()).unwrap_err().to_string();
+    let without = |space: &str| moving_tensors().into_iter().filter(|t| !t.0.starts_with(space)).collect::<Vec<_>>();
+    let found = message(&without("superpoints."));
+    assert!(found.contains("`superpoints.of_gaussian`: found nothing, though `motion.times` is there"), "{found}");
+    let mut both = moving_tensors();
+    both.extend([floats("field.head.weight", &[10, 4]), floats("field.head.bias", &[10])]);
+    let found = message(&both);
+    assert!(found.contains("a deformation field beside superpoints or network G"), "{found}");
+}
+
 type SceneEdit = fn(&mut Scene);
 
 fn superpoints(scene: &mut Scene) -> &mut Superpoints {
-    scene.superpoints.as_mut().unwrap()
+    scene.deformation.superpoints_mut().unwrap()
+}
+
+fn association(scene: &mut Scene) -> &mut Association {
+    scene.deformation.superpoint_deformation_mut().unwrap().association.as_mut().unwrap()
 }
 
 fn motion(scene: &mut Scene) -> &mut Motion {
-    scene.motion.as_mut().unwrap()
+    scene.deformation.table_mut().unwrap()
 }
 
 #[test]

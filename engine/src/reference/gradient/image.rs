@@ -8,7 +8,7 @@ use super::project::{OneGaussian, OneGradient, View, backward};
 use super::splats::{SplatGradient, Upstream, splat_gradients};
 use crate::error::{Error, Result};
 use crate::reference::{
-    Deformation, Gaussians64, Offset, Parameters, Pose, ReferenceOptions, Splat, place_deformed, sorted_splats,
+    DeformationAt, Gaussians64, Offset, Parameters, Pose, ReferenceOptions, Splat, place_deformed, sorted_splats,
 };
 use crate::scene::Camera;
 
@@ -40,7 +40,7 @@ pub struct Gradients {
 /// The visible splats front to back, as the image blends them.
 pub fn visible_splats(
     gaussians: &Gaussians64,
-    deformation: &Deformation<'_>,
+    deformation: &DeformationAt<'_>,
     camera: &Camera,
     options: &ReferenceOptions,
 ) -> Result<Vec<Splat>> {
@@ -52,7 +52,7 @@ pub fn visible_splats(
 }
 
 /// Gaussian `i` with what moves it.
-fn one(gaussians: &Gaussians64, deformation: &Deformation<'_>, i: usize) -> OneGaussian {
+fn one(gaussians: &Gaussians64, deformation: &DeformationAt<'_>, i: usize) -> OneGaussian {
     let (sh, sh_degree) = Parameters::from(gaussians).sh(i);
     OneGaussian {
         mean: DVec3::from_array(gaussians.mean[i]),
@@ -71,7 +71,7 @@ fn one(gaussians: &Gaussians64, deformation: &Deformation<'_>, i: usize) -> OneG
 /// Fails as the image does, and when `upstream` has not the image's size.
 pub fn image_gradients(
     gaussians: &Gaussians64,
-    deformation: &Deformation<'_>,
+    deformation: &DeformationAt<'_>,
     camera: &Camera,
     options: &ReferenceOptions,
     upstream: &Upstream<'_>,
@@ -109,7 +109,7 @@ pub fn image_gradients(
 }
 
 /// Copies the per-Gaussian gradients to their arrays and sums those of the poses, in the order of the Gaussians.
-fn gather(gradients: &mut Gradients, deformation: &Deformation<'_>) {
+fn gather(gradients: &mut Gradients, deformation: &DeformationAt<'_>) {
     let each = &gradients.each;
     gradients.mean = each.iter().map(|g| g.mean.to_array()).collect();
     gradients.rotation = each.iter().map(|g| g.rotation).collect();

@@ -7,7 +7,7 @@ use super::motion::left_jacobian;
 use super::project::View;
 use super::splats::{SplatGradient, Upstream, contributions};
 use crate::reference::{
-    Deformation, Gaussians64, Offset, Pose, ReferenceOptions, exp, exp_quaternion, render_deformed,
+    DeformationAt, Gaussians64, Offset, Pose, ReferenceOptions, exp, exp_quaternion, render_deformed,
 };
 use crate::scene::Camera;
 use crate::scene::synthetic::Random;
@@ -73,8 +73,8 @@ impl Case {
         }
     }
 
-    fn deformation(&self) -> Deformation<'_> {
-        Deformation { group: &self.group, poses: self.poses.as_deref(), offsets: self.offsets.as_deref() }
+    fn deformation(&self) -> DeformationAt<'_> {
+        DeformationAt { group: &self.group, poses: self.poses.as_deref(), offsets: self.offsets.as_deref() }
     }
 
     fn loss(&self) -> f64 {

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 
-use super::super::scene_buffers::{Poses, SceneBuffers};
+use super::super::scene_buffers::SceneBuffers;
 use crate::scene::{Gaussians, Motion, Rejected, Scene};
 
 /// Most Gaussians that are looked at.
@@ -26,20 +26,16 @@ pub struct Extent {
 
 impl Extent {
     pub(super) fn of(scene: &Scene, buffers: &SceneBuffers) -> Self {
-        let table = match &buffers.poses {
-            Poses::Table(motion) | Poses::Host(motion, _) => Some(motion),
-            _ => None,
-        };
+        let table = buffers.deformation.table();
         let (center, radius) = ball(centres(scene, table));
         Self { times: times(buffers, table), center, radius }
     }
 }
 
 fn times(buffers: &SceneBuffers, table: Option<&Motion>) -> [f64; 2] {
-    let by_network = buffers.nonrigid.is_some() || buffers.field.is_some() || buffers.moves();
     match table.map(|t| (t.times.first(), t.times.last())) {
         Some((Some(first), Some(last))) => [f64::from(*first), f64::from(*last)],
-        _ if by_network => [0.0, 1.0],
+        _ if buffers.deformation.source().is_some() => [0.0, 1.0],
         _ => [0.0, 0.0],
     }
 }
@@ -49,7 +45,7 @@ fn centres(scene: &Scene, table: Option<&Motion>) -> Vec<DVec3> {
     let gaussians = &scene.gaussians;
     let rest: Vec<(usize, DVec3)> =
         looked_at(gaussians).map(|i| (i, DVec3::from(gaussians.mean[i].map(f64::from)))).collect();
-    let (Some(motion), Some(superpoints)) = (table, &scene.superpoints) else {
+    let (Some(motion), Some(superpoints)) = (table, scene.deformation.superpoints()) else {
         return rest.into_iter().map(|(_, p)| p).collect();
     };
     let m = motion.superpoint_count();
@@ -105,9 +101,9 @@ mod tests {
 
     #[test]
     fn a_table_moves_the_ball() {
-        let mut scene = moving_scene(300, 4, 5, 3, false);
+        let scene = moving_scene(300, 4, 5, 3, false);
         let shift = 100.0;
-        let mut motion = scene.motion.take().unwrap();
+        let mut motion = scene.deformation.table().unwrap().clone();
         motion.translation.iter_mut().for_each(|t| t[0] += shift);
         let (rest, _) = ball(centres(&scene, None));
         let (moved, radius) = ball(centres(&scene, Some(&motion)));

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use super::super::quality::Quality;
-use super::super::scene_buffers::{Poses, SceneBuffers};
+use super::super::scene_buffers::SceneBuffers;
 use super::extent::Extent;
 use crate::error::{Error, Result};
 use crate::file::{self, Loaded};
@@ -116,19 +116,13 @@ impl SceneHandle {
 
     /// What moves the scene: a key-time table, or a network or deformation field; `None` when it stands still.
     pub fn motion(&self) -> Option<MotionSource> {
-        match self.buffers.poses {
-            Poses::Table(_) | Poses::Host(..) => Some(MotionSource::Table),
-            Poses::Network { .. } | Poses::Given => Some(MotionSource::Network),
-            Poses::Static if self.one_after_another() => Some(MotionSource::Network),
-            Poses::Static => None,
-        }
+        self.buffers.deformation.source()
     }
 
     /// Whether command buffers of different views of this scene must execute one after another: a network F or G or a
     /// deformation field writes its results into buffers of the scene, which all its views share.
     pub fn one_after_another(&self) -> bool {
-        let scene = &self.buffers;
-        scene.nonrigid.is_some() || scene.field.is_some() || matches!(scene.poses, Poses::Network { .. })
+        self.buffers.deformation.is_written_by_frames()
     }
 
     /// Device memory of the scene, bytes.

@@ -7,7 +7,7 @@ use super::super::frame::{Frame, FrameOptions};
 use super::super::limits::TILE_SIZE;
 use super::super::pipeline::{FrameBuffers, Shape, record_forward};
 use super::super::renderer::{FrameStatistics, MemoryUse};
-use super::super::scene_buffers::{Poses, SceneBuffers};
+use super::super::scene_buffers::SceneBuffers;
 use super::super::work_buffers::{COUNTER_WORDS, WorkBuffers};
 use super::check;
 use super::options::{Finished, MAX_IN_FLIGHT, Recorded, Target, ViewOptions};
@@ -291,7 +291,8 @@ impl View {
             self.retire();
             self.targets = Some(made);
         }
-        self.scene.buffers.write_host_poses(time, &mut self.host_pose);
+        let scene = &self.scene.buffers;
+        scene.deformation.poses.write(time, scene.origin, &mut self.host_pose);
         frame.instance_capacity = capacity;
         Ok(frame)
     }
@@ -322,11 +323,9 @@ impl View {
         let quality = self.scene.quality;
         let work = WorkBuffers::with_depth_bits(&self.gpu, scene.gaussians, tiles, capacity, quality.depth_bits)?;
         let device = |name: &str, bytes: u64| self.gpu.buffer(name, bytes, Memory::Device);
-        let host_pose = matches!(scene.poses, Poses::Host(..));
-        let pose_bytes = u64::from(scene.superpoints) * 32;
         let buffers = FrameBuffers {
             frame: device("frame", size_of::<Frame>() as u64)?,
-            host_pose: host_pose.then(|| device("pose", pose_bytes)).transpose()?,
+            host_pose: scene.deformation.host_pose_bytes().map(|bytes| device("pose", bytes)).transpose()?,
             color: device("pixels", if self.options.storage { 16 } else { pixels * self.options.format.bytes() })?,
             depth: self.options.depth.then(|| device("depth", pixels * 4)).transpose()?,
             counters: self.ring.clone(),
@@ -351,7 +350,7 @@ impl View {
         let mut r = self.gpu.recorder("embedded frame").with_timestamps(self.options.profile);
         r.update(buffers.frame.slice(0, size_of::<Frame>() as u64), 0)?;
         if let Some(pose) = &buffers.host_pose {
-            r.update(pose.slice(0, u64::from(scene.superpoints) * 32), 0)?;
+            r.update(pose.slice(0, u64::from(scene.deformation.superpoints) * 32), 0)?;
         }
         record_forward(&self.gpu, &mut r, scene, work, buffers, shape)?;
         let pixel_bytes = self.options.format.bytes();

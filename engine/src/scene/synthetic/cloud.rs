@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3};
 
 use super::Random;
 use crate::scene::network::DeformSize;
-use crate::scene::{DeformNetwork, Gaussians, Linear, Motion, Scene, Superpoints};
+use crate::scene::{DeformNetwork, Gaussians, Linear, Motion, Scene, SuperpointDeformation, Superpoints};
 
 /// Number of Gaussians at which the standard deviations below cover the shells as a trained model would.
 const NOMINAL_COUNT: f64 = 50_000.0;
@@ -57,13 +57,13 @@ pub fn moving_scene(n: usize, m: usize, t: usize, seed: u64, network: bool) -> S
         of_gaussian: gaussians.mean.iter().map(|&mean| nearest(&centers, mean)).collect(),
         position: centers.iter().map(|c| c.as_vec3().to_array()).collect(),
     };
-    Scene {
-        gaussians,
-        superpoints: Some(superpoints),
-        motion: Some(rocking(&centers, t.max(1), &mut random)),
-        deform: network.then(|| random_network(seed)),
-        ..Scene::default()
-    }
+    let deformation = SuperpointDeformation {
+        superpoints,
+        table: Some(rocking(&centers, t.max(1), &mut random)),
+        network: network.then(|| random_network(seed)),
+        ..SuperpointDeformation::default()
+    };
+    Scene { gaussians, deformation: deformation.into(), ..Scene::default() }
 }
 
 fn nearest(centers: &[DVec3], mean: [f32; 3]) -> u32 {
@@ -150,18 +150,19 @@ mod tests {
     #[test]
     fn moving_scene_has_consistent_arrays() {
         let scene = moving_scene(200, 7, 5, 1, true);
-        let (superpoints, motion) = (scene.superpoints.unwrap(), scene.motion.unwrap());
+        let deformation = scene.deformation.superpoint_deformation().unwrap().clone();
+        let (superpoints, motion) = (deformation.superpoints, deformation.table.unwrap());
         assert!(superpoints.of_gaussian.iter().all(|&m| m < 7));
         assert_eq!((superpoints.of_gaussian.len(), superpoints.position.len()), (200, 7));
         assert_eq!((motion.times.len(), motion.rotation.len(), motion.translation.len()), (5, 35, 35));
         assert!(motion.times.windows(2).all(|w| w[0] < w[1]));
-        let network = scene.deform.unwrap();
+        let network = deformation.network.unwrap();
         for (i, layer) in network.linear.iter().enumerate() {
             assert_eq!(layer.inputs, DeformSize::PAPER.layer_inputs(i));
             assert_eq!((layer.weight.len(), layer.bias.len()), (layer.inputs * 256, 256));
         }
         assert_eq!(octave(ENCODING_WIDTH - 1), 5);
         assert_eq!((octave(62), octave(3), octave(9)), (9, 0, 1));
-        assert_eq!(moving_scene(0, 0, 0, 1, false).motion.unwrap().times, [0.0]);
+        assert_eq!(moving_scene(0, 0, 0, 1, false).deformation.key_times(), [0.0]);
     }
 }

@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 use glam::{DQuat, DVec2, DVec3};
 
 use super::Random;
-use crate::scene::{Camera, Gaussians, Motion, Scene, Superpoints};
+use crate::scene::{Camera, Gaussians, Motion, Scene, SuperpointDeformation, Superpoints};
 
 /// Background colour that the demo's lighting is made for.
 pub const DEMO_BACKGROUND: [f32; 3] = [0.035, 0.045, 0.075];
@@ -101,10 +101,10 @@ impl Builder {
             }
         }
         let position = self.pieces.iter().map(|p| p.pivot.as_vec3().to_array()).collect();
+        let superpoints = Superpoints { of_gaussian: self.of_gaussian, position };
         Scene {
             gaussians: self.gaussians,
-            superpoints: Some(Superpoints { of_gaussian: self.of_gaussian, position }),
-            motion: Some(motion),
+            deformation: SuperpointDeformation::of_table(superpoints, motion).into(),
             ..Scene::default()
         }
     }
@@ -277,7 +277,7 @@ mod tests {
         assert!((25_000..45_000).contains(&n), "{n}");
         let mut rejected = Rejected::default();
         assert!((0..n).all(|i| scene.gaussians.is_valid(i, &mut rejected)));
-        let (superpoints, motion) = (scene.superpoints.unwrap(), scene.motion.unwrap());
+        let (superpoints, motion) = (scene.deformation.superpoints().unwrap(), scene.deformation.table().unwrap());
         let m = superpoints.position.len();
         assert_eq!(m, 2 + RINGS + BALLS + BEADS);
         assert_eq!((motion.times.len(), motion.superpoint_count()), (KEY_TIMES, m));

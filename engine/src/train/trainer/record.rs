@@ -4,13 +4,10 @@ use super::{READBACK, Trainer};
 use crate::error::Result;
 use crate::gpu::{Buffer, Commands, Groups, Recorder, Slice};
 use crate::render::pipeline::record_forward;
-use crate::train::association::StepBuffers;
 use crate::train::blend_backward::{self, BackwardInput, BackwardTarget};
 use crate::train::deform_project_backward::{DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, OUTPUT_ADAM};
+use crate::train::deformation::{ProjectInputs, StepInputs};
 use crate::train::image_loss::{LOSS_WORDS, LossPassBuffers, TargetFormat};
-use crate::train::linear::Output;
-use crate::train::network_f::Backward;
-use crate::train::network_g::{self};
 use crate::train::status;
 use crate::train::target::Target;
 
@@ -20,22 +17,13 @@ impl Trainer {
         let t = &self.targets[at];
         let mut r = self.gpu.recorder("train step").with_timestamps(self.profile);
         r.copy(&t.upload, &t.photo)?;
-        if let Some(m) = &self.moving {
-            let (step, position) = (Slice::from(&self.step), Slice::from(&m.superpoints.position));
-            m.network.record_forward(&mut r, m.superpoints.superpoints(), &step, &position, &Slice::from(&m.pose))?;
+        let inputs = self.step_inputs(t);
+        if let Some(model) = &self.deformation {
+            model.record_forward(&mut r, &inputs)?;
         }
-        let mut shape = t.shape.clone();
-        if let Some(g) = &self.nonrigid {
-            let offset = Slice::from(&g.offset);
-            g.network.record_forward(&mut r, self.parameters.count(), &self.nonrigid_inputs(t).borrow(), &offset)?;
-            shape.nonrigid_offset = Some(offset);
-        }
-        record_forward(&self.gpu, &mut r, &self.parameters.scene, &t.work, &t.frame, &shape)?;
-        let shared = self.step_buffers(t);
-        // In the non-rigid stage network F and the association are frozen.
-        let learning = self.moving.as_ref().filter(|_| self.nonrigid.is_none());
-        if let Some(m) = learning {
-            m.superpoints.record_before(&mut r, &shared)?;
+        record_forward(&self.gpu, &mut r, &self.parameters.scene, &t.work, &t.frame, &t.shape)?;
+        if let Some(model) = &self.deformation {
+            model.record_before_loss(&mut r, &inputs)?;
         }
         let loss = LossPassBuffers {
             frame: &t.frame.frame,
@@ -49,52 +37,21 @@ impl Trainer {
         t.image_loss.record(&mut r, &loss, TargetFormat::Rgba8)?;
         self.record_blend_backward(&mut r, t)?;
         self.record_project_backward(&mut r, t)?;
-        if let Some(m) = learning {
-            m.superpoints.record_reduce_pose(&mut r, &shared, &Slice::from(&self.pose_gradient))?;
-            let backward = Backward {
-                step: &shared.step,
-                counters: &shared.counters,
-                status: &shared.status,
-                superpoint_gradient: &Slice::from(&m.superpoints.gradient),
-                plane_stride: m.superpoints.superpoints(),
-            };
-            m.network.record_backward(&mut r, m.superpoints.superpoints(), Output::Adam, &backward)?;
-            m.superpoints.record_commit(&mut r, &shared)?;
-        }
-        if let Some(g) = &self.nonrigid {
-            let backward = network_g::Backward {
-                step: &shared.step,
-                counters: &shared.counters,
-                status: &shared.status,
-                nonrigid_gradient: &Slice::from(&g.gradient),
-            };
-            let inputs = self.nonrigid_inputs(t);
-            g.network.record_backward(&mut r, self.parameters.count(), Output::Adam, &inputs.borrow(), &backward)?;
+        if let Some(model) = &self.deformation {
+            model.record_backward(&mut r, &inputs)?;
         }
         self.record_readback(&mut r, t)?;
         r.finish()
     }
 
-    fn nonrigid_inputs(&self, t: &Target) -> NonrigidInputs {
-        let s = &self.parameters.scene;
-        NonrigidInputs {
-            frame: Slice::from(&t.frame.frame),
-            mean: Slice::from(&s.mean),
-            superpoint_of_gaussian: Slice::from(&s.superpoint_of_gaussian),
-            pose: Slice::from(&s.pose),
-            moving: s.moves(),
-        }
-    }
-
-    fn step_buffers(&self, t: &Target) -> StepBuffers {
-        let s = &self.parameters.scene;
-        StepBuffers {
-            step: Slice::from(&self.step),
-            counters: t.work.counters.clone(),
-            status: Slice::from(&self.status),
-            mean: Slice::from(&s.mean),
-            superpoint_of_gaussian: Slice::from(&s.superpoint_of_gaussian),
-            pose: Slice::from(&s.pose),
+    fn step_inputs<'a>(&'a self, t: &'a Target) -> StepInputs<'a> {
+        StepInputs {
+            scene: &self.parameters.scene,
+            frame: &t.frame.frame,
+            step: &self.step,
+            counters: &t.work.counters,
+            status: &self.status,
+            pose_gradient: &self.pose_gradient,
         }
     }
 
@@ -123,9 +80,10 @@ impl Trainer {
         let (p, s) = (&self.parameters, &self.parameters.scene);
         let slice = |b: &Buffer| Slice::from(b);
         let [sh_0, sh_1, sh_2, sh_3] = &s.sh;
-        // The paper's form of the property losses pulls at the centres too.
-        let learning = self.moving.as_ref().filter(|_| self.nonrigid.is_none());
-        let mean_gradient = learning.and_then(|m| m.superpoints.mean_gradient());
+        let ProjectInputs { offset, mean_gradient } =
+            self.deformation.as_ref().map_or_else(ProjectInputs::default, |m| m.project_inputs());
+        let (has_offset, (offset, offset_gradient)) =
+            (offset.is_some(), offset.unwrap_or((&self.unused[1], &self.unused[2])));
         let buffers = [
             slice(&t.frame.frame),
             slice(&self.step),
@@ -138,8 +96,8 @@ impl Trainer {
             slice(&s.log_scale),
             slice(&s.rotation),
             slice(&s.opacity_logit),
-            slice(&s.superpoint_of_gaussian),
-            slice(&s.pose),
+            slice(&s.deformation.superpoint_of_gaussian),
+            slice(&s.deformation.pose),
             slice(sh_0),
             slice(sh_1),
             slice(sh_2),
@@ -148,16 +106,16 @@ impl Trainer {
             slice(&p.moment_2),
             slice(&self.unused[0]),
             slice(&self.pose_gradient),
-            slice(self.nonrigid.as_ref().map_or(&self.unused[1], |g| &g.offset)),
-            slice(self.nonrigid.as_ref().map_or(&self.unused[2], |g| &g.gradient)),
+            slice(offset),
+            slice(offset_gradient),
             slice(&p.density),
             slice(&p.max_radius),
             slice(mean_gradient.unwrap_or(&self.unused[1])),
         ];
         let spec = [
             s.sh_degree,
-            u32::from(s.moves()),
-            u32::from(self.nonrigid.is_some()),
+            u32::from(s.deformation.moves()),
+            u32::from(has_offset),
             OUTPUT_ADAM,
             u32::from(mean_gradient.is_some()),
         ];
@@ -169,32 +127,11 @@ impl Trainer {
         let [counters, loss, property, status] = READBACK;
         r.copy(t.work.counters.clone(), self.readback.slice(counters, t.work.counters.bytes))?;
         r.copy(&t.loss, self.readback.slice(loss, LOSS_WORDS as u64 * 4))?;
-        if let Some(m) = self.moving.as_ref().filter(|_| self.nonrigid.is_none()) {
-            r.copy(&m.superpoints.property_loss, self.readback.slice(property, 16))?;
+        if let Some(loss) = self.deformation.as_ref().and_then(|m| m.property_loss()) {
+            r.copy(loss, self.readback.slice(property, 16))?;
         }
         r.copy(&self.status, self.readback.slice(status, status::STATUS_WORDS as u64 * 4))?;
         r.host_read(&self.readback);
         Ok(())
-    }
-}
-
-/// Owned slices of [`network_g::Inputs`].
-struct NonrigidInputs {
-    frame: Slice,
-    mean: Slice,
-    superpoint_of_gaussian: Slice,
-    pose: Slice,
-    moving: bool,
-}
-
-impl NonrigidInputs {
-    fn borrow(&self) -> network_g::Inputs<'_> {
-        network_g::Inputs {
-            frame: &self.frame,
-            mean: &self.mean,
-            superpoint_of_gaussian: &self.superpoint_of_gaussian,
-            pose: &self.pose,
-            moving: self.moving,
-        }
     }
 }

@@ -3,7 +3,7 @@
 use engine::error::Result;
 use engine::image::difference;
 use engine::reference::gradient::image::visible_splats;
-use engine::reference::{Deformation, Splat};
+use engine::reference::{DeformationAt, Splat};
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::Camera;
 use engine::scene::synthetic::random_scene;
@@ -44,7 +44,7 @@ fn judge(context: &Context<'_>) -> Result<Outcome> {
     let camera = views::camera(160, 120);
     let options = RenderOptions::default();
     let truth = reference_options(&options);
-    let splats = visible_splats(&in_f64(&scene), &Deformation::default(), &camera, &truth)?;
+    let splats = visible_splats(&in_f64(&scene), &DeformationAt::default(), &camera, &truth)?;
     let ours = blend(splats.iter(), &camera, truth.background, Rules::default());
     let original =
         blend(splats.iter(), &camera, truth.background, Rules { reaches: within_3_sigma, ..Rules::default() });

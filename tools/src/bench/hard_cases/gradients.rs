@@ -6,7 +6,7 @@ use engine::error::Result;
 use engine::gpu::Gpu;
 use engine::reference::gradient::image::{Gradients, image_gradients};
 use engine::reference::gradient::splats::Upstream;
-use engine::reference::{Deformation, Gaussians64, ReferenceOptions, table_poses};
+use engine::reference::{DeformationAt, Gaussians64, ReferenceOptions, table_poses};
 use engine::scene::synthetic::{HardCase, Random, moving_scene, random_scene};
 use engine::scene::{Camera, Scene};
 use engine::train::gradient::{GradientOptions, SceneGradients, scene_gradients};
@@ -103,9 +103,9 @@ impl View {
     }
 
     fn truth(&self) -> Result<Gradients> {
-        let poses = self.scene.motion.as_ref().map(|motion| table_poses(motion, self.time));
-        let group = self.scene.superpoints.as_ref().map_or(&[][..], |s| &s.of_gaussian);
-        let deformation = Deformation { group, poses: poses.as_deref(), offsets: None };
+        let poses = self.scene.deformation.table().map(|motion| table_poses(motion, self.time));
+        let group = self.scene.deformation.superpoint_of_gaussian();
+        let deformation = DeformationAt { group, poses: poses.as_deref(), offsets: None };
         let color: Vec<f64> = self.upstream.chunks_exact(4).flat_map(|g| [g[0], g[1], g[2]]).map(f64::from).collect();
         let alpha: Vec<f64> = self.upstream.iter().skip(3).step_by(4).map(|&a| f64::from(a)).collect();
         let options = ReferenceOptions {

@@ -3,7 +3,7 @@
 use engine::error::Result;
 use engine::image::difference;
 use engine::reference::gradient::image::visible_splats;
-use engine::reference::{Deformation, Splat};
+use engine::reference::{DeformationAt, Splat};
 use engine::render::Renderer;
 use engine::scene::Scene;
 use engine::scene::synthetic::random_scene;
@@ -57,7 +57,7 @@ fn inversions(order: &[&Splat]) -> (usize, f64) {
 fn judge_keys(bits: u32) -> Result<Outcome> {
     let case = images::named("depth_range")?;
     let options = reference_options(&options_of(&case));
-    let splats = visible_splats(&in_f64(&case.scene), &Deformation::default(), &case.camera, &options)?;
+    let splats = visible_splats(&in_f64(&case.scene), &DeformationAt::default(), &case.camera, &options)?;
     let mut order: Vec<&Splat> = splats.iter().collect();
     order.sort_by_key(|s| (key(s.depth, bits), s.index));
     let (count, gap) = inversions(&order);

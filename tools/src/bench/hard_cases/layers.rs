@@ -1,7 +1,7 @@
 //! Case 7: many layers of almost nothing.
 
 use engine::error::Result;
-use engine::reference::Deformation;
+use engine::reference::DeformationAt;
 use engine::reference::gradient::image::visible_splats;
 use engine::scene::Scene;
 
@@ -28,14 +28,14 @@ fn judge(context: &Context<'_>, shift: f32) -> Result<Outcome> {
     let options = options_of(&case);
     let c = compare(context.gpu, &scene, &case.camera, case.time, &options)?;
     let truth = reference_options(&options);
-    let splats = match visible_splats(&in_f64(&scene), &Deformation::default(), &case.camera, &truth) {
+    let splats = match visible_splats(&in_f64(&scene), &DeformationAt::default(), &case.camera, &truth) {
         Ok(splats) if !splats.is_empty() => splats,
         // The definition drops Gaussians whose opacity is under the cut, so for the study they are lifted over it and the cut
         // of the blending does the rest.
         _ => {
             let mut lifted = scene.clone();
             lifted.gaussians.opacity_logit.iter_mut().for_each(|o| *o -= shift);
-            let mut splats = visible_splats(&in_f64(&lifted), &Deformation::default(), &case.camera, &truth)?;
+            let mut splats = visible_splats(&in_f64(&lifted), &DeformationAt::default(), &case.camera, &truth)?;
             splats.iter_mut().for_each(|s| s.opacity *= 0.95 / 1.05);
             splats
         }

@@ -31,7 +31,7 @@ pub(super) fn cases() -> Vec<Case> {
 /// Superpoint j turns from angle j·π/4 to that + 0.5 about its own axis.
 fn turning() -> Scene {
     let mut scene = moving_scene(400, 8, 2, 91, false);
-    if let Some(motion) = &mut scene.motion {
+    if let Some(motion) = scene.deformation.table_mut() {
         for (j, rotation) in motion.rotation.iter_mut().enumerate() {
             let angle = (j % 8) as f64 * std::f64::consts::FRAC_PI_4 + if j < 8 { 0.0 } else { 0.5 };
             *rotation = (axis(j % 8) * angle).as_vec3().to_array();
@@ -99,7 +99,7 @@ fn judge_times(context: &Context<'_>) -> Result<Outcome> {
     let mut accepted = 0;
     for times in bad {
         let mut scene = moving_scene(20, 3, 4, 92, false);
-        if let Some(motion) = &mut scene.motion {
+        if let Some(motion) = scene.deformation.table_mut() {
             motion.times = times.to_vec();
             motion.rotation.truncate(3 * times.len());
             motion.translation.truncate(3 * times.len());

@@ -113,7 +113,7 @@ fn judge_popping(context: &Context<'_>) -> Result<Outcome> {
 /// The even superpoints of a moving scene do not move.
 fn half_still() -> Scene {
     let mut scene = moving_scene(2000, 8, 9, 191, false);
-    if let Some(motion) = &mut scene.motion {
+    if let Some(motion) = scene.deformation.table_mut() {
         for at in (0..motion.rotation.len()).filter(|at| at % 8 % 2 == 0) {
             (motion.rotation[at], motion.translation[at]) = ([0.0; 3], [0.0; 3]);
         }

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use engine::error::Result;
 use engine::gpu::Gpu;
 use engine::reference::gradient::image::visible_splats;
-use engine::reference::{self, ALPHA_MIN, Deformation, ReferenceOptions, Splat};
+use engine::reference::{self, ALPHA_MIN, DeformationAt, ReferenceOptions, Splat};
 use engine::render::RenderOptions;
 use engine::render::arithmetic_rate::arithmetic_rate;
 use engine::scene::{Camera, Scene};
@@ -67,8 +67,8 @@ pub(super) struct Roofline {
 /// where nothing in front is opaque.
 pub(super) fn pairs(scene: &Scene, camera: &Camera, time: f64, options: &RenderOptions) -> Result<f64> {
     let poses = reference::poses(scene, time, options.motion)?;
-    let group = scene.superpoints.as_ref().map_or(&[][..], |s| &s.of_gaussian);
-    let deformation = Deformation { group, poses: poses.as_deref(), offsets: None };
+    let group = scene.deformation.superpoint_of_gaussian();
+    let deformation = DeformationAt { group, poses: poses.as_deref(), offsets: None };
     let near = ReferenceOptions { near: options.near.into(), ..ReferenceOptions::default() };
     let splats = visible_splats(&in_f64(scene), &deformation, camera, &near)?;
     let pixels = f64::from(camera.width) * f64::from(camera.height);
@@ -134,7 +134,7 @@ mod tests {
         let scene = engine::scene::synthetic::random_scene(300, 5, 0);
         let camera = crate::cli::camera::default_camera(&scene, [96, 96]);
         let splats =
-            visible_splats(&in_f64(&scene), &Deformation::default(), &camera, &ReferenceOptions::default()).unwrap();
+            visible_splats(&in_f64(&scene), &DeformationAt::default(), &camera, &ReferenceOptions::default()).unwrap();
         let mut count = 0;
         for y in 0..96 {
             for x in 0..96 {

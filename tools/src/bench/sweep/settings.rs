@@ -54,8 +54,8 @@ pub(super) fn alone(scene: &Scene) -> Vec<Setting> {
     for (name, quality) in Quality::PRESETS.into_iter().filter(|(_, q)| *q != exact) {
         all.push(Setting { name: name.into(), kind: Kind::Preset, quality, network: false });
     }
-    let table = scene.motion.as_ref().is_some_and(|m| m.times.len() > 1);
-    let network = scene.deform.is_some() && scene.superpoints.is_some();
+    let table = scene.deformation.key_times().len() > 1;
+    let network = scene.deformation.network().is_some();
     let mut knob = |knob: &'static str, value: &str, quality: Quality, network: bool| {
         let kind = Kind::Knob { knob, value: value.to_owned() };
         all.push(Setting { name: format!("{knob} = {value}"), kind, quality, network });
@@ -69,7 +69,7 @@ pub(super) fn alone(scene: &Scene) -> Vec<Setting> {
             let matters = match k.name {
                 "interpolation" | "table_step" => table,
                 "network" => network,
-                "nonrigid" => scene.nonrigid.is_some(),
+                "nonrigid" => scene.deformation.nonrigid().is_some(),
                 "sh_degree" => value.parse().is_ok_and(|d: u32| d < scene.gaussians.sh_degree),
                 _ => true,
             };

@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use super::moment::Moments;
 use super::views;
-use crate::cli::{camera, progress};
+use crate::cli::progress;
 use between::Between;
 
 /// Cameras on which the error is measured, and their size, pixels.
@@ -83,13 +83,13 @@ struct Candidates {
 /// Replaces the motion of `scene`, which is still the one of `moments`, by a table; networks, fields and the association,
 /// which play-back does not need, go.
 pub(super) fn bake(scene: &mut Scene, moments: &Moments<'_>, bound_px: f64, quiet: bool) -> Result<Baked> {
-    let bar = progress::counter("times of the deformation field", quiet || scene.field.is_none());
+    let bar = progress::counter("times of the deformation field", quiet || scene.deformation.field().is_none());
     // Network G stays as it is, and plays no part.
-    let nonrigid = scene.nonrigid.take();
+    let nonrigid = scene.deformation.take_nonrigid();
     let rigid = nonrigid.is_some().then(|| scene.clone());
     let rigid = rigid.as_ref().map(|s| Moments::new(s, moments.source(), None)).transpose()?;
     let moments = rigid.as_ref().unwrap_or(moments);
-    let Candidates { superpoints, motion: table, size_change, is_free_between } = match &scene.field {
+    let Candidates { superpoints, motion: table, size_change, is_free_between } = match scene.deformation.field() {
         Some(_) => of_field(scene, moments, bound_px, &bar)?,
         None => of_superpoints(scene, moments.source())?,
     };
@@ -98,27 +98,28 @@ pub(super) fn bake(scene: &mut Scene, moments: &Moments<'_>, bound_px: f64, quie
     let between = is_free_between.then(|| Between::of(moments, &table.times, &bar)).transpose()?;
     bar.finish_and_clear();
     let gaussians = scene.gaussians.clone();
-    (scene.deform, scene.association, scene.field) = (None, None, None);
     let (mut tolerance, mut attempts) = (bound_px, 0);
     let (baked, between_px) = loop {
         scene.gaussians.clone_from(&gaussians);
-        let mut baked = bake::bake(&mut scene.gaussians, &superpoints, &table, &views, tolerance, true)?;
-        (scene.superpoints, scene.motion) = (baked.superpoints.take(), baked.motion.take());
+        let baked = bake::bake(&mut scene.gaussians, &superpoints, &table, &views, tolerance, true)?;
+        scene.deformation.clone_from(&baked.deformation);
         let between_px = between.as_ref().map(|b| b.error_px(scene, &views)).transpose()?;
         attempts += 1;
         // Between its candidates a table is off by a little more than at them: then it has to be closer to those.
         let is_above = between_px.is_some_and(|px| px > bound_px);
-        let all_are_kept = scene.motion.as_ref().is_some_and(|m| m.times.len() == table.times.len());
+        let all_are_kept = scene.deformation.key_times().len() == table.times.len();
         if !is_above || all_are_kept || attempts == MOST_ATTEMPTS {
             break (baked, between_px);
         }
         tolerance = (tolerance - 1.2 * (between_px.unwrap_or(0.0) - bound_px)).max(0.3 * tolerance);
     };
-    scene.nonrigid = nonrigid;
+    if let Some(network) = nonrigid {
+        scene.deformation = std::mem::take(&mut scene.deformation).with_nonrigid(network)?;
+    }
     Ok(Baked {
-        key_times: scene.motion.as_ref().map_or(0, |m| m.times.len()),
+        key_times: scene.deformation.key_times().len(),
         candidates: table.times.len(),
-        superpoints: [superpoints.position.len(), scene.superpoints.as_ref().map_or(0, |s| s.position.len())],
+        superpoints: [superpoints.position.len(), scene.deformation.superpoint_count()],
         error_px: baked.error_px,
         bound_px,
         size_change,
@@ -129,14 +130,14 @@ pub(super) fn bake(scene: &mut Scene, moments: &Moments<'_>, bound_px: f64, quie
 
 /// A table or network F at many times.
 fn of_superpoints(scene: &Scene, source: MotionSource) -> Result<Candidates> {
-    let Some(superpoints) = scene.superpoints.clone() else {
+    let Some(superpoints) = scene.deformation.superpoints().cloned() else {
         return Err(Error::usage(
             "--bake",
             "a model that does not move",
             "one with superpoints or a deformation field",
         ));
     };
-    let Some(source) = scene.motion_source(source)? else {
+    let Some(source) = scene.deformation.motion_source(source)? else {
         return Err(Error::usage("--bake", "superpoints without motion", "a key-time table or network F"));
     };
     let times = candidates(scene, source);
@@ -168,7 +169,7 @@ fn of_field(scene: &mut Scene, moments: &Moments<'_>, bound_px: f64, bar: &Progr
 
 /// The key times of a table and the middles between them; evenly spread times for network F.
 fn candidates(scene: &Scene, source: MotionSource) -> Vec<f64> {
-    if let (MotionSource::Table, Some(motion)) = (source, &scene.motion) {
+    if let (MotionSource::Table, Some(motion)) = (source, scene.deformation.table()) {
         let keys: Vec<f64> = motion.times.iter().map(|&t| f64::from(t)).collect();
         let middles = keys.windows(2).map(|w| 0.5 * (w[0] + w[1]));
         let mut all: Vec<f64> = keys.iter().copied().chain(middles).map(|t| f64::from(t as f32)).collect();
@@ -176,7 +177,7 @@ fn candidates(scene: &Scene, source: MotionSource) -> Vec<f64> {
         all.dedup();
         return all;
     }
-    let [start, end] = camera::time_range(scene);
+    let [start, end] = scene.deformation.time_range();
     let step = (end - start) / (NETWORK_TIMES - 1) as f64;
     (0..NETWORK_TIMES).map(|i| f64::from((start + step * i as f64) as f32)).collect()
 }

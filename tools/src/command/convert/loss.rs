@@ -9,7 +9,7 @@ use engine::render::{RenderOptions, Renderer};
 use engine::scene::{MotionSource, Scene};
 use serde::Serialize;
 
-use super::moment::{Moments, is_moving};
+use super::moment::Moments;
 use super::targets::Written;
 use super::views;
 use crate::cli::gpu_session;
@@ -101,7 +101,7 @@ pub(super) fn measure(
     let psnr = (mean > 0.0).then(|| -10.0 * mean.log10());
     let worst = visible().filter_map(|v| v.psnr).reduce(f64::min);
     let visible = visible().count();
-    let at_rest = is_moving(before.scene()) && outputs.iter().any(|o| is_at_rest(o, kind));
+    let at_rest = before.scene().is_dynamic() && outputs.iter().any(|o| is_at_rest(o, kind));
     Ok(Some(Loss { views, visible, at_rest, psnr, worst, size: SIZE }))
 }
 
@@ -129,7 +129,7 @@ fn of_file(
     let first: Vec<_> = cameras.iter().map(|c| one.render(c, c.time)).collect::<Result<_>>()?;
     drop(one);
     // The same motion where the file has it, too.
-    let source = after.motion_source(shown.source()).map_or(MotionSource::Auto, |_| shown.source());
+    let source = after.deformation.motion_source(shown.source()).map_or(MotionSource::Auto, |_| shown.source());
     let mut two = Renderer::new(gpu, &after, &options(source))?;
     for (camera, first) in cameras.iter().zip(&first) {
         let second = two.render(camera, camera.time)?;

@@ -17,7 +17,7 @@ pub(super) struct Moments<'a> {
 impl<'a> Moments<'a> {
     /// Without a device a field is evaluated on the CPU.
     pub(super) fn new(scene: &'a Scene, source: MotionSource, gpu: Option<&Gpu>) -> Result<Self> {
-        let field = match (&scene.field, gpu) {
+        let field = match (scene.deformation.field(), gpu) {
             (Some(_), Some(gpu)) => Some(FieldEvaluator::new(gpu, scene)?),
             _ => None,
         };
@@ -36,7 +36,7 @@ impl<'a> Moments<'a> {
 
     /// `[N]` offsets of a scene with a field.
     pub(super) fn offsets(&self, time: f64) -> Result<Vec<Offset>> {
-        match (&self.field, &self.scene.field) {
+        match (&self.field, self.scene.deformation.field()) {
             (Some(evaluator), _) => evaluator.offsets(time),
             (None, Some(field)) => Ok(reference::field_offsets(field, &self.scene.gaussians, time)),
             (None, None) => Err(Error::usage("deformation field", "a scene without one", "a scene with one")),
@@ -45,14 +45,9 @@ impl<'a> Moments<'a> {
 
     /// The Gaussians at a time.
     pub(super) fn at(&self, time: f64) -> Result<Gaussians> {
-        match &self.scene.field {
+        match self.scene.deformation.field() {
             Some(_) => freeze_with(&self.scene.gaussians, &self.offsets(time)?),
             None => freeze(self.scene, time, self.source),
         }
     }
-}
-
-/// Whether a scene moves by itself.
-pub(super) fn is_moving(scene: &Scene) -> bool {
-    scene.field.is_some() || scene.motion_source(MotionSource::Auto).is_ok_and(|s| s.is_some())
 }

@@ -3,7 +3,7 @@
 use engine::error::Result;
 use engine::scene::{Camera, Scene};
 
-use super::moment::{Moments, is_moving};
+use super::moment::Moments;
 use crate::cli::camera;
 
 /// Cameras, and the near plane that suits them all.
@@ -20,7 +20,7 @@ pub(super) fn around(moments: &Moments<'_>, size: [u32; 2], count: usize, time: 
     if let Some(time) = time {
         cameras.iter_mut().for_each(|c| c.time = time);
     }
-    if !is_moving(scene) {
+    if !scene.is_dynamic() {
         return Ok(Around { cameras, near: camera::near(scene) });
     }
     let mut near = f32::INFINITY;

@@ -54,6 +54,6 @@ pub(super) fn scenes(gaussians: usize) -> Vec<Scene> {
         field(waves(10, true), 10, Some(nodes(gaussians))),
         field(waves(10, true), 14, Some(nodes(gaussians))),
     ];
-    let scene = |field| Scene { field: Some(field), ..random_scene(gaussians, 1, 3) };
+    let scene = |field: DeformationField| Scene { deformation: field.into(), ..random_scene(gaussians, 1, 3) };
     all.into_iter().map(scene).collect()
 }

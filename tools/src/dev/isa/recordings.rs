@@ -67,7 +67,8 @@ fn moving() -> Scene {
 
 fn frames(gpu: &Gpu) -> Result<()> {
     let moving = moving();
-    let nonrigid = Scene { nonrigid: Some(NonrigidNetwork::init(1)), ..moving.clone() };
+    let deformation = moving.deformation.clone().with_nonrigid(NonrigidNetwork::init(1))?;
+    let nonrigid = Scene { deformation, ..moving.clone() };
     for (_, quality) in Quality::PRESETS {
         let options = RenderOptions { quality, ..RenderOptions::default() };
         for degree in 0..4 {

@@ -15,10 +15,12 @@ use engine::image::{Difference, difference};
 use engine::reference::gradient::image::image_gradients;
 use engine::reference::gradient::splats::Upstream;
 use engine::reference::{
-    Deformation, Gaussians64, Parameters, Pose, ReferenceOptions, network_poses, place, render_gaussians,
+    DeformationAt, Gaussians64, Parameters, Pose, ReferenceOptions, network_poses, place, render_gaussians,
 };
 use engine::scene::network::DeformSize;
-use engine::scene::{Camera, DeformNetwork, Gaussians, Linear, MotionSource, Scene, Superpoints};
+use engine::scene::{
+    Camera, DeformNetwork, Gaussians, Linear, MotionSource, Scene, SuperpointDeformation, Superpoints,
+};
 use engine::train::gradient::{GradientOptions, scene_gradients};
 use engine::{Error, Result};
 use glam::{DMat3, DMat4, DVec3};
@@ -218,7 +220,7 @@ pub fn gradient_errors(gpu: &Gpu, case: &OracleCase) -> Result<Option<GradientEr
     let Some(truth) = &case.gradients else { return Ok(None) };
     let options = ReferenceOptions { near: NEAR, background: case.background, motion: MotionSource::Auto };
     let upstream = Upstream { color: &truth.upstream, alpha: None };
-    let exact = image_gradients(&case.gaussians, &Deformation::default(), &case.camera, &options, &upstream)?;
+    let exact = image_gradients(&case.gaussians, &DeformationAt::default(), &case.camera, &options, &upstream)?;
     let (scene, camera, background, near) = as_scene(case);
     let pixels: Vec<f32> =
         truth.upstream.chunks_exact(3).flat_map(|g| [g[0] as f32, g[1] as f32, g[2] as f32, 0.0]).collect();
@@ -262,12 +264,12 @@ pub fn load_superpoint(path: &Path) -> Result<SuperpointCase> {
         sh: vec![0.0; 3 * mean.len()],
         mean,
     };
-    let scene = Scene {
-        gaussians,
-        superpoints: Some(Superpoints { of_gaussian, position }),
-        deform: Some(file.network()?),
-        ..Scene::default()
+    let deformation = SuperpointDeformation {
+        superpoints: Superpoints { of_gaussian, position },
+        network: Some(file.network()?),
+        ..SuperpointDeformation::default()
     };
+    let scene = Scene { gaussians, deformation: deformation.into(), ..Scene::default() };
     Ok(SuperpointCase {
         path: path.into(),
         scene,
@@ -281,8 +283,8 @@ pub fn load_superpoint(path: &Path) -> Result<SuperpointCase> {
 
 /// F and motion of the f64 reference against the file's results.
 pub fn superpoint_difference(case: &SuperpointCase) -> Result<SuperpointDifference> {
-    let superpoints = case.scene.superpoints.as_ref();
-    let poses = match (&case.scene.deform, superpoints) {
+    let superpoints = case.scene.deformation.superpoints();
+    let poses = match (case.scene.deformation.network(), superpoints) {
         (Some(network), Some(superpoints)) => network_poses(network, &superpoints.position, case.time),
         _ => Vec::new(),
     };

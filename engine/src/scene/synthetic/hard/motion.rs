@@ -5,18 +5,24 @@ use glam::{DQuat, DVec3};
 use super::HardCase;
 use super::build::{case, cloud, look};
 use crate::scene::synthetic::{moving_scene, random_network};
-use crate::scene::{Camera, Gaussians, Motion, Scene, Superpoints};
+use crate::scene::{Camera, Gaussians, Motion, Scene, SuperpointDeformation, Superpoints};
 
 /// A cloud whose Gaussians are dealt round-robin to `m` superpoints with the given motion.
 fn moving(n: usize, groups: &[u32], motion: Motion) -> Scene {
     let m = motion.superpoint_count();
     let of_gaussian = (0..n).map(|i| groups[i % groups.len()]).collect();
+    let superpoints = Superpoints { of_gaussian, position: vec![[0.0; 3]; m] };
     Scene {
         gaussians: cloud(n, 70),
-        superpoints: Some(Superpoints { of_gaussian, position: vec![[0.0; 3]; m] }),
-        motion: Some(motion),
+        deformation: SuperpointDeformation::of_table(superpoints, motion).into(),
         ..Scene::default()
     }
+}
+
+/// A scene of superpoints with something of them changed.
+fn changed(mut scene: Scene, change: impl FnOnce(&mut SuperpointDeformation)) -> Scene {
+    scene.deformation.superpoint_deformation_mut().map(change);
+    scene
 }
 
 /// The table of one superpoint with rotation vectors about `axis` of the given angles, one per key time 0, 1, 2, ….
@@ -39,8 +45,8 @@ pub(super) fn cases() -> Vec<HardCase> {
     let one = |angles: &[f32]| moving(300, &[0], turning(axis, angles));
     let table = moving_scene(300, 6, 5, 71, false);
     let single = moving_scene(300, 6, 1, 72, false);
-    let with_network = Scene { motion: None, ..moving_scene(300, 6, 2, 73, true) };
-    let unused_network = Scene { deform: Some(random_network(9)), ..table.clone() };
+    let with_network = changed(moving_scene(300, 6, 2, 73, true), |d| d.table = None);
+    let unused_network = changed(table.clone(), |d| d.network = Some(random_network(9)));
     vec![
         at(
             "rotation_across_pi",

@@ -3,7 +3,7 @@
 use engine::error::Result;
 use engine::reference::gradient::image::{Gradients, image_gradients, visible_splats};
 use engine::reference::gradient::splats::{Upstream, contributions};
-use engine::reference::{Deformation, Gaussians64, Offset, Pose, ReferenceOptions, render_deformed};
+use engine::reference::{DeformationAt, Gaussians64, Offset, Pose, ReferenceOptions, render_deformed};
 use engine::scene::Camera;
 use engine::scene::synthetic::Random;
 use glam::{DVec2, DVec3};
@@ -71,8 +71,8 @@ impl Scene64 {
         }
     }
 
-    fn deformation(&self) -> Deformation<'_> {
-        Deformation { group: &self.group, poses: Some(&self.poses), offsets: Some(&self.offsets) }
+    fn deformation(&self) -> DeformationAt<'_> {
+        DeformationAt { group: &self.group, poses: Some(&self.poses), offsets: Some(&self.offsets) }
     }
 
     fn options() -> ReferenceOptions {

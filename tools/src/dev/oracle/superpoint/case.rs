@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use engine::scene::{DeformNetwork, Scene};
+use engine::scene::{DeformNetwork, Scene, SuperpointDeformation};
 use engine::{Error, Result};
 use glam::{DMat3, DVec3};
 use npyz::TypeChar;
@@ -44,8 +44,8 @@ impl Case {
         let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
         let archive =
             ZipArchive::new(file).map_err(|e| Error::corrupt(path, "zip directory", e.to_string(), "an .npz file"))?;
-        let (network, superpoints) = match (known.scene.deform.clone(), known.scene.superpoints.clone()) {
-            (Some(network), Some(superpoints)) => (network, superpoints),
+        let (network, superpoints) = match known.scene.deformation.superpoint_deformation().cloned() {
+            Some(SuperpointDeformation { network: Some(network), superpoints, .. }) => (network, superpoints),
             _ => return Err(Error::corrupt(path, "arrays", "no network F", "network F and superpoints")),
         };
         let mut case = Self {

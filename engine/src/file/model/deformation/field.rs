@@ -1,15 +1,20 @@
-//! The tensors `field.*` to a deformation field.
+//! Tensors `field.*`: a deformation field.
 
-use super::Tensors;
+use super::super::read::Tensors;
+use super::linear as layer_tensors;
 use crate::error::Result;
+use crate::file::tensors::{NamedTensor, floats, indices};
 use crate::scene::Linear;
 use crate::scene::field::{
     ControlNodes, DeformationField, FIELD_MOST_LAYERS, FIELD_MOST_SCALES, FIELD_PAIRS, FieldInput, FieldPlane,
     FieldPlanes,
 };
 
+/// Prefixes of the tensors' names.
+pub(super) const NAMESPACES: [&str; 1] = ["field."];
+
 /// The field, when its head is there. What does not fit together is found by [`DeformationField::check`].
-pub(super) fn field(tensors: &mut Tensors<'_>, gaussians: usize) -> Result<Option<DeformationField>> {
+pub(super) fn read(tensors: &mut Tensors<'_>, gaussians: usize) -> Result<Option<DeformationField>> {
     if !tensors.has("field.head.weight") {
         return Ok(None);
     }
@@ -62,4 +67,32 @@ fn nodes(tensors: &mut Tensors<'_>, gaussians: usize) -> Result<ControlNodes> {
     let (_, weight) = tensors.f32s("field.node.weight", &[n, Some(shape[1])])?;
     let (_, share) = tensors.f32s("field.node.share", &[n])?;
     Ok(ControlNodes { position, neighbors: shape[1], neighbor, weight, share })
+}
+
+pub(super) fn tensors(field: &DeformationField, n: usize) -> Vec<NamedTensor<'_>> {
+    let mut out: Vec<NamedTensor<'_>> = Vec::new();
+    out.extend(field.named_layers().into_iter().flat_map(|(name, l)| layer_tensors(&name, l)));
+    if let FieldInput::Planes(planes) = &field.input {
+        out.push(floats("field.bounds", vec![2, 3], planes.bounds.as_flattened()));
+        for (s, six) in planes.scales.iter().enumerate() {
+            for (p, plane) in six.iter().enumerate() {
+                let shape = vec![planes.channels, plane.height, plane.width];
+                out.push(floats(format!("field.plane.{s}.{p}"), shape, &plane.values));
+            }
+        }
+    }
+    if let Some(nodes) = &field.nodes {
+        let pairs = vec![n, nodes.neighbors];
+        out.push(floats("field.node.position", vec![nodes.position.len(), 3], nodes.position.as_flattened()));
+        out.push(indices("field.node.neighbor", pairs.clone(), &nodes.neighbor));
+        out.push(floats("field.node.weight", pairs, &nodes.weight));
+        out.push(floats("field.node.share", vec![n], &nodes.share));
+    }
+    out
+}
+
+/// Names that have a meaning here.
+pub(super) fn is_known(name: &str) -> bool {
+    const PARTS: [&str; 5] = ["field.layer.", "field.head.", "field.time.", "field.plane.", "field.node."];
+    name == "field.bounds" || PARTS.iter().any(|part| name.starts_with(part))
 }

@@ -1,0 +1,175 @@
+//! What a run learns of motion. The trainer asks a [`TrainedDeformation`] and knows no model: each has a module here, with its
+//! part of a step, of density control, of checkpoints and of the watch over numbers.
+
+mod nonrigid;
+mod superpoints;
+
+use super::association::AssociationOptions;
+use super::checkpoint::Checkpoint;
+use super::config::Config;
+use super::density::RowArray;
+use super::usage::TrainingMemory;
+use crate::error::Result;
+use crate::gpu::{Buffer, Gpu, Recorder, Slice};
+use crate::render::deformation::DeformationBuffers;
+use crate::render::scene_buffers::SceneBuffers;
+use crate::scene::{Deformation, Motion, NonrigidNetwork};
+
+use nonrigid::NonrigidTraining;
+use superpoints::SuperpointTraining;
+
+/// A model of motion under training.
+pub(super) type Trained = Box<dyn TrainedDeformation>;
+
+/// Buffers of the training step that belong to others.
+#[derive(Debug)]
+pub(super) struct StepInputs<'a> {
+    /// The Gaussians; poses and offsets are in their `deformation`.
+    pub(super) scene: &'a SceneBuffers,
+    /// The frame: its time, counts and keys.
+    pub(super) frame: &'a Buffer,
+    /// The step's data.
+    pub(super) step: &'a Buffer,
+    /// The frame's counters: nothing changes when the frame failed.
+    pub(super) counters: &'a Slice,
+    /// Reports of numbers that are not finite.
+    pub(super) status: &'a Buffer,
+    /// `float[6][N]` of the pose of each Gaussian's superpoint.
+    pub(super) pose_gradient: &'a Buffer,
+}
+
+/// What `deform_project_backward` reads and writes for a model.
+#[derive(Debug, Default)]
+pub(super) struct ProjectInputs<'a> {
+    /// `float[10][N]` offsets of the forward pass, and where their gradient goes.
+    pub(super) offset: Option<(&'a Buffer, &'a Buffer)>,
+    /// `float[3][N]` gradient that the model's own loss adds to the centres'.
+    pub(super) mean_gradient: Option<&'a Buffer>,
+}
+
+/// Where the rows of density control go on from: the buffers in the order of [`TrainedDeformation::density_rows`].
+pub(super) type Rows<'a> = dyn Iterator<Item = Buffer> + 'a;
+
+/// A float array that the next step depends on: name, place, length.
+pub(super) type Numbers = (&'static str, Slice, u32);
+
+/// One model's part of training.
+pub(super) trait TrainedDeformation: std::fmt::Debug + Send + Sync {
+    /// Makes the renderer read this model's poses and offsets.
+    fn attach(&self, buffers: &mut DeformationBuffers);
+
+    /// Records poses and offsets at the step's time.
+    fn record_forward(&self, r: &mut Recorder, inputs: &StepInputs<'_>) -> Result<()>;
+
+    /// Records what runs between the image and its loss.
+    fn record_before_loss(&self, _: &mut Recorder, _: &StepInputs<'_>) -> Result<()> {
+        Ok(())
+    }
+
+    /// Records what turns gradients of poses and offsets into those of this model, and its Adam.
+    fn record_backward(&self, r: &mut Recorder, inputs: &StepInputs<'_>) -> Result<()>;
+
+    /// What `deform_project_backward` has to do with it.
+    fn project_inputs(&self) -> ProjectInputs<'_> {
+        ProjectInputs::default()
+    }
+
+    /// `float[4]` losses of this model, where it has some: position, rotation, translation, weighted total.
+    fn property_loss(&self) -> Option<&Buffer> {
+        None
+    }
+
+    /// Shape of the association of Gaussians with superpoints, where there is one.
+    fn association(&self) -> Option<&AssociationOptions> {
+        None
+    }
+
+    /// All floats that the next step depends on.
+    fn numbers(&self) -> Vec<Numbers>;
+
+    /// Arrays with a row per Gaussian that density control gathers.
+    fn density_rows(&self) -> Vec<RowArray> {
+        Vec::new()
+    }
+
+    /// Bytes per Gaussian of those rows.
+    fn row_bytes(&self) -> u64 {
+        self.density_rows().iter().map(|row| 4 * u64::from(row.planes) * u64::from(row.width)).sum()
+    }
+
+    /// Bytes per Gaussian beyond those rows.
+    fn bytes_per_gaussian(&self) -> u64;
+
+    /// Goes on with `gaussians` Gaussians and the gathered rows; `None` when nothing is left to move.
+    ///
+    /// # Errors
+    /// `Usage` without enough rows; `OutOfMemory`.
+    fn resized(self: Box<Self>, gpu: &Gpu, gaussians: u32, rows: &mut Rows<'_>) -> Result<Option<Trained>>;
+
+    /// Adds its device memory by purpose.
+    fn add_memory(&self, used: &mut TrainingMemory);
+
+    /// The model as the scene has it.
+    fn download(&self, gpu: &Gpu, scene: &SceneBuffers) -> Result<Deformation>;
+
+    /// Writes its state into a checkpoint.
+    fn save(&self, gpu: &Gpu, scene: &SceneBuffers, checkpoint: &mut Checkpoint) -> Result<()>;
+
+    /// Poses of superpoints at `times`, through the buffer `step`; `None` where the model has none.
+    fn table_at(&self, _: &Gpu, _: &Buffer, _: &[f32]) -> Result<Option<Motion>> {
+        Ok(None)
+    }
+}
+
+/// A new model, from the Gaussians as they are.
+///
+/// # Errors
+/// `OutOfMemory`, `Limit`.
+pub(super) fn begin(gpu: &Gpu, config: &Config, scene: &SceneBuffers) -> Result<Trained> {
+    Ok(Box::new(SuperpointTraining::begin(gpu, config, scene)?))
+}
+
+/// The model that a checkpoint holds; `None` where motion has not begun.
+///
+/// # Errors
+/// `Usage` when lengths do not fit; `OutOfMemory`.
+pub(super) fn restore(gpu: &Gpu, config: &Config, saved: &Checkpoint) -> Result<Option<Trained>> {
+    let Some(state) = &saved.nonrigid else {
+        let rigid = saved.motion.as_ref().map(|m| SuperpointTraining::restore(gpu, config, m)).transpose()?;
+        return Ok(rigid.map(|rigid| Box::new(rigid) as Trained));
+    };
+    let mut model = nonrigid_model(gpu, config, saved, &state.nonrigid()?)?;
+    model.restore_moments(state)?;
+    Ok(Some(Box::new(model)))
+}
+
+/// The non-rigid stage on a trained model: network G after what moved it before, which does not learn any more.
+///
+/// # Errors
+/// As [`restore`].
+pub(super) fn nonrigid(gpu: &Gpu, config: &Config, trained: &Checkpoint) -> Result<Trained> {
+    let mut network = NonrigidNetwork::init(config.seed);
+    if !config.nonrigid.scale {
+        network.scaling.weight.fill(0.0);
+    }
+    Ok(Box::new(nonrigid_model(gpu, config, trained, &network)?))
+}
+
+fn nonrigid_model(
+    gpu: &Gpu,
+    config: &Config,
+    saved: &Checkpoint,
+    network: &NonrigidNetwork,
+) -> Result<NonrigidTraining> {
+    let frozen = saved.motion.as_ref().map(|m| SuperpointTraining::restore(gpu, config, m)).transpose()?;
+    let gaussians = saved.parameters.gaussians.len() as u32;
+    NonrigidTraining::new(gpu, config, frozen, network, gaussians)
+}
+
+/// Weights and moments of a network as [`Numbers`].
+fn network_numbers(names: [&'static str; 3], state: [Slice; 3]) -> impl Iterator<Item = Numbers> {
+    names.into_iter().zip(state).map(|(name, slice)| {
+        let words = (slice.bytes / 4) as u32;
+        (name, slice, words)
+    })
+}

@@ -1,0 +1,233 @@
+//! Superpoints, their association with Gaussians and network F under training.
+
+use super::super::association::{
+    AssociationInit, AssociationOptions, Rows as AssociationRows, StepBuffers, SuperpointState,
+};
+use super::super::checkpoint::{Checkpoint, MotionState, NetworkState};
+use super::super::config::{Config, Form};
+use super::super::density::{NewRows, RowArray};
+use super::super::linear::Output;
+use super::super::network_f::{Backward, NetworkF};
+use super::super::property_loss::PropertyLoss;
+use super::super::step::Step;
+use super::super::usage::TrainingMemory;
+use super::{Numbers, ProjectInputs, Rows, StepInputs, Trained, TrainedDeformation, network_numbers};
+use crate::error::{Error, Result};
+use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
+use crate::render::deformation::{DeformationBuffers, Poses};
+use crate::render::scene_buffers::SceneBuffers;
+use crate::scene::{DeformNetwork, Deformation, Motion, SuperpointDeformation};
+
+/// The model on the device.
+#[derive(Debug)]
+pub(super) struct SuperpointTraining {
+    superpoints: SuperpointState,
+    network: NetworkF,
+    pose: Buffer,
+}
+
+fn association_options(config: &Config) -> AssociationOptions {
+    let m = &config.motion;
+    AssociationOptions {
+        superpoints: m.superpoints,
+        neighbors: m.neighbors,
+        slots: m.association_slots,
+        init: match m.association_init {
+            Form::Code => AssociationInit::Code,
+            Form::Paper => AssociationInit::Paper,
+        },
+        property_loss: match config.loss.prop_loss {
+            Form::Code => PropertyLoss::Code,
+            Form::Paper => PropertyLoss::Paper,
+        },
+        seed: config.seed,
+    }
+}
+
+impl SuperpointTraining {
+    /// Samples superpoints from the Gaussians as they are and starts network F.
+    pub(super) fn begin(gpu: &Gpu, config: &Config, scene: &SceneBuffers) -> Result<Self> {
+        let superpoints = SuperpointState::init(
+            gpu,
+            &Slice::from(&scene.mean),
+            &Slice::from(&scene.deformation.superpoint_of_gaussian),
+            scene.gaussians,
+            association_options(config),
+        )?;
+        let weights = DeformNetwork::init(config.seed, config.motion.network_size(), config.motion.zero_heads);
+        let network = NetworkF::new(gpu, &weights, superpoints.superpoints())?;
+        Self::new(gpu, superpoints, network)
+    }
+
+    /// Goes on from a checkpoint.
+    pub(super) fn restore(gpu: &Gpu, config: &Config, saved: &MotionState) -> Result<Self> {
+        let [first, second] = &saved.association_moments;
+        let options = association_options(config);
+        let superpoints =
+            SuperpointState::from_parts(gpu, &saved.position, &saved.association, [first, second], options)?;
+        let weights = saved.network.deform(config.motion.network_size())?;
+        let network = NetworkF::new(gpu, &weights, saved.position.len() as u32)?;
+        network.upload_moments([&saved.network.moment_1, &saved.network.moment_2])?;
+        Self::new(gpu, superpoints, network)
+    }
+
+    fn new(gpu: &Gpu, superpoints: SuperpointState, network: NetworkF) -> Result<Self> {
+        let pose = gpu.buffer("pose", u64::from(superpoints.superpoints()) * 32, Memory::Device)?;
+        Ok(Self { superpoints, network, pose })
+    }
+
+    fn record_poses(&self, r: &mut Recorder, step: &Buffer) -> Result<()> {
+        let position = Slice::from(&self.superpoints.position);
+        let (step, pose) = (Slice::from(step), Slice::from(&self.pose));
+        self.network.record_forward(r, self.superpoints.superpoints(), &step, &position, &pose)
+    }
+
+    fn step_buffers(inputs: &StepInputs<'_>) -> StepBuffers {
+        StepBuffers {
+            step: Slice::from(inputs.step),
+            counters: inputs.counters.clone(),
+            status: Slice::from(inputs.status),
+            mean: Slice::from(&inputs.scene.mean),
+            superpoint_of_gaussian: Slice::from(&inputs.scene.deformation.superpoint_of_gaussian),
+            pose: Slice::from(&inputs.scene.deformation.pose),
+        }
+    }
+}
+
+impl TrainedDeformation for SuperpointTraining {
+    fn attach(&self, buffers: &mut DeformationBuffers) {
+        buffers.superpoints = self.superpoints.superpoints();
+        buffers.poses = Poses::Given;
+        buffers.pose = self.pose.clone();
+    }
+
+    fn record_forward(&self, r: &mut Recorder, inputs: &StepInputs<'_>) -> Result<()> {
+        self.record_poses(r, inputs.step)
+    }
+
+    fn record_before_loss(&self, r: &mut Recorder, inputs: &StepInputs<'_>) -> Result<()> {
+        self.superpoints.record_before(r, &Self::step_buffers(inputs))
+    }
+
+    fn record_backward(&self, r: &mut Recorder, inputs: &StepInputs<'_>) -> Result<()> {
+        let shared = Self::step_buffers(inputs);
+        self.superpoints.record_reduce_pose(r, &shared, &Slice::from(inputs.pose_gradient))?;
+        let count = self.superpoints.superpoints();
+        let backward = Backward {
+            step: &shared.step,
+            counters: &shared.counters,
+            status: &shared.status,
+            superpoint_gradient: &Slice::from(&self.superpoints.gradient),
+            plane_stride: count,
+        };
+        self.network.record_backward(r, count, Output::Adam, &backward)?;
+        self.superpoints.record_commit(r, &shared)
+    }
+
+    fn project_inputs(&self) -> ProjectInputs<'_> {
+        // The paper's form of the property losses pulls at the centres too.
+        ProjectInputs { mean_gradient: self.superpoints.mean_gradient(), ..ProjectInputs::default() }
+    }
+
+    fn property_loss(&self) -> Option<&Buffer> {
+        Some(&self.superpoints.property_loss)
+    }
+
+    fn association(&self) -> Option<&AssociationOptions> {
+        Some(self.superpoints.options())
+    }
+
+    fn numbers(&self) -> Vec<Numbers> {
+        let (rows, count) = (self.superpoints.rows(), self.superpoints.gaussians() * self.superpoints.options().slots);
+        let mut all = vec![
+            ("association logit", Slice::from(&rows.logit), count),
+            ("association moment_1", Slice::from(&rows.moment_1), count),
+            ("association moment_2", Slice::from(&rows.moment_2), count),
+            ("superpoint position", Slice::from(&self.superpoints.position), 3 * self.superpoints.superpoints()),
+        ];
+        all.extend(network_numbers(
+            ["network F weight", "network F moment_1", "network F moment_2"],
+            self.network.state(),
+        ));
+        all
+    }
+
+    fn density_rows(&self) -> Vec<RowArray> {
+        let (rows, width) = (self.superpoints.rows(), self.superpoints.options().slots);
+        let row = |buffer: &Buffer, new_rows| RowArray { buffer: buffer.clone(), planes: 1, width, new_rows };
+        vec![
+            row(&rows.neighbor, NewRows::Copy),
+            row(&rows.logit, NewRows::Copy),
+            row(&rows.moment_1, NewRows::Zero),
+            row(&rows.moment_2, NewRows::Zero),
+        ]
+    }
+
+    fn bytes_per_gaussian(&self) -> u64 {
+        32 * u64::from(self.superpoints.options().slots)
+    }
+
+    fn resized(mut self: Box<Self>, gpu: &Gpu, gaussians: u32, rows: &mut Rows<'_>) -> Result<Option<Trained>> {
+        if gaussians == 0 {
+            return Ok(None);
+        }
+        let mut next = || rows.next().ok_or_else(|| Error::usage("density control", "too few arrays", "all of them"));
+        let rows = AssociationRows { neighbor: next()?, logit: next()?, moment_1: next()?, moment_2: next()? };
+        self.superpoints.resize(gpu, gaussians, rows)?;
+        Ok(Some(self))
+    }
+
+    fn add_memory(&self, used: &mut TrainingMemory) {
+        let rows = self.superpoints.rows();
+        used.parameters += self.superpoints.position.bytes() + rows.neighbor.bytes() + rows.logit.bytes();
+        used.moments += rows.moment_1.bytes() + rows.moment_2.bytes();
+        used.gradients += self.superpoints.gradient.bytes();
+        used.add_network(self.network.bytes()[0]);
+    }
+
+    fn download(&self, gpu: &Gpu, scene: &SceneBuffers) -> Result<Deformation> {
+        let of_gaussian = Slice::from(&scene.deformation.superpoint_of_gaussian);
+        let (superpoints, association) = self.superpoints.download(gpu, &of_gaussian)?;
+        // Neighbours in use come first; the rest are remembered for training, or were never there.
+        let association = association.first(self.superpoints.neighbors() as usize);
+        Ok(Deformation::from(SuperpointDeformation {
+            superpoints,
+            network: Some(self.network.download()?),
+            association: Some(association),
+            ..SuperpointDeformation::default()
+        }))
+    }
+
+    fn save(&self, gpu: &Gpu, scene: &SceneBuffers, checkpoint: &mut Checkpoint) -> Result<()> {
+        let of_gaussian = Slice::from(&scene.deformation.superpoint_of_gaussian);
+        let (superpoints, association) = self.superpoints.download(gpu, &of_gaussian)?;
+        let [moment_1, moment_2] = self.network.download_moments()?;
+        checkpoint.motion = Some(MotionState {
+            position: superpoints.position,
+            association,
+            association_moments: self.superpoints.download_moments(gpu)?,
+            network: NetworkState { weights: self.network.download()?.flatten(), moment_1, moment_2 },
+        });
+        Ok(())
+    }
+
+    fn table_at(&self, gpu: &Gpu, step_buffer: &Buffer, times: &[f32]) -> Result<Option<Motion>> {
+        let count = self.superpoints.superpoints();
+        let mut motion = Motion { times: times.to_vec(), ..Motion::default() };
+        let mut r = gpu.recorder("poses");
+        self.record_poses(&mut r, step_buffer)?;
+        let mut commands = r.finish()?;
+        for &time in times {
+            let step = Step { superpoints: count, time, exact_time: time, ..Step::default() };
+            step_buffer.write(0, bytemuck::bytes_of(&step))?;
+            gpu.submit(&mut commands)?;
+            gpu.wait_for(&commands)?;
+            let poses: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&gpu.download(&self.pose)?);
+            for pair in poses.chunks_exact(2).take(count as usize) {
+                motion.rotation.push([pair[0][0], pair[0][1], pair[0][2]]);
+                motion.translation.push([pair[1][0], pair[1][1], pair[1][2]]);
+            }
+        }
+        Ok(Some(motion))
+    }
+}
