@@ -6,6 +6,7 @@ use engine::gpu::interface::{Interface, KernelOf};
 use engine::gpu::proof;
 pub use engine::gpu::proof::{POISON, SENTINEL_BYTES};
 
+use crate::kernel_log;
 use crate::model::{self, Options};
 
 /// Input of one comparison.
@@ -54,6 +55,7 @@ impl<I: Interface> KernelCase<I> {
             return self.run_model(&options);
         }
         let kernel = self.kernel;
+        kernel_log::note(kernel, gpu.subgroup_size());
         KernelResult::of(kernel, self.into_words().run(gpu).unwrap_or_else(|error| panic!("{error}")))
     }
 

@@ -3,6 +3,7 @@
 pub mod compare;
 pub mod gradient;
 pub mod kernel_case;
+pub mod kernel_log;
 pub mod model;
 pub mod posed;
 pub mod procedural_lpips;
