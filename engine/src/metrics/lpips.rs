@@ -25,7 +25,6 @@
 //! ```
 
 mod device;
-mod kernels;
 #[doc(hidden)]
 pub mod lpips_conv;
 #[doc(hidden)]
@@ -37,14 +36,24 @@ mod reference;
 mod weights;
 
 pub use device::Lpips;
-#[doc(hidden)]
-pub use kernels::KERNELS;
 pub use network::Network;
 pub use reference::lpips;
 pub use weights::{Weights, WeightsFile};
 
 use super::planes::Planes;
 use crate::error::{Error, Result};
+use crate::gpu::kernel::{Kernel, Tolerance};
+use crate::gpu::product::PRODUCT_THREADS;
+
+/// Kernels of this module.
+#[doc(hidden)]
+pub static KERNELS: &[&Kernel] =
+    &[&lpips_conv::LPIPS_CONV.kernel, &lpips_pool::LPIPS_POOL.kernel, &lpips_difference::LPIPS_DIFFERENCE.kernel];
+
+/// Threads per workgroup.
+const THREADS: u32 = PRODUCT_THREADS;
+/// Sums of up to 4608 products of numbers around 1, fused or not, in another order than the twin's.
+const SUMS: Tolerance = Tolerance { absolute: 1e-4, relative: 2e-5, flips: 0.0 };
 
 /// What range of values a picture in [0, 1] is fed in.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
@@ -80,4 +89,9 @@ fn check_size(network: Network, planes: &Planes) -> Result<()> {
     }
     let found = format!("{} x {} pixels", planes.width, planes.height);
     Err(Error::usage(format!("picture for LPIPS ({})", network.name()), found, format!("{smallest} pixels a side")))
+}
+
+/// Word `i` as a float, for twins, whose sums are in f64.
+fn value(words: &[u32], i: u32) -> f64 {
+    f32::from_bits(words[i as usize]).into()
 }

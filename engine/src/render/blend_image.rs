@@ -3,14 +3,9 @@
 
 use super::blend::BlendConstants;
 use super::blend::twin::{Inputs, blend_into};
-use super::blend_rgba8::BLEND_RGBA8;
-use super::blend_rgba16f::BLEND_RGBA16F;
-use super::blend_rgba32f::BLEND_RGBA32F;
 use super::frame::Frame;
 use super::pixel_format::PixelFormat;
-use crate::error::{Error, Result};
 use crate::gpu::interface::{Call, Interface};
-use crate::gpu::{Groups, Recorder, Slice};
 
 crate::gpu_struct! {
     /// Push constants of the kernels that store to an image.
@@ -31,28 +26,6 @@ crate::gpu_buffers! {
         splats: Read F32,
         depth: optional Write F32,
         gaussian_of_slot: optional Read U32,
-    }
-}
-
-/// Whether all devices can store a format.
-pub(super) fn can_store(format: PixelFormat) -> bool {
-    format != PixelFormat::Bgra8
-}
-
-/// Records the kernel that stores a format; image and push constants are given when the sequence is encoded.
-pub(super) fn record(
-    r: &mut Recorder,
-    format: PixelFormat,
-    constants: BlendConstants,
-    buffers: BlendImageBuffers<Slice>,
-    groups: Groups,
-) -> Result<()> {
-    let push = BlendImagePush::default();
-    match format {
-        PixelFormat::Rgba8 => r.dispatch(&BLEND_RGBA8, constants, push, buffers, groups),
-        PixelFormat::Rgba16F => r.dispatch(&BLEND_RGBA16F, constants, push, buffers, groups),
-        PixelFormat::Rgba32F => r.dispatch(&BLEND_RGBA32F, constants, push, buffers, groups),
-        PixelFormat::Bgra8 => Err(Error::usage("storage image", "Bgra8", "a format that every device can store")),
     }
 }
 

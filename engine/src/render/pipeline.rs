@@ -5,8 +5,11 @@ use crate::gpu::kernel::Kernel;
 use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, Slice};
 
 use super::blend::{self, BLEND, BlendBuffers, BlendConstants};
-use super::blend_image::{self, BlendImageBuffers};
+use super::blend_image::{BlendImageBuffers, BlendImagePush};
 use super::blend_packed::{BLEND_PACKED, BlendPackedBuffers, BlendPackedConstants};
+use super::blend_rgba8::BLEND_RGBA8;
+use super::blend_rgba16f::BLEND_RGBA16F;
+use super::blend_rgba32f::BLEND_RGBA32F;
 use super::compact::{
     COMPACT, COMPACT_GAUSSIANS, CompactBuffers, CompactConstants, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT,
     INDIRECT_RANGES, INDIRECT_TILE_SORT,
@@ -291,9 +294,15 @@ fn blend(gpu: &Gpu, r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, 
     let (ranges, values, splats) = (work.ranges.clone(), work.tile_values().whole(), work.splats.whole());
     let gaussian_of_slot = shape.slots.as_ref().map(|s| s.gaussian_of_slot.whole());
     match shape.format {
-        Some(format) if shape.to_image && blend_image::can_store(format) => {
+        Some(format) if shape.to_image && format.is_storable() => {
             let buffers = BlendImageBuffers { frame, ranges, values, splats, depth, gaussian_of_slot };
-            blend_image::record(r, format, constants, buffers, groups)
+            // Image and push constants are given when the sequence is encoded.
+            let push = BlendImagePush::default();
+            match format {
+                PixelFormat::Rgba16F => r.dispatch(&BLEND_RGBA16F, constants, push, buffers, groups),
+                PixelFormat::Rgba32F => r.dispatch(&BLEND_RGBA32F, constants, push, buffers, groups),
+                _ => r.dispatch(&BLEND_RGBA8, constants, push, buffers, groups),
+            }
         }
         None | Some(PixelFormat::Rgba32F) => {
             let buffers = BlendBuffers { frame, ranges, values, splats, color, depth, gaussian_of_slot };
@@ -325,9 +334,9 @@ pub static KERNELS: &[&Kernel] = &[
     &TILE_RANGES.kernel,
     &BLEND.kernel,
     &BLEND_PACKED.kernel,
-    &super::blend_rgba8::BLEND_RGBA8.kernel,
-    &super::blend_rgba16f::BLEND_RGBA16F.kernel,
-    &super::blend_rgba32f::BLEND_RGBA32F.kernel,
+    &BLEND_RGBA8.kernel,
+    &BLEND_RGBA16F.kernel,
+    &BLEND_RGBA32F.kernel,
     &super::display::DISPLAY.kernel,
     &super::arithmetic_rate::ARITHMETIC_RATE.kernel,
 ];

@@ -24,6 +24,11 @@ impl PixelFormat {
         [4, 4, 8, 16][self as usize]
     }
 
+    /// Whether every device can store it in an image.
+    pub(super) fn is_storable(self) -> bool {
+        self != Self::Bgra8
+    }
+
     /// A pixel as `blend_packed` stores it; the first [`PixelFormat::bytes`] count.
     pub fn pack(self, value: [f32; 4]) -> [u32; 4] {
         let half = |a: f32, b: f32| half::pack([a, b].map(|v| v.clamp(-HALF_MAX, HALF_MAX)));

@@ -1,12 +1,11 @@
 //! LPIPS on the device: both pictures through the network, slice by slice. Where a feature map is large, its slice runs in
 //! bands of rows, each going straight into the difference and the next pool, so that no map of full size is stored there.
 
-use super::kernels::THREADS;
 use super::lpips_conv::{LPIPS_CONV, LpipsConvBuffers, LpipsConvConstants, LpipsConvPush};
 use super::lpips_difference::{LPIPS_DIFFERENCE, LpipsDifferenceBuffers, LpipsDifferencePush};
 use super::lpips_pool::{LPIPS_POOL, LpipsPoolBuffers, LpipsPoolConstants, LpipsPoolPush};
 use super::network::{Conv, Slice, pooled_side};
-use super::{Network, Range, Weights, check_size, input};
+use super::{Network, Range, THREADS, Weights, check_size, input};
 use crate::error::Result;
 use crate::gpu::interface::{Interface, KernelOf};
 use crate::gpu::product::{self, product_groups};

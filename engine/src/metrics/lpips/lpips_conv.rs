@@ -1,6 +1,6 @@
 //! Kernel `lpips_conv`: convolution of a feature map, bias, ReLU, as a tiled product.
 
-use super::kernels::{SUMS, THREADS, value};
+use super::{SUMS, THREADS, value};
 use crate::gpu::interface::Call;
 use crate::scene::network::relu;
 

@@ -1,7 +1,6 @@
 //! Kernel `lpips_difference`: weighted squared difference of two feature maps, each pixel's features divided by their length.
 
-use super::EPSILON;
-use super::kernels::{SUMS, THREADS, value};
+use super::{EPSILON, SUMS, THREADS, value};
 use crate::gpu::interface::Call;
 
 crate::gpu_struct! {

@@ -1,6 +1,6 @@
 //! Kernel `lpips_pool`: max pool of stride 2.
 
-use super::kernels::{THREADS, value};
+use super::{THREADS, value};
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 use crate::scene::network::larger;

@@ -2,7 +2,6 @@
 
 use glam::DMat3;
 
-use super::super::blend_image;
 use super::super::frame::FrameOptions;
 use super::options::{MAX_IN_FLIGHT, Target, ViewOptions};
 use super::scene::SceneHandle;
@@ -27,7 +26,7 @@ pub(super) fn options(options: &ViewOptions) -> Result<()> {
         let expected = format!("1 to {MAX_IN_FLIGHT}");
         return Err(Error::usage("frames in flight", options.in_flight.to_string(), expected));
     }
-    if options.storage && !blend_image::can_store(options.format) {
+    if options.storage && !options.format.is_storable() {
         let found = format!("{:?} with a storage view", options.format);
         let expected = "Rgba8, Rgba16F or Rgba32F, or an image that is copied to";
         return Err(Error::usage("format of a view", found, expected));
