@@ -4,11 +4,11 @@
 use engine::Error;
 use engine::gpu::Gpu;
 use engine::scene::synthetic::Random;
-use engine::train::adam::{ADAM, AdamGroup, AdamPush};
-use engine::train::finite::{CHECK_FINITE, CheckFinitePush, check_finite};
+use engine::train::adam::{ADAM, AdamBuffers, AdamGroup, AdamPush};
+use engine::train::check_finite::{CHECK_FINITE, CheckFiniteBuffers, CheckFinitePush, check_finite};
 use engine::train::status;
 use engine::train::step::{Step, bias_corrections};
-use tests_harness::UntypedCase;
+use tests_harness::KernelCase;
 
 fn step(t: u64) -> Step {
     let pair = |t| bias_corrections(0.9, 0.999, t);
@@ -27,18 +27,18 @@ fn floats(n: usize, random: &mut Random, scale: f64) -> Vec<u32> {
     (0..n).map(|_| ((scale * random.normal()) as f32).to_bits()).collect()
 }
 
-/// Gradient, value, moments → what the device leaves, after the comparison with the twin.
-fn adam(gpu: &Gpu, group: AdamGroup, t: u64, failed: u32, arrays: [Vec<u32>; 4]) -> Vec<Vec<u32>> {
+/// Gradient, value and moments that the device leaves of these, and its report, after the comparison with the twin.
+fn adam(gpu: &Gpu, group: AdamGroup, t: u64, failed: u32, arrays: [Vec<u32>; 4]) -> ([Vec<u32>; 4], Vec<u32>) {
     let [gradient, value, moment_1, moment_2] = arrays;
     let push = AdamPush::new(gradient.len() as u32, group);
     let groups = push.count.div_ceil(256) + 1;
     let counters = vec![5, 0, 0, failed, 0, 0, 0, 0];
     let step = bytemuck::pod_collect_to_vec(&[step(t)]);
-    let buffers = vec![step, counters, gradient, value, moment_1, moment_2, status::clear().to_vec()];
-    let case = UntypedCase { kernel: &ADAM, spec: vec![], push: bytemuck::bytes_of(&push).to_vec(), buffers, groups };
-    let result = case.run(gpu);
-    result.assert_equal(&ADAM, &format!("{group:?}"));
-    result.gpu
+    let status = status::clear().to_vec();
+    let buffers = AdamBuffers { step, counters, gradient, value, moment_1, moment_2, status };
+    let case = KernelCase { kernel: &ADAM, constants: (), push, buffers, groups };
+    let done = case.check(gpu, &format!("{group:?}"));
+    ([done.gradient, done.value, done.moment_1, done.moment_2], done.status)
 }
 
 #[test]
@@ -49,17 +49,17 @@ fn adam_equals_its_twin_and_the_formula() {
     for (group, rate, offset) in groups {
         for (n, t) in [(1, 1), (700, 3)] {
             let start = [floats(n, &mut random, 1e-3), floats(n, &mut random, 1.0), vec![0; n], vec![0; n]];
-            let done = adam(&gpu, group, t, 0, start.clone());
+            let ([_, value, ..], _) = adam(&gpu, group, t, 0, start.clone());
             let (m_hat, v_hat) = (1.0 - 0.9_f64.powi((t + offset) as i32), 1.0 - 0.999_f64.powi((t + offset) as i32));
             for i in 0..n {
                 let g = f64::from(f32::from_bits(start[0][i]));
                 let expected = f64::from(f32::from_bits(start[1][i]))
                     - rate * (0.1 * g / m_hat) / ((0.001 * g * g / v_hat).sqrt() + 1e-15);
-                assert!((f64::from(f32::from_bits(done[3][i])) - expected).abs() < 1e-6, "{group:?} {n} [{i}]");
+                assert!((f64::from(f32::from_bits(value[i])) - expected).abs() < 1e-6, "{group:?} {n} [{i}]");
             }
             // Nothing happens in a failed frame.
-            let skipped = adam(&gpu, group, t, 1, start.clone());
-            assert_eq!(skipped[2..6], start);
+            let (skipped, _) = adam(&gpu, group, t, 1, start.clone());
+            assert_eq!(skipped, start);
         }
     }
 }
@@ -74,13 +74,13 @@ fn poison_is_reported_and_not_applied() {
         for value in poison {
             let mut arrays = clean.clone();
             arrays[slot][42] = value.to_bits();
-            let done = adam(&gpu, AdamGroup::NetworkF, 5, 0, arrays.clone());
-            let report = status::first(&done[6]);
-            let changed = (1..4).any(|k| done[2 + k][42] != arrays[k][42]);
+            let (done, status) = adam(&gpu, AdamGroup::NetworkF, 5, 0, arrays.clone());
+            let report = status::first(&status);
+            let changed = (1..4).any(|k| done[k][42] != arrays[k][42]);
             assert_eq!(changed, report.is_none(), "{slot} {value}");
             assert!(report.is_none_or(|r| r == ("network F", 1, 42)), "{report:?}");
-            let finite = |k: usize| f32::from_bits(done[2 + k][42]).is_finite();
-            assert!((1..4).all(|k| finite(k) || done[2 + k][42] == arrays[k][42]), "{slot} {value}");
+            let finite = |k: usize| f32::from_bits(done[k][42]).is_finite();
+            assert!((1..4).all(|k| finite(k) || done[k][42] == arrays[k][42]), "{slot} {value}");
             assert!(value.is_finite() || report.is_some(), "{slot} {value}");
         }
     }
@@ -95,12 +95,10 @@ fn the_first_number_that_is_not_finite_is_found() {
         for (k, bad) in [f32::NAN, f32::INFINITY, -f32::NAN].into_iter().enumerate() {
             values[(n - 1) as usize / (k + 1)] = bad.to_bits();
             let push = CheckFinitePush { count: n };
-            let buffers = vec![values.clone(), vec![0, u32::MAX]];
+            let buffers = CheckFiniteBuffers { values: values.clone(), found: vec![0, u32::MAX] };
             let groups = n.div_ceil(1024) + 1;
-            let push = bytemuck::bytes_of(&push).to_vec();
-            let result = UntypedCase { kernel: &CHECK_FINITE, spec: vec![], push, buffers, groups }.run(&gpu);
-            result.assert_equal(&CHECK_FINITE, &n.to_string());
-            assert_eq!(result.gpu[1][1], (n - 1) / (k as u32 + 1));
+            let case = KernelCase { kernel: &CHECK_FINITE, constants: (), push, buffers, groups };
+            assert_eq!(case.check(&gpu, &n.to_string()).found[1], (n - 1) / (k as u32 + 1));
         }
     }
     let good = gpu.buffer_with("good", bytemuck::cast_slice(&[1.0_f32, -2.0, f32::MAX, 0.0])).unwrap();

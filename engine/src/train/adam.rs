@@ -3,12 +3,13 @@
 
 use super::status;
 use super::step::Step;
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::{Kernel, Tolerance};
 use crate::render::limits::COUNT_FAILED;
-use crate::render::twin::{self, f32_at, set_f32, struct_at};
+use crate::render::twin::{f32_at, set_f32, struct_at};
 
 /// Kernels of this module.
-pub static KERNELS: &[&Kernel] = &[&ADAM];
+pub static KERNELS: &[&Kernel] = &[&ADAM.kernel];
 
 crate::gpu_struct! {
     /// Push constants of `adam`.
@@ -54,47 +55,54 @@ impl AdamPush {
     }
 }
 
-/// One step on a flat array. Dispatch ceil(count / 256) workgroups. A gradient, new value or new moment that is not finite
-/// is reported and nothing of that element changes.
-pub static ADAM: Kernel = Kernel {
-    name: "adam",
-    doc: "one step of Adam on a flat array",
-    local_size: 256,
-    spec: &["SUBGROUP_SIZE"],
-    push: AdamPush::FIELDS,
-    bindings: &[
-        Binding::of_struct("step", Access::Read, Step::FIELDS),
-        Binding::new("counters", Access::Read, Element::U32),
-        Binding::new("gradient", Access::Read, Element::F32),
-        Binding::new("value", Access::Update, Element::F32),
-        Binding::new("moment_1", Access::Update, Element::F32),
-        Binding::new("moment_2", Access::Update, Element::F32),
-        Binding::new("status", Access::Atomic, Element::U32),
-    ],
-    twin: adam_twin,
-    tolerance: Tolerance { absolute: 1e-7, relative: 1e-5, flips: 0.0 },
-    bytes: |w| 28 * w.get("weights"),
-    spirv: include_bytes!("../../../spirv_cache/adam.spv"),
-};
+crate::gpu_buffers! {
+    /// Buffers of [`ADAM`]; the arrays have `count` elements.
+    pub struct AdamBuffers {
+        step: Read Struct(Step),
+        /// Counters of the frame; nothing happens when it failed.
+        counters: Read U32,
+        gradient: Read F32,
+        value: Update F32,
+        moment_1: Update F32,
+        moment_2: Update F32,
+        /// As [`status`] says.
+        status: Atomic U32,
+    }
+}
 
-fn adam_twin(call: &mut TwinCall<'_>) {
-    let push: AdamPush = twin::push(call);
-    let [step, counters, gradient, value, moment_1, moment_2, status_words] = call.buffers else { return };
-    if counters[COUNT_FAILED as usize] != 0 {
+crate::kernel! {
+    /// One step on a flat array. Dispatch ceil(count / 256) workgroups. A gradient, new value or new moment that is not finite
+    /// is reported and nothing of that element changes.
+    pub static ADAM: Adam = {
+        name: "adam",
+        doc: "one step of Adam on a flat array",
+        local_size: 256,
+        constants: (),
+        push: AdamPush,
+        buffers: AdamBuffers,
+        twin: adam_twin,
+        tolerance: Tolerance { absolute: 1e-7, relative: 1e-5, flips: 0.0 },
+        bytes: |w| 28 * w.get("weights"),
+    }
+}
+
+fn adam_twin(call: Call<'_, Adam>) {
+    let Call { push, buffers: b, .. } = call;
+    if b.counters[COUNT_FAILED as usize] != 0 {
         return;
     }
-    let step: Step = struct_at(step, 0);
+    let step: Step = struct_at(b.step, 0);
     let (rate, bias) = push.select(&step);
     for i in 0..push.count as usize {
-        let g = f32_at(gradient, i);
-        let mut moments = [f32_at(moment_1, i), f32_at(moment_2, i)];
-        let updated = update(&step, f32_at(value, i), g, &mut moments, rate, bias);
+        let g = f32_at(b.gradient, i);
+        let mut moments = [f32_at(b.moment_1, i), f32_at(b.moment_2, i)];
+        let updated = update(&step, f32_at(b.value, i), g, &mut moments, rate, bias);
         if [g, updated, moments[0], moments[1]].iter().all(|x| x.is_finite()) {
-            set_f32(value, i, updated);
-            set_f32(moment_1, i, moments[0]);
-            set_f32(moment_2, i, moments[1]);
+            set_f32(b.value, i, updated);
+            set_f32(b.moment_1, i, moments[0]);
+            set_f32(b.moment_2, i, moments[1]);
         } else {
-            status::report(status_words, push.group as usize, i as u32);
+            status::report(b.status, push.group as usize, i as u32);
         }
     }
 }
