@@ -1,14 +1,18 @@
 //! `blend_backward` and `sum_instance_gradients` on the device against their twins.
 
 use engine::gpu::Kernel;
+use engine::gpu::interface::{Interface, KernelOf};
 use engine::gpu::kernel::TwinCall;
 use engine::render::blend::{self, BLEND, Stage};
 use engine::render::deform_project::DEFORM_PROJECT;
 use engine::render::frame::Frame;
+use engine::render::limits::COUNT_FAILED;
+use engine::train::blend_backward::blend_backward_native::BLEND_BACKWARD_NATIVE;
+use engine::train::blend_backward::sum_instance_gradients::*;
 use engine::train::blend_backward::{self, *};
 use tests_harness::gradient::{assert_gradients_close, columns};
 use tests_harness::render_case::{Random, RenderInput, test_camera, tile_lists};
-use tests_harness::{TestGpu, UntypedCase, widths};
+use tests_harness::{KernelCase, TestGpu, widths};
 
 /// A rendered frame with tile lists of Gaussians and of slots, and a gradient of its image.
 struct Rendered {
@@ -108,45 +112,60 @@ impl Rendered {
         }
     }
 
-    fn case(&self, gpu: &TestGpu, accumulation: Accumulation, stage: Stage, subtiles: u32) -> UntypedCase {
+    fn buffers(&self, accumulation: Accumulation) -> BlendBackwardBuffers<Vec<u32>> {
         let by_slot = accumulation == Accumulation::Instances;
         let rows = if by_slot { self.gaussian_of_slot.len() } else { self.tile_count.len() };
-        let kernel = match accumulation {
-            Accumulation::NativeAtomics => &BLEND_BACKWARD_NATIVE,
-            _ => &BLEND_BACKWARD,
-        };
-        let size = gpu.subgroup_size_of(kernel);
-        UntypedCase {
-            kernel,
-            spec: blend_backward::spec(accumulation, stage, size, subtiles).to_vec(),
-            push: Vec::new(),
-            buffers: vec![
-                bytemuck::cast_slice(&[self.frame]).to_vec(),
-                self.ranges.clone(),
-                if by_slot { self.slots.clone() } else { self.gaussians.clone() },
-                self.gaussian_of_slot.clone(),
-                self.splats.clone(),
-                self.color.clone(),
-                self.image_gradient.clone(),
-                vec![0; ROW_WORDS as usize * rows],
-            ],
-            groups: blend_backward::groups(self.frame.tile_count, size, subtiles) as u32,
+        BlendBackwardBuffers {
+            frame: bytemuck::cast_slice(&[self.frame]).to_vec(),
+            ranges: self.ranges.clone(),
+            values: if by_slot { self.slots.clone() } else { self.gaussians.clone() },
+            gaussian_of_slot: by_slot.then(|| self.gaussian_of_slot.clone()),
+            splats: self.splats.clone(),
+            color: self.color.clone(),
+            image_gradient: self.image_gradient.clone(),
+            gradient_rows: vec![0; ROW_WORDS as usize * rows],
         }
     }
 
-    fn sum_case(&self, rows: Vec<u32>) -> UntypedCase {
+    /// Gradient rows of the device and of the twin.
+    fn rows(&self, gpu: &TestGpu, accumulation: Accumulation, stage: Stage, subtiles: u32) -> [Vec<u32>; 2] {
+        match accumulation {
+            Accumulation::NativeAtomics => self.rows_of(&BLEND_BACKWARD_NATIVE, gpu, accumulation, stage, subtiles),
+            _ => self.rows_of(&BLEND_BACKWARD, gpu, accumulation, stage, subtiles),
+        }
+    }
+
+    fn rows_of<I>(
+        &self,
+        kernel: &'static KernelOf<I>,
+        gpu: &TestGpu,
+        accumulation: Accumulation,
+        stage: Stage,
+        subtiles: u32,
+    ) -> [Vec<u32>; 2]
+    where
+        I: Interface<Constants = BlendBackwardConstants, Push = (), Buffers<Vec<u32>> = BlendBackwardBuffers<Vec<u32>>>,
+    {
+        let size = gpu.subgroup_size_of(kernel);
+        let constants = BlendBackwardConstants::new(accumulation, stage, size, subtiles);
+        let groups = blend_backward::groups(self.frame.tile_count, size, subtiles) as u32;
+        let result = KernelCase { kernel, constants, push: (), buffers: self.buffers(accumulation), groups }.run(gpu);
+        [result.gpu.gradient_rows, result.twin.gradient_rows]
+    }
+
+    fn sum_case(&self, rows: Vec<u32>) -> KernelCase<SumInstanceGradients> {
         let gaussians = self.tile_count.len() as u32;
-        UntypedCase {
+        KernelCase {
             kernel: &SUM_INSTANCE_GRADIENTS,
-            spec: Vec::new(),
-            push: bytemuck::bytes_of(&SumInstanceGradientsPush { gaussians }).to_vec(),
-            buffers: vec![
-                vec![0, 0, 0, 0, 0, self.gaussian_of_slot.len() as u32, 0, 0],
-                self.tile_count.clone(),
-                self.first_slot.clone(),
-                rows,
-                vec![0; (ROW_WORDS * gaussians) as usize],
-            ],
+            constants: (),
+            push: SumInstanceGradientsPush { gaussians },
+            buffers: SumInstanceGradientsBuffers {
+                counters: vec![0, 0, 0, 0, 0, self.gaussian_of_slot.len() as u32, 0, 0],
+                tile_count: self.tile_count.clone(),
+                first_slot: self.first_slot.clone(),
+                instance_gradient: rows,
+                splat_gradient: vec![0; (ROW_WORDS * gaussians) as usize],
+            },
             groups: (3 * gaussians).div_ceil(256).max(1),
         }
     }
@@ -168,20 +187,18 @@ impl Rendered {
                     continue;
                 }
                 let context = format!("{context}, {accumulation:?}, {stage:?}, {subtiles} subtiles");
-                let result = self.case(gpu, accumulation, stage, subtiles).run(gpu);
-                let (device, twin) = (floats(&result.gpu[7]), floats(&result.twin[7]));
-                assert_rows_close(&device, &twin, &context);
+                let [device, twin] = self.rows(gpu, accumulation, stage, subtiles);
+                assert_rows_close(&floats(&device), &floats(&twin), &context);
                 let rows = if accumulation == Accumulation::Instances {
-                    let result = self.sum_case(result.gpu[7].clone()).run(gpu);
-                    result.assert_equal(&SUM_INSTANCE_GRADIENTS, &context);
-                    floats(&result.gpu[4][..12 * self.tile_count.len()])
+                    let sums = self.sum_case(device).check(gpu, &context).splat_gradient;
+                    floats(&sums[..12 * self.tile_count.len()])
                 } else {
-                    device
+                    floats(&device)
                 };
                 let truth = truth.get_or_insert_with(|| {
-                    let mut case = self.case(gpu, Accumulation::CompareAndSwap, stage, all);
-                    run_twin(&BLEND_BACKWARD, &[8, 2, 0, 8, 4], 1, &mut case.buffers);
-                    floats(&case.buffers[7])
+                    let constants = BlendBackwardConstants::new(Accumulation::CompareAndSwap, Stage::Shuffle, 8, 4);
+                    let buffers = self.buffers(Accumulation::CompareAndSwap);
+                    floats(&BLEND_BACKWARD.run_twin(8, constants, (), buffers, 1).gradient_rows)
                 });
                 assert_rows_close(&rows[..truth.len()], truth, &context);
             }
@@ -261,9 +278,9 @@ fn poison_gives_finite_gradients() {
         }
         for stage in [Stage::Shuffle, Stage::Shared] {
             let subtiles = blend_backward::subtiles_of_tile(gpu.subgroup_size_of(&BLEND_BACKWARD));
-            let result = scene.case(&gpu, Accumulation::Instances, stage, subtiles).run(&gpu);
-            for (side, words) in [("device", &result.gpu[7]), ("twin", &result.twin[7])] {
-                assert!(floats(words).iter().all(|v| v.is_finite()), "{side}, splats with {poison}");
+            let [device, twin] = scene.rows(&gpu, Accumulation::Instances, stage, subtiles);
+            for (side, words) in [("device", device), ("twin", twin)] {
+                assert!(floats(&words).iter().all(|v| v.is_finite()), "{side}, splats with {poison}");
             }
         }
     }
@@ -276,15 +293,14 @@ fn sums_stay_within_the_instances() {
     let rows: Vec<u32> = (0..12 * scene.gaussian_of_slot.len()).map(|i| (i as f32).to_bits()).collect();
     // A frame that failed has no gradients.
     let mut case = scene.sum_case(rows.clone());
-    case.buffers[0][3] = 1;
-    let result = case.run(&gpu);
-    result.assert_equal(&SUM_INSTANCE_GRADIENTS, "failed");
-    assert!(result.gpu[4].iter().all(|w| *w == 0));
+    case.buffers.counters[COUNT_FAILED as usize] = 1;
+    let sums = case.check(&gpu, "failed").splat_gradient;
+    assert!(sums.iter().all(|w| *w == 0));
     // Slots that point anywhere read nothing past the instances.
     let mut case = scene.sum_case(rows);
-    case.buffers[1].iter_mut().step_by(3).for_each(|count| *count = u32::MAX);
-    case.buffers[2].iter_mut().step_by(2).for_each(|first| *first = u32::MAX - 3);
-    case.run(&gpu).assert_equal(&SUM_INSTANCE_GRADIENTS, "wild slots");
+    case.buffers.tile_count.iter_mut().step_by(3).for_each(|count| *count = u32::MAX);
+    case.buffers.first_slot.iter_mut().step_by(2).for_each(|first| *first = u32::MAX - 3);
+    case.check(&gpu, "wild slots");
 }
 
 #[test]

@@ -1,11 +1,19 @@
 //! Density control on the device: each kernel against its twin, whole passes against a plain model of 3DGS's rules.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-use engine::gpu::{Buffer, Gpu, Kernel};
+use engine::gpu::interface::{Interface, KernelOf};
+use engine::gpu::{Buffer, Gpu};
 use engine::scene::synthetic::Random;
+use engine::train::density::density_decide::{DENSITY_DECIDE, DensityDecideBuffers, DensityDecidePush};
+use engine::train::density::density_emit::{DENSITY_EMIT, DensityEmitBuffers, DensityEmitPush};
+use engine::train::density::density_histogram::{DENSITY_HISTOGRAM, DensityHistogramBuffers, DensityHistogramPush};
+use engine::train::density::density_scan::{DENSITY_SCAN, DensityScanBuffers, DensityScanPush};
+use engine::train::density::gather_rows::{GATHER_ROWS, GatherRowsBuffers, GatherRowsPush};
+use engine::train::density::reset_opacity::{RESET_OPACITY, ResetOpacityBuffers, ResetOpacityPush};
+use engine::train::density::split_children::{SPLIT_CHILDREN, SplitChildrenBuffers, SplitChildrenPush};
 use engine::train::density::*;
 use engine::train::rng;
-use tests_harness::{UntypedCase, widths};
+use tests_harness::{KernelCase, widths};
 
 /// One Gaussian with everything that has a row.
 #[derive(Debug, Clone, PartialEq)]
@@ -287,10 +295,14 @@ fn passes_are_reproducible_and_give_memory_back() {
     assert_eq!(gpu.buffer_count(), before);
 }
 
-fn run(gpu: &Gpu, kernel: &'static Kernel, push: &[u8], buffers: Vec<Vec<u32>>, groups: u32) -> Vec<Vec<u32>> {
-    let result = UntypedCase { kernel, spec: vec![], push: push.to_vec(), buffers, groups }.run(gpu);
-    result.assert_equal(kernel, &format!("{groups} groups"));
-    result.gpu
+fn run<I: Interface<Constants = ()>>(
+    gpu: &Gpu,
+    kernel: &'static KernelOf<I>,
+    push: I::Push,
+    buffers: I::Buffers<Vec<u32>>,
+    groups: u32,
+) -> I::Buffers<Vec<u32>> {
+    KernelCase { kernel, constants: (), push, buffers, groups }.check(gpu, &format!("{groups} groups"))
 }
 
 #[test]
@@ -300,7 +312,7 @@ fn kernels_equal_twins() {
         let [mean, log_scale, rotation, opacity_logit, density, max_radius, moments, ..] =
             arrays(&random_rows(n as usize, seed));
         let groups = n.div_ceil(256) + 1;
-        let push = DecidePush {
+        let push = DensityDecidePush {
             gaussians: n,
             gradient_threshold: 2e-4,
             min_opacity_logit: -5.0,
@@ -311,20 +323,20 @@ fn kernels_equal_twins() {
             accept_index: n / 2,
         };
         let zeros = |words: u32| vec![0; words as usize];
-        let buffers = vec![
-            log_scale.clone(),
-            opacity_logit.clone(),
-            density.clone(),
+        let buffers = DensityDecideBuffers {
+            log_scale: log_scale.clone(),
+            opacity_logit: opacity_logit.clone(),
+            density: density.clone(),
             max_radius,
-            zeros(n),
-            zeros(n.div_ceil(256)),
-            zeros(8),
-        ];
-        let mut done = run(&gpu, &DENSITY_DECIDE, bytemuck::bytes_of(&push), buffers, groups);
-        let (totals, row_block, action) = (done.pop().unwrap(), done.pop().unwrap(), done.pop().unwrap());
+            action: zeros(n),
+            row_block: zeros(n.div_ceil(256)),
+            totals: zeros(8),
+        };
+        let done = run(&gpu, &DENSITY_DECIDE, push, buffers, groups);
+        let DensityDecideBuffers { action, row_block, totals, .. } = done;
         for by_index in [0, 1] {
             let tie_key = f32::from_bits(density[0]) / f32::from_bits(density[n as usize]);
-            let push = HistogramPush {
+            let push = DensityHistogramPush {
                 gaussians: n,
                 by_index,
                 tie_key: tie_key.to_bits(),
@@ -332,31 +344,33 @@ fn kernels_equal_twins() {
                 prefix: [0x3 << 28, 0xf << 28][by_index as usize],
                 shift: 10,
             };
-            let buffers = vec![density.clone(), action.clone(), zeros(2048)];
-            run(&gpu, &DENSITY_HISTOGRAM, bytemuck::bytes_of(&push), buffers, groups);
+            let (density, action) = (density.clone(), action.clone());
+            let buffers = DensityHistogramBuffers { density, action, histogram: zeros(2048) };
+            run(&gpu, &DENSITY_HISTOGRAM, push, buffers, groups);
         }
-        let push = ScanPush { blocks: n.div_ceil(256) };
-        let row_block = run(&gpu, &DENSITY_SCAN, bytemuck::bytes_of(&push), vec![row_block], 1).remove(0);
+        let push = DensityScanPush { blocks: n.div_ceil(256) };
+        let row_block = run(&gpu, &DENSITY_SCAN, push, DensityScanBuffers { row_block }, 1).row_block;
         let rows = totals[1] + 2 * (totals[2] + totals[3]);
-        let push = EmitPush { gaussians: n, rows };
-        let buffers = vec![action, row_block, zeros(rows)];
-        let source = run(&gpu, &DENSITY_EMIT, bytemuck::bytes_of(&push), buffers, groups).remove(2);
+        let push = DensityEmitPush { gaussians: n, rows };
+        let buffers = DensityEmitBuffers { action, row_block, source: zeros(rows) };
+        let source = run(&gpu, &DENSITY_EMIT, push, buffers, groups).source;
         let gather = |old: &[u32], planes: u32, width: u32, zero_new: u32| {
-            let push = GatherPush { old_count: n, new_count: rows, planes, width, zero_new };
-            let buffers = vec![source.clone(), old.to_vec(), zeros(rows * planes * width)];
+            let push = GatherRowsPush { old_count: n, new_count: rows, planes, width, zero_new };
+            let (old_rows, new_rows) = (old.to_vec(), zeros(rows * planes * width));
+            let buffers = GatherRowsBuffers { source: source.clone(), old_rows, new_rows };
             let groups = (rows * width).div_ceil(256) + 1;
-            run(&gpu, &GATHER_ROWS, bytemuck::bytes_of(&push), buffers, groups).remove(2)
+            run(&gpu, &GATHER_ROWS, push, buffers, groups).new_rows
         };
         gather(&moments, 2, 1, 1);
         let rotation = gather(&rotation, 1, 4, 0);
         let (mean, log_scale) = (gather(&mean, 3, 1, 0), gather(&log_scale, 3, 1, 0));
-        let push = SplitPush { rows, seed_low: 3, seed_high: 4, iteration: 5 };
-        let buffers = vec![source.clone(), rotation, mean, log_scale];
-        run(&gpu, &SPLIT_CHILDREN, bytemuck::bytes_of(&push), buffers, rows.div_ceil(256) + 1);
-        let push = ResetPush { gaussians: n, limit: -4.6, plane: 1 };
-        let buffers = vec![opacity_logit, moments.clone(), moments];
-        let reset = run(&gpu, &RESET_OPACITY, bytemuck::bytes_of(&push), buffers, groups);
-        assert!(reset[0].iter().all(|w| f32::from_bits(*w) <= -4.6));
+        let push = SplitChildrenPush { rows, seed_low: 3, seed_high: 4, iteration: 5 };
+        let buffers = SplitChildrenBuffers { source: source.clone(), rotation, mean, log_scale };
+        run(&gpu, &SPLIT_CHILDREN, push, buffers, rows.div_ceil(256) + 1);
+        let push = ResetOpacityPush { gaussians: n, limit: -4.6, plane: 1 };
+        let buffers = ResetOpacityBuffers { opacity_logit, moment_1: moments.clone(), moment_2: moments };
+        let reset = run(&gpu, &RESET_OPACITY, push, buffers, groups);
+        assert!(reset.opacity_logit.iter().all(|w| f32::from_bits(*w) <= -4.6));
     }
 }
 

@@ -44,11 +44,15 @@
 //! in the cache: [`Accumulation::of_device`] takes those where the device has them and no determinism is asked for (by this
 //! reasoning, not by measurement).
 
+pub mod blend_backward_native;
+pub mod sum_instance_gradients;
 mod twin;
 
-use self::twin::{blend_backward_twin, sum_instance_gradients_twin};
+use self::blend_backward_native::BLEND_BACKWARD_NATIVE;
+use self::sum_instance_gradients::{SUM_INSTANCE_GRADIENTS, SumInstanceGradientsBuffers, SumInstanceGradientsPush};
+use self::twin::blend_backward_twin;
 use crate::error::{Error, Result};
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, Workload};
+use crate::gpu::kernel::{Kernel, Tolerance, Workload};
 use crate::gpu::{Gpu, Groups, Recorder, Slice};
 use crate::render::blend::{BLEND_THREADS, Stage, pixels_per_lane, subtile};
 use crate::render::frame::Frame;
@@ -56,7 +60,8 @@ use crate::render::limits::TILE_SIZE;
 use crate::render::tiles::SlotBuffers;
 
 /// Kernels of this module.
-pub static KERNELS: &[&Kernel] = &[&BLEND_BACKWARD, &BLEND_BACKWARD_NATIVE, &SUM_INSTANCE_GRADIENTS];
+pub static KERNELS: &[&Kernel] =
+    &[&BLEND_BACKWARD.kernel, &BLEND_BACKWARD_NATIVE.kernel, &SUM_INSTANCE_GRADIENTS.kernel];
 
 /// Words of a row of `splat_gradient` or `instance_gradient`.
 pub const ROW_WORDS: u32 = 12;
@@ -90,87 +95,75 @@ impl Accumulation {
     }
 }
 
-const SPEC: &[&str] = &["SUBGROUP_SIZE", "ACCUMULATE", "STAGE", "PIXELS_PER_LANE", "SUBTILES"];
-const fn bindings(element: Element) -> [Binding; 8] {
-    [
-        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
-        Binding::new("ranges", Access::Read, Element::U32),
-        Binding::new("values", Access::Read, Element::U32),
-        Binding::new("gaussian_of_slot", Access::Read, Element::U32),
-        Binding::new("splats", Access::Read, Element::F32),
-        Binding::new("color", Access::Read, Element::F32),
-        Binding::new("image_gradient", Access::Read, Element::F32),
-        Binding::new("gradient_rows", Access::Atomic, element),
-    ]
+crate::gpu_constants! {
+    /// Specialisation constants of `blend_backward`.
+    pub struct BlendBackwardConstants {
+        /// An [`Accumulation`].
+        accumulate,
+        /// A [`Stage`].
+        stage,
+        /// Of one subtile; at most 16.
+        pixels_per_lane,
+        /// Of one subgroup: 1, 2 or 4, at most those of a tile.
+        subtiles,
+    }
 }
+
+crate::gpu_buffers! {
+    /// Buffers of `blend_backward`.
+    pub struct BlendBackwardBuffers {
+        frame: Read Struct(Frame),
+        /// `uint[2·tiles]`: first and last + 1 instance of a tile.
+        ranges: Read U32,
+        /// `uint[instances]`: slots for [`Accumulation::Instances`], else Gaussians.
+        values: Read U32,
+        /// The Gaussian of each slot; only for [`Accumulation::Instances`].
+        gaussian_of_slot: optional Read U32,
+        /// `vec4[3·N]`.
+        splats: Read F32,
+        /// `vec4[H·W]`.
+        color: Read F32,
+        /// `vec4[H·W]`: dL/d(r, g, b, A).
+        image_gradient: Read F32,
+        /// `float[12·…]`, zero before: by slot for [`Accumulation::Instances`], else by Gaussian.
+        gradient_rows: Atomic F32,
+    }
+}
+
 const TOLERANCE: Tolerance = Tolerance { absolute: 1e-4, relative: 1e-3, flips: 1e-3 };
 
-/// Gradient rows without float atomics. `gradient_rows`, zero before: `instance_gradient` by slot, or, for
-/// [`Accumulation::CompareAndSwap`], `splat_gradient` by Gaussian (then `values` are Gaussians).
-pub static BLEND_BACKWARD: Kernel = Kernel {
-    name: "blend_backward",
-    doc: "replays the blending front to back and sums each splat's gradient: a row per instance, or added to the \
-          Gaussian's by compare-and-swap",
-    local_size: BLEND_THREADS,
-    spec: SPEC,
-    push: &[],
-    bindings: &bindings(Element::F32),
-    twin: blend_backward_twin,
-    tolerance: TOLERANCE,
-    bytes: blend_backward_bytes,
-    spirv: include_bytes!("../../../spirv_cache/blend_backward.spv"),
-};
-
-/// The same with the device's float atomics: `gradient_rows` is `splat_gradient`, `values` are Gaussians.
-pub static BLEND_BACKWARD_NATIVE: Kernel = Kernel {
-    name: "blend_backward_native",
-    doc: "blend_backward that adds to the Gaussian's row with the device's float atomics",
-    local_size: BLEND_THREADS,
-    spec: SPEC,
-    push: &[],
-    bindings: &bindings(Element::F32),
-    twin: blend_backward_twin,
-    tolerance: TOLERANCE,
-    bytes: blend_backward_bytes,
-    spirv: include_bytes!("../../../spirv_cache/blend_backward_native.spv"),
-};
+crate::kernel! {
+    /// Gradient rows without float atomics: `instance_gradient` by slot, or, for [`Accumulation::CompareAndSwap`],
+    /// `splat_gradient` by Gaussian.
+    pub static BLEND_BACKWARD: BlendBackward = {
+        name: "blend_backward",
+        doc: "replays the blending front to back and sums each splat's gradient: a row per instance, or added to the \
+              Gaussian's by compare-and-swap",
+        local_size: BLEND_THREADS,
+        constants: BlendBackwardConstants,
+        push: (),
+        buffers: BlendBackwardBuffers,
+        twin: |call| blend_backward_twin(call.constants, call.buffers),
+        tolerance: TOLERANCE,
+        bytes: blend_backward_bytes,
+    }
+}
 
 /// Each instance's index, splat and row once, each pixel's colour and gradient once.
 fn blend_backward_bytes(work: &Workload) -> u64 {
     work.get("instances") * (8 + 48 + 40) + work.get("pixels") * 32 + work.get("tiles") * 8
 }
 
-crate::gpu_struct! {
-    /// Push constants of `sum_instance_gradients`.
-    pub struct SumInstanceGradientsPush {
-        /// N.
-        pub gaussians: u32,
+impl BlendBackwardConstants {
+    /// Constants for a device.
+    pub fn new(accumulation: Accumulation, stage: Stage, subgroup_size: u32, subtiles: u32) -> Self {
+        Self {
+            accumulate: accumulation as u32,
+            stage: stage as u32,
+            pixels_per_lane: pixels_per_lane(subgroup_size),
+            subtiles,
+        }
     }
-}
-
-/// Sums of the instances' rows. Dispatch ceil(3 N / 256) workgroups.
-pub static SUM_INSTANCE_GRADIENTS: Kernel = Kernel {
-    name: "sum_instance_gradients",
-    doc: "sums the gradient rows of each Gaussian's instances in slot order",
-    local_size: 256,
-    spec: &["SUBGROUP_SIZE"],
-    push: SumInstanceGradientsPush::FIELDS,
-    bindings: &[
-        Binding::new("counters", Access::Read, Element::U32),
-        Binding::new("tile_count", Access::Read, Element::U32),
-        Binding::new("first_slot", Access::Read, Element::U32),
-        Binding::new("instance_gradient", Access::Read, Element::F32),
-        Binding::new("splat_gradient", Access::Write, Element::F32),
-    ],
-    twin: sum_instance_gradients_twin,
-    tolerance: Tolerance { absolute: 1e-5, relative: 1e-5, flips: 0.0 },
-    bytes: |w| w.get("instances") * 48 + w.get("gaussians") * (8 + 48),
-    spirv: include_bytes!("../../../spirv_cache/sum_instance_gradients.spv"),
-};
-
-/// Specialisation of `blend_backward` for a device: constants from id 1 on.
-pub fn spec(accumulation: Accumulation, stage: Stage, subgroup_size: u32, subtiles: u32) -> [u32; 4] {
-    [accumulation as u32, stage as u32, pixels_per_lane(subgroup_size), subtiles]
 }
 
 /// Subtiles of a tile.
@@ -236,7 +229,7 @@ pub fn record(
         let found = "native float atomics on a device without shaderBufferFloat32AtomicAdd";
         return Err(Error::usage("gradient accumulation", found, "compare-and-swap or per-instance rows"));
     }
-    let (accumulation, kernel, rows) = match target {
+    let (accumulation, kernel, rows): (_, &Kernel, _) = match target {
         BackwardTarget::Instances(_, rows) => (Accumulation::Instances, &BLEND_BACKWARD, rows),
         BackwardTarget::NativeAtomics => (Accumulation::NativeAtomics, &BLEND_BACKWARD_NATIVE, splat_gradient),
         BackwardTarget::CompareAndSwap => (Accumulation::CompareAndSwap, &BLEND_BACKWARD, splat_gradient),
@@ -246,35 +239,45 @@ pub fn record(
     let whole = accumulation == Accumulation::Instances || gpu.info().is_cpu();
     let subtiles = if whole { subtiles_of_tile(size) } else { 1 };
     r.fill(rows, 0)?;
-    let gaussian_of_slot = match target {
-        BackwardTarget::Instances(slots, _) => Slice::from(&slots.gaussian_of_slot),
-        _ => input.values.clone(),
-    };
-    let buffers = [
-        input.frame.clone(),
-        input.ranges.clone(),
-        input.values.clone(),
-        gaussian_of_slot,
-        input.splats.clone(),
-        input.color.clone(),
-        input.image_gradient.clone(),
-        rows.clone(),
-    ];
-    let spec = spec(accumulation, Stage::of_device(gpu), size, subtiles);
-    r.dispatch_untyped(kernel, &spec, &[], &buffers, Groups::Direct(groups(input.tiles, size, subtiles)))?;
+    let constants = BlendBackwardConstants::new(accumulation, Stage::of_device(gpu), size, subtiles);
+    let groups = Groups::Direct(groups(input.tiles, size, subtiles));
+    let buffers = input.buffers(target, rows);
+    match target {
+        BackwardTarget::NativeAtomics => r.dispatch(&BLEND_BACKWARD_NATIVE, constants, (), buffers, groups)?,
+        _ => r.dispatch(&BLEND_BACKWARD, constants, (), buffers, groups)?,
+    }
     if let BackwardTarget::Instances(slots, rows) = target {
         let push = SumInstanceGradientsPush { gaussians: input.gaussians };
-        let buffers = [
-            input.counters.clone(),
-            input.tile_count.clone(),
-            Slice::from(&slots.first_slot),
-            rows.clone(),
-            splat_gradient.clone(),
-        ];
+        let buffers = SumInstanceGradientsBuffers {
+            counters: input.counters.clone(),
+            tile_count: input.tile_count.clone(),
+            first_slot: slots.first_slot.whole(),
+            instance_gradient: rows.clone(),
+            splat_gradient: splat_gradient.clone(),
+        };
         let groups = (u64::from(input.gaussians) * ROW_PARTS).div_ceil(256).max(1);
-        r.dispatch_untyped(&SUM_INSTANCE_GRADIENTS, &[], bytemuck::bytes_of(&push), &buffers, Groups::Direct(groups))?;
+        r.dispatch(&SUM_INSTANCE_GRADIENTS, (), push, buffers, Groups::Direct(groups))?;
     }
     Ok(())
+}
+
+impl BackwardInput {
+    fn buffers(&self, target: &BackwardTarget, rows: &Slice) -> BlendBackwardBuffers<Slice> {
+        let gaussian_of_slot = match target {
+            BackwardTarget::Instances(slots, _) => Some(slots.gaussian_of_slot.whole()),
+            BackwardTarget::NativeAtomics | BackwardTarget::CompareAndSwap => None,
+        };
+        BlendBackwardBuffers {
+            frame: self.frame.clone(),
+            ranges: self.ranges.clone(),
+            values: self.values.clone(),
+            gaussian_of_slot,
+            splats: self.splats.clone(),
+            color: self.color.clone(),
+            image_gradient: self.image_gradient.clone(),
+            gradient_rows: rows.clone(),
+        }
+    }
 }
 
 #[cfg(test)]

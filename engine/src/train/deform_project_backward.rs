@@ -19,7 +19,7 @@
 
 mod twin;
 
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, Workload};
+use crate::gpu::kernel::{Kernel, Tolerance, Workload};
 use crate::render::frame::Frame;
 
 use super::step::Step;
@@ -39,47 +39,94 @@ pub const fn parameter_planes(sh_degree: u32) -> u32 {
 /// First plane of each band of SH coefficients.
 pub const PLANE_SH: [usize; 4] = [11, 14, 23, 38];
 
-/// Backward of motion, projection and colour, fused with Adam.
-pub static DEFORM_PROJECT_BACKWARD: Kernel = Kernel {
-    name: "deform_project_backward",
-    doc: "gradients of Gaussians, poses and non-rigid offsets from those of the splats; Adam step of the Gaussians",
-    local_size: DEFORM_PROJECT_BACKWARD_THREADS,
-    spec: &["SUBGROUP_SIZE", "SH_DEGREE", "MOTION", "NONRIGID", "OUTPUT", "MEAN_GRADIENT"],
-    push: &[],
-    bindings: &[
-        Binding::of_struct("frame", Access::Read, Frame::FIELDS),
-        Binding::of_struct("step", Access::Read, Step::FIELDS),
-        Binding::new("counters", Access::Read, Element::U32),
-        Binding::new("status", Access::Atomic, Element::U32),
-        Binding::new("splats", Access::Read, Element::F32),
-        Binding::new("tile_count", Access::Read, Element::U32),
-        Binding::new("splat_gradient", Access::Read, Element::F32),
-        Binding::new("mean", Access::Update, Element::F32),
-        Binding::new("log_scale", Access::Update, Element::F32),
-        Binding::new("rotation", Access::Update, Element::F32),
-        Binding::new("opacity_logit", Access::Update, Element::F32),
-        Binding::new("superpoint_of_gaussian", Access::Read, Element::U32),
-        Binding::new("pose", Access::Read, Element::F32),
-        Binding::new("sh_0", Access::Update, Element::F32),
-        Binding::new("sh_1", Access::Update, Element::F32),
-        Binding::new("sh_2", Access::Update, Element::F32),
-        Binding::new("sh_3", Access::Update, Element::F32),
-        Binding::new("moment_1", Access::Update, Element::F32),
-        Binding::new("moment_2", Access::Update, Element::F32),
-        Binding::new("gradient", Access::Write, Element::F32),
-        Binding::new("pose_gradient", Access::Write, Element::F32),
-        Binding::new("nonrigid_offset", Access::Read, Element::F32),
-        Binding::new("nonrigid_gradient", Access::Write, Element::F32),
-        Binding::new("density", Access::Update, Element::F32),
-        Binding::new("max_radius", Access::Update, Element::F32),
-        Binding::new("mean_gradient", Access::Read, Element::F32),
-    ],
-    twin: twin::deform_project_backward_twin,
-    // The twin is exact to f64: this is the rounding of the f32 chain, on a GPU with its own exp, sqrt and division.
-    tolerance: Tolerance { absolute: 1e-4, relative: 1e-3, flips: 1e-3 },
-    bytes: deform_project_backward_bytes,
-    spirv: include_bytes!("../../../spirv_cache/deform_project_backward.spv"),
-};
+crate::gpu_constants! {
+    /// Specialisation constants of [`DEFORM_PROJECT_BACKWARD`].
+    pub struct DeformProjectBackwardConstants {
+        /// The active one: higher bands are left alone.
+        sh_degree,
+        /// [`MOTION_STATIC`](crate::render::deform_project::MOTION_STATIC) or
+        /// [`MOTION_TABLE`](crate::render::deform_project::MOTION_TABLE).
+        motion,
+        /// 1: `nonrigid_offset` is added.
+        nonrigid,
+        /// [`OUTPUT_GRADIENT`] or [`OUTPUT_ADAM`].
+        output,
+        /// 1: `mean_gradient` is added.
+        mean_gradient,
+    }
+}
+
+crate::gpu_buffers! {
+    /// Buffers of [`DEFORM_PROJECT_BACKWARD`].
+    pub struct DeformProjectBackwardBuffers {
+        frame: Read Struct(Frame),
+        step: Read Struct(Step),
+        /// Counters of the frame; nothing happens when it failed.
+        counters: Read U32,
+        /// As [`status`](super::status) says.
+        status: Atomic U32,
+        /// `vec4[3·N]`.
+        splats: Read F32,
+        /// `uint[N]`.
+        tile_count: Read U32,
+        /// `float[12·N]`, as [`blend_backward`](super::blend_backward) says.
+        splat_gradient: Read F32,
+        /// `float[3][N]`.
+        mean: Update F32,
+        /// `float[3][N]`.
+        log_scale: Update F32,
+        /// `vec4[N]`, w, x, y, z.
+        rotation: Update F32,
+        /// `float[N]`.
+        opacity_logit: Update F32,
+        /// `uint[N]`; only with motion.
+        superpoint_of_gaussian: optional Read U32,
+        /// `vec4[T][M][2]`; only with motion.
+        pose: optional Read F32,
+        /// `float[3][N]`.
+        sh_0: Update F32,
+        /// `float[9][N]`, as the bands above only if active.
+        sh_1: optional Update F32,
+        /// `float[15][N]`.
+        sh_2: optional Update F32,
+        /// `float[21][N]`.
+        sh_3: optional Update F32,
+        /// `float[P][N]`, as `moment_2` only for [`OUTPUT_ADAM`].
+        moment_1: optional Update F32,
+        /// `float[P][N]`.
+        moment_2: optional Update F32,
+        /// `float[P][N]`; only for [`OUTPUT_GRADIENT`].
+        gradient: optional Write F32,
+        /// `float[6][N]`: rotation (left tangent) and translation of the superpoint; only with motion.
+        pose_gradient: optional Write F32,
+        /// `float[10][N]`: centre, quaternion, scale; only when non-rigid.
+        nonrigid_offset: optional Read F32,
+        /// `float[10][N]`; only when non-rigid.
+        nonrigid_gradient: optional Write F32,
+        /// `float[2][N]`, as `max_radius` only when the step keeps statistics.
+        density: optional Update F32,
+        /// `float[N]`.
+        max_radius: optional Update F32,
+        /// `float[3][N]`.
+        mean_gradient: optional Read F32,
+    }
+}
+
+crate::kernel! {
+    /// Backward of motion, projection and colour, fused with Adam.
+    pub static DEFORM_PROJECT_BACKWARD: DeformProjectBackward = {
+        name: "deform_project_backward",
+        doc: "gradients of Gaussians, poses and non-rigid offsets from those of the splats; Adam step of the Gaussians",
+        local_size: DEFORM_PROJECT_BACKWARD_THREADS,
+        constants: DeformProjectBackwardConstants,
+        push: (),
+        buffers: DeformProjectBackwardBuffers,
+        twin: twin::deform_project_backward_twin,
+        // The twin is exact to f64: this is the rounding of the f32 chain, on a GPU with its own exp, sqrt and division.
+        tolerance: Tolerance { absolute: 1e-4, relative: 1e-3, flips: 1e-3 },
+        bytes: deform_project_backward_bytes,
+    }
+}
 
 /// Parameters and both moments read and written (with `gradient_planes`: parameters read, gradients written), tile counts;
 /// rows and colours of the visible; poses, superpoints and their gradients when moving, offsets and theirs when non-rigid.
@@ -94,4 +141,4 @@ fn deform_project_backward_bytes(work: &Workload) -> u64 {
 }
 
 /// Kernels of this module.
-pub static KERNELS: &[&Kernel] = &[&DEFORM_PROJECT_BACKWARD];
+pub static KERNELS: &[&Kernel] = &[&DEFORM_PROJECT_BACKWARD.kernel];

@@ -17,21 +17,30 @@
 //! their Adam moments, clones and children start with zeros. Statistics start from zero. Children are drawn by counter-based
 //! random numbers of (seed, iteration, old row, child), so a pass is reproducible bit for bit.
 
-mod decide;
-mod emit;
-mod rows;
+pub mod density_decide;
+pub mod density_emit;
+pub mod density_histogram;
+pub mod density_scan;
+pub mod gather_rows;
+pub mod reset_opacity;
 mod run;
+pub mod split_children;
 
-pub use decide::{DENSITY_DECIDE, DENSITY_HISTOGRAM, DecidePush, HistogramPush, TOTAL_WORDS};
-pub use emit::{DENSITY_EMIT, DENSITY_SCAN, EmitPush, ScanPush};
-pub use rows::{GATHER_ROWS, GatherPush, RESET_OPACITY, ResetPush, SPLIT_CHILDREN, SplitPush};
-pub use run::{Density, DensityBuffers, DensityOptions, DensityOutcome, NewRows, RowArray, reset_opacity};
+pub use reset_opacity::reset_opacity;
+pub use run::{Density, DensityBuffers, DensityOptions, DensityOutcome, NewRows, RowArray};
 
 use crate::gpu::kernel::Kernel;
 
 /// Kernels of this module.
-pub static KERNELS: &[&Kernel] =
-    &[&DENSITY_DECIDE, &DENSITY_HISTOGRAM, &DENSITY_SCAN, &DENSITY_EMIT, &GATHER_ROWS, &SPLIT_CHILDREN, &RESET_OPACITY];
+pub static KERNELS: &[&Kernel] = &[
+    &density_decide::DENSITY_DECIDE.kernel,
+    &density_histogram::DENSITY_HISTOGRAM.kernel,
+    &density_scan::DENSITY_SCAN.kernel,
+    &density_emit::DENSITY_EMIT.kernel,
+    &gather_rows::GATHER_ROWS.kernel,
+    &split_children::SPLIT_CHILDREN.kernel,
+    &reset_opacity::RESET_OPACITY.kernel,
+];
 
 /// ln 1.6: scales are divided by 1.6 in a split.
 pub const SPLIT_LOG_SCALE: f32 = 0.470_003_63;
@@ -82,4 +91,8 @@ fn rows_of_action(action: u32) -> u32 {
 fn mean_gradient(sum: f32, views: f32) -> f32 {
     let g = sum / views;
     if views > 0.0 && g.is_finite() && g > 0.0 { g } else { 0.0 }
+}
+
+fn logit(p: f64) -> f32 {
+    (p / (1.0 - p)).ln() as f32
 }

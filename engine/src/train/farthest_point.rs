@@ -1,16 +1,17 @@
-//! Farthest-point sampling of superpoint centres from the Gaussians' canonical means.
+//! Kernel `farthest_point`: farthest-point sampling of superpoint centres from the Gaussians' canonical means.
 //!
 //! One dispatch per centre: each workgroup reduces the candidates that the previous round left (one per 1,024 points), so
 //! no other dispatch and no read-back is needed between rounds. The point farthest from all chosen ones is next; ties go
 //! to the lowest index; a chosen point is not chosen again while another is left; points that are not finite come last.
 
 use crate::error::Result;
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::{Kernel, Tolerance};
 use crate::gpu::{Buffer, Gpu, Groups, Memory, Recorder, Slice};
-use crate::render::twin;
+use crate::render::twin::{f32_at, set_f32};
 
 /// Kernels of this module.
-pub static KERNELS: &[&Kernel] = &[&FARTHEST_POINT];
+pub static KERNELS: &[&Kernel] = &[&FARTHEST_POINT.kernel];
 
 /// Points per workgroup of `farthest_point`.
 pub const FARTHEST_POINTS: u32 = 1024;
@@ -27,42 +28,53 @@ crate::gpu_struct! {
     }
 }
 
-/// One round. Dispatch ceil(points / 1024) workgroups; before round 0 `distance_to` is f32::MAX everywhere and
-/// `candidates_in` holds the first point.
-pub static FARTHEST_POINT: Kernel = Kernel {
-    name: "farthest_point",
-    doc: "one round of farthest-point sampling: the farthest candidate becomes a superpoint centre, distances shrink",
-    local_size: 256,
-    spec: &["SUBGROUP_SIZE"],
-    push: FarthestPointPush::FIELDS,
-    bindings: &[
-        Binding::new("mean", Access::Read, Element::F32),
-        Binding::new("candidates_in", Access::Read, Element::U32),
-        Binding::new("distance_to", Access::Update, Element::F32),
-        Binding::new("candidates_out", Access::Write, Element::U32),
-        Binding::new("chosen", Access::Write, Element::U32),
-        Binding::new("superpoint_position", Access::Write, Element::F32),
-    ],
-    twin: farthest_point_twin,
-    tolerance: Tolerance::EXACT,
-    bytes: |w| 20 * w.get("gaussians"),
-    spirv: include_bytes!("../../../spirv_cache/farthest_point.spv"),
-};
+crate::gpu_buffers! {
+    /// Buffers of [`FARTHEST_POINT`].
+    pub struct FarthestPointBuffers {
+        /// `float[3][points]`.
+        mean: Read F32,
+        /// Pairs (bits of the distance, index); before round 0 the first point.
+        candidates_in: Read U32,
+        /// `float[points]`: squared distance to the nearest chosen point, -1 for one that is not to be chosen; before round 0
+        /// f32::MAX.
+        distance_to: Update F32,
+        /// The farthest point of each workgroup, as `candidates_in`.
+        candidates_out: Write U32,
+        /// `uint[rounds]`: the point of each round.
+        chosen: Write U32,
+        /// `float[rounds][3]`.
+        superpoint_position: Write F32,
+    }
+}
+
+crate::kernel! {
+    /// One round. Dispatch ceil(points / 1024) workgroups.
+    pub static FARTHEST_POINT: FarthestPointRound = {
+        name: "farthest_point",
+        doc: "one round of farthest-point sampling: the farthest candidate becomes a superpoint centre, distances shrink",
+        local_size: 256,
+        constants: (),
+        push: FarthestPointPush,
+        buffers: FarthestPointBuffers,
+        twin: farthest_point_twin,
+        tolerance: Tolerance::EXACT,
+        bytes: |w| 20 * w.get("gaussians"),
+    }
+}
 
 /// The better of two candidates: larger distance, then lower index.
 fn farther(a: (f32, u32), b: (f32, u32)) -> (f32, u32) {
     if b.0 > a.0 || (b.0 == a.0 && b.1 < a.1) { b } else { a }
 }
 
-fn farthest_point_twin(call: &mut TwinCall<'_>) {
-    let push: FarthestPointPush = twin::push(call);
-    let groups = twin::group_count(call);
-    let [mean, candidates_in, distance_to, candidates_out, chosen, superpoint_position] = call.buffers else { return };
+fn farthest_point_twin(call: Call<'_, FarthestPointRound>) {
+    let groups = call.group_count();
+    let Call { push, buffers: b, .. } = call;
     let n = push.points as usize;
     let none = (-2.0, u32::MAX);
-    let point = |i: usize| [0, 1, 2].map(|c| twin::f32_at(mean, c * n + i));
+    let point = |i: usize| [0, 1, 2].map(|c| f32_at(b.mean, c * n + i));
     let best = (0..push.candidates as usize)
-        .map(|c| (twin::f32_at(candidates_in, 2 * c), candidates_in[2 * c + 1]))
+        .map(|c| (f32_at(b.candidates_in, 2 * c), b.candidates_in[2 * c + 1]))
         .fold(none, farther);
     let center = (best.1 as usize).min(n - 1);
     let p = point(center);
@@ -76,19 +88,19 @@ fn farthest_point_twin(call: &mut TwinCall<'_>) {
             let q = point(i);
             let d = [0, 1, 2].map(|c| q[c] - p[c]);
             let step_to = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-            let old = twin::f32_at(distance_to, i);
+            let old = f32_at(b.distance_to, i);
             let now = if step_to.is_finite() { old.min(step_to) } else { old };
             let usable = q.iter().all(|x| x.is_finite());
             let now = if i == center || !usable { -1.0 } else { now };
-            twin::set_f32(distance_to, i, now);
+            set_f32(b.distance_to, i, now);
             far = farther(far, (now, i as u32));
         }
-        twin::set_f32(candidates_out, 2 * group, far.0);
-        candidates_out[2 * group + 1] = far.1;
+        set_f32(b.candidates_out, 2 * group, far.0);
+        b.candidates_out[2 * group + 1] = far.1;
     }
-    chosen[push.round as usize] = center as u32;
+    b.chosen[push.round as usize] = center as u32;
     for (c, x) in p.into_iter().enumerate() {
-        twin::set_f32(superpoint_position, 3 * push.round as usize + c, if x.is_finite() { x } else { 0.0 });
+        set_f32(b.superpoint_position, 3 * push.round as usize + c, if x.is_finite() { x } else { 0.0 });
     }
 }
 
@@ -122,16 +134,15 @@ impl FarthestPoint {
             let push =
                 FarthestPointPush { points: self.points, round, candidates: if round == 0 { 1 } else { groups } };
             let (from, to) = (round as usize % 2, (round as usize + 1) % 2);
-            let buffers = [
-                mean.clone(),
-                Slice::from(&self.candidates[from]),
-                Slice::from(&self.distance_to),
-                Slice::from(&self.candidates[to]),
-                chosen.clone(),
-                position.clone(),
-            ];
-            let groups = Groups::Direct(groups.into());
-            r.dispatch_untyped(&FARTHEST_POINT, &[], bytemuck::bytes_of(&push), &buffers, groups)?;
+            let buffers = FarthestPointBuffers {
+                mean: mean.clone(),
+                candidates_in: self.candidates[from].whole(),
+                distance_to: self.distance_to.whole(),
+                candidates_out: self.candidates[to].whole(),
+                chosen: chosen.clone(),
+                superpoint_position: position.clone(),
+            };
+            r.dispatch(&FARTHEST_POINT, (), push, buffers, Groups::Direct(groups.into()))?;
         }
         Ok(())
     }

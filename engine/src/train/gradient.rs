@@ -3,7 +3,8 @@
 
 use super::blend_backward::{self, BackwardInput, BackwardTarget, ROW_WORDS};
 use super::deform_project_backward::{
-    DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, OUTPUT_GRADIENT, parameter_planes,
+    DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, DeformProjectBackwardBuffers,
+    DeformProjectBackwardConstants, OUTPUT_GRADIENT, parameter_planes,
 };
 use super::status;
 use super::step::Step;
@@ -155,47 +156,47 @@ impl Run<'_> {
         };
         let target = BackwardTarget::Instances(slots, Slice::from(&rows));
         blend_backward::record(gpu, &mut r, &input, &target, &Slice::from(&splat_gradient))?;
-        let unused = |name: &str| device(name, 4);
-        let [sh_0, sh_1, sh_2, sh_3] = &scene.sh;
         let step = gpu.buffer_with("step", bytemuck::bytes_of(&Step::default()))?;
         let status = gpu.buffer_with("status", bytemuck::cast_slice(&status::clear()))?;
-        let tail = [unused("moment_1")?, unused("moment_2")?];
-        let rest =
-            [unused("nonrigid_offset")?, unused("nonrigid_gradient")?, unused("density")?, unused("max_radius")?];
-        let buffers = [
-            &frame.frame,
-            &step,
-            &work.indirect,
-            &status,
-            &work.splats,
-            &work.tile_count,
-            &splat_gradient,
-            &scene.mean,
-            &scene.log_scale,
-            &scene.rotation,
-            &scene.opacity_logit,
-            &scene.deformation.superpoint_of_gaussian,
-            &scene.deformation.pose,
-            sh_0,
-            sh_1,
-            sh_2,
-            sh_3,
-            &tail[0],
-            &tail[1],
-            &gradient,
-            &pose_gradient,
-            &rest[0],
-            &rest[1],
-            &rest[2],
-            &rest[3],
-            &rest[0],
-        ];
-        let mut slices: Vec<Slice> = buffers.into_iter().map(Slice::from).collect();
-        slices[2] = work.counters.clone();
-        let motion = if scene.deformation.moves() { MOTION_TABLE } else { MOTION_STATIC };
-        let spec = [scene.sh_degree, motion, 0, OUTPUT_GRADIENT, 0];
+        let [sh_0, sh_1, sh_2, sh_3] = &scene.sh;
+        let band = |degree: u32, sh: &Buffer| (scene.sh_degree >= degree).then(|| sh.whole());
+        let moves = scene.deformation.moves();
+        let buffers = DeformProjectBackwardBuffers {
+            frame: frame.frame.whole(),
+            step: step.whole(),
+            counters: work.counters.clone(),
+            status: status.whole(),
+            splats: work.splats.whole(),
+            tile_count: work.tile_count.whole(),
+            splat_gradient: splat_gradient.whole(),
+            mean: scene.mean.whole(),
+            log_scale: scene.log_scale.whole(),
+            rotation: scene.rotation.whole(),
+            opacity_logit: scene.opacity_logit.whole(),
+            superpoint_of_gaussian: moves.then(|| scene.deformation.superpoint_of_gaussian.whole()),
+            pose: moves.then(|| scene.deformation.pose.whole()),
+            sh_0: sh_0.whole(),
+            sh_1: band(1, sh_1),
+            sh_2: band(2, sh_2),
+            sh_3: band(3, sh_3),
+            moment_1: None,
+            moment_2: None,
+            gradient: Some(gradient.whole()),
+            pose_gradient: moves.then(|| pose_gradient.whole()),
+            nonrigid_offset: None,
+            nonrigid_gradient: None,
+            density: None,
+            max_radius: None,
+            mean_gradient: None,
+        };
+        let constants = DeformProjectBackwardConstants {
+            sh_degree: scene.sh_degree,
+            motion: if moves { MOTION_TABLE } else { MOTION_STATIC },
+            output: OUTPUT_GRADIENT,
+            ..DeformProjectBackwardConstants::default()
+        };
         let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
-        r.dispatch_untyped(&DEFORM_PROJECT_BACKWARD, &spec, &[], &slices, Groups::Direct(groups))?;
+        r.dispatch(&DEFORM_PROJECT_BACKWARD, constants, (), buffers, Groups::Direct(groups))?;
         gpu.run(r)?;
 
         let counters = words(gpu, &work.counters)?;

@@ -27,6 +27,8 @@ pub mod association;
 pub mod bake;
 #[doc(hidden)]
 pub mod blend_backward;
+#[doc(hidden)]
+pub mod check_finite;
 pub mod checkpoint;
 pub mod config;
 #[doc(hidden)]
@@ -38,8 +40,6 @@ pub mod evaluate;
 pub mod export;
 #[doc(hidden)]
 pub mod farthest_point;
-#[doc(hidden)]
-pub mod finite;
 pub mod gradient;
 #[doc(hidden)]
 pub mod image_loss;
@@ -80,7 +80,7 @@ static BY_MODULE: &[&[&Kernel]] = &[
     deform_project_backward::KERNELS,
     image_loss::KERNELS,
     density::KERNELS,
-    finite::KERNELS,
+    check_finite::KERNELS,
     linear::KERNELS,
     network_f::KERNELS,
     network_g::KERNELS,

@@ -1,8 +1,8 @@
 //! The watch over everything that training keeps from step to step: a number that is not finite ends the run before it can
 //! spread or reach a checkpoint. (Gradients do not outlive a step; the kernels watch them, see [`super::status`].)
 
+use super::check_finite::check_finite;
 use super::deform_project_backward::parameter_planes;
-use super::finite::check_finite;
 use super::trainer::Trainer;
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Slice};

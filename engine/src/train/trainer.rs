@@ -100,7 +100,6 @@ pub struct Trainer {
     pub(super) splat_gradient: Buffer,
     pub(super) pose_gradient: Buffer,
     /// Stand for buffers that a kernel declares but does not use as specialised.
-    pub(super) unused: [Buffer; 3],
     pub(super) profile: bool,
 }
 
@@ -149,7 +148,6 @@ impl Trainer {
         let at = &config.scaled().schedule;
         let window = if stage == Stage::Rigid { at.time_window } else { 0 };
         let sampler = ViewSampler::new(config.seed, times.len()).with_window(&times, at.time_window_centre, window);
-        let unused = |name: &str| gpu.buffer(name, 512, Memory::Device);
         Ok(Self {
             gpu: gpu.clone(),
             config: config.clone(),
@@ -167,7 +165,6 @@ impl Trainer {
             readback: gpu.buffer("step readback", READBACK_BYTES, Memory::Readback)?,
             splat_gradient: gpu.buffer("splat_gradient", n * u64::from(ROW_WORDS) * 4, Memory::Device)?,
             pose_gradient: gpu.buffer("pose_gradient", n * 24, Memory::Device)?,
-            unused: [unused("gradient")?, unused("nonrigid_offset")?, unused("nonrigid_gradient")?],
             parameters,
             profile: false,
         })

@@ -9,7 +9,7 @@ use engine::train::farthest_point::*;
 use engine::train::property_loss::PropertyLoss;
 use engine::train::property_loss::property_total::{PROPERTY_TOTAL, PropertyTotalBuffers};
 use engine::train::step::bias_corrections;
-use tests_harness::{KernelCase, UntypedCase, gpu};
+use tests_harness::{KernelCase, gpu};
 
 #[test]
 fn every_kernel_agrees_with_its_twin() {
@@ -87,22 +87,16 @@ fn one_round_agrees_with_its_twin_even_on_poison() {
         let groups = n.div_ceil(1024);
         let candidates: Vec<u32> = (0..5).flat_map(|_| [rng.signed().abs().to_bits(), rng.next() % n as u32]).collect();
         let push = FarthestPointPush { points: n as u32, round: 2, candidates: 5 };
-        let buffers = vec![
-            bits(planes(&mean)),
-            candidates,
-            bits((0..n).map(|i| [f32::MAX, 0.3, -1.0][i % 3])),
-            vec![0; 2 * groups],
-            vec![0; 3],
-            vec![0; 9],
-        ];
-        let case = UntypedCase {
-            kernel: &FARTHEST_POINT,
-            spec: vec![],
-            push: bytemuck::bytes_of(&push).to_vec(),
-            buffers,
-            groups: groups as u32,
+        let buffers = FarthestPointBuffers {
+            mean: bits(planes(&mean)),
+            candidates_in: candidates,
+            distance_to: bits((0..n).map(|i| [f32::MAX, 0.3, -1.0][i % 3])),
+            candidates_out: vec![0; 2 * groups],
+            chosen: vec![0; 3],
+            superpoint_position: vec![0; 9],
         };
-        case.run(&gpu).assert_equal(&FARTHEST_POINT, &format!("{n} points"));
+        let case = KernelCase { kernel: &FARTHEST_POINT, constants: (), push, buffers, groups: groups as u32 };
+        case.check(&gpu, &format!("{n} points"));
     }
 }
 

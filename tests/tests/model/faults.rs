@@ -4,7 +4,7 @@ use engine::gpu::kernel::Kernel;
 use engine::render::radix_sort::SortPlan;
 use engine::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers};
 use engine::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
-use engine::train::density::{DENSITY_SCAN, ScanPush};
+use engine::train::density::density_scan::{DENSITY_SCAN, DensityScanBuffers, DensityScanPush};
 use tests_harness::model::{self, ModelError, Options, Program, instructions};
 use tests_harness::{KernelCase, UntypedCase};
 
@@ -70,14 +70,9 @@ fn sort_case() -> UntypedCase {
 
 /// Two rounds of 256 blocks: `workgroup_exclusive_add` is called again while its totals may still be read.
 fn scan_case() -> UntypedCase {
-    let push = ScanPush { blocks: 600 };
-    UntypedCase {
-        kernel: &DENSITY_SCAN,
-        spec: vec![],
-        push: bytemuck::bytes_of(&push).to_vec(),
-        buffers: vec![(0..600).map(|i| i % 7).collect()],
-        groups: 1,
-    }
+    let push = DensityScanPush { blocks: 600 };
+    let buffers = DensityScanBuffers { row_block: (0..600).map(|i| i % 7).collect() };
+    KernelCase { kernel: &DENSITY_SCAN, constants: (), push, buffers, groups: 1 }.into()
 }
 
 #[test]

@@ -205,22 +205,24 @@ fn twin_rows(frame: &Frame, splats: &[Splat], gradient: &[[f32; 4]]) -> Vec<f32>
     };
     let n = splats.len() as u32;
     let splats: Vec<u32> = splats.iter().flat_map(words).collect();
-    let mut forward = [
-        bytemuck::cast_slice(&[*frame]).to_vec(),
-        vec![0, n],
-        (0..n).collect(),
+    let frame = bytemuck::cast_slice(&[*frame]).to_vec();
+    let (ranges, values) = (vec![0, n], (0..n).collect());
+    // Depth, which is not asked for, and slots.
+    let mut forward = [frame, ranges, values, splats, vec![0; 4 * 256], vec![0; 4], vec![0; 4]];
+    let (spec, buffers) = (&[8, 0, 0, 8, 0, 0, 0, 0], &mut forward);
+    (BLEND.twin)(&mut TwinCall { groups: [1, 1, 1], spec, push: &[], buffers });
+    let [frame, ranges, values, splats, color, ..] = forward;
+    let buffers = BlendBackwardBuffers {
+        frame,
+        ranges,
+        values,
+        gaussian_of_slot: None,
         splats,
-        vec![0; 4 * 256],
-        vec![0; 4],
-        vec![0; 4],
-    ];
-    let call = |kernel: &Kernel, spec: &[u32], buffers: &mut [Vec<u32>]| {
-        (kernel.twin)(&mut TwinCall { groups: [1, 1, 1], spec, push: &[], buffers });
+        color,
+        image_gradient: gradient.iter().flatten().map(|g| g.to_bits()).collect(),
+        gradient_rows: vec![0; 12 * n as usize],
     };
-    call(&BLEND, &[8, 0, 0, 8, 0, 0, 0, 0], &mut forward);
-    let [frame, ranges, values, splats, color, slots, _] = forward;
-    let gradient = gradient.iter().flatten().map(|g| g.to_bits()).collect();
-    let mut buffers = [frame, ranges, values, slots, splats, color, gradient, vec![0; 12 * n as usize]];
-    call(&BLEND_BACKWARD, &[8, Accumulation::CompareAndSwap as u32, 0, 8, 4], &mut buffers);
-    buffers[7].iter().map(|w| f32::from_bits(*w)).collect()
+    let constants = BlendBackwardConstants::new(Accumulation::CompareAndSwap, Stage::Shuffle, 8, 4);
+    let rows = BLEND_BACKWARD.run_twin(8, constants, (), buffers, 1).gradient_rows;
+    rows.iter().map(|w| f32::from_bits(*w)).collect()
 }

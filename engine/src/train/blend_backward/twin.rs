@@ -1,12 +1,11 @@
-//! CPU twins: the replay per pixel, decisions in f32 as on the device, sums in f64.
+//! CPU twin: the replay per pixel, decisions in f32 as on the device, sums in f64.
 
-use super::{Accumulation, FAR_PRODUCT, FAR_VALUE, ROW_WORDS, SUMS, SumInstanceGradientsPush};
-use crate::gpu::kernel::TwinCall;
+use super::{Accumulation, BlendBackwardBuffers, BlendBackwardConstants, FAR_PRODUCT, FAR_VALUE, ROW_WORDS, SUMS};
 use crate::render::blend::{MAX_ALPHA, MIN_TRANSMITTANCE};
 use crate::render::ellipse::LOG2_255;
 use crate::render::frame::Frame;
-use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES, TILE_SIZE};
-use crate::render::twin::{f32_at, group_count, push, set_f32, spec, struct_at, vec4_at};
+use crate::render::limits::TILE_SIZE;
+use crate::render::twin::{f32_at, set_f32, struct_at, vec4_at};
 
 /// Sums of a splat over the pixels of a tile.
 type Sums = [f64; SUMS];
@@ -57,46 +56,30 @@ impl Pixel {
     }
 }
 
-pub(super) fn blend_backward_twin(call: &mut TwinCall<'_>) {
-    let frame: Frame = struct_at(&call.buffers[0], 0);
-    let by_slot = spec(call, 1) == Accumulation::Instances as u32;
-    let [_, ranges, values, gaussian_of_slot, splats, color, image_gradient, rows] = call.buffers else { return };
+pub(super) fn blend_backward_twin(constants: BlendBackwardConstants, b: BlendBackwardBuffers<&mut [u32]>) {
+    let frame: Frame = struct_at(b.frame, 0);
+    let gaussian_of_slot = b.gaussian_of_slot.filter(|_| constants.accumulate == Accumulation::Instances as u32);
+    let gaussian = |value: u32| gaussian_of_slot.as_ref().map_or(value, |slots| slots[value as usize]) as usize;
     let ([width, height], tiles_x) = (frame.size, frame.tiles[0]);
-    let mut target: Vec<f64> = (0..rows.len()).map(|i| f64::from(f32_at(rows, i))).collect();
+    let mut target: Vec<f64> = (0..b.gradient_rows.len()).map(|i| f64::from(f32_at(b.gradient_rows, i))).collect();
     for tile in 0..frame.tile_count {
         let [x0, y0] = [tile % tiles_x * TILE_SIZE, tile / tiles_x * TILE_SIZE];
-        let range = ranges[2 * tile as usize] as usize..ranges[2 * tile as usize + 1] as usize;
+        let range = b.ranges[2 * tile as usize] as usize..b.ranges[2 * tile as usize + 1] as usize;
         let mut sums = vec![[0.0; SUMS]; range.len()];
         for (x, y) in
             (y0..height.min(y0 + TILE_SIZE)).flat_map(|y| (x0..width.min(x0 + TILE_SIZE)).map(move |x| (x, y)))
         {
             let at = (y * width + x) as usize;
-            let mut pixel = Pixel::new(vec4_at(color, at), vec4_at(image_gradient, at));
-            for (value, sums) in values[range.clone()].iter().zip(&mut sums) {
-                let index = if by_slot { gaussian_of_slot[*value as usize] } else { *value } as usize;
-                let splat: [[f32; 4]; 3] = std::array::from_fn(|j| vec4_at(splats, 3 * index + j));
+            let mut pixel = Pixel::new(vec4_at(b.color, at), vec4_at(b.image_gradient, at));
+            for (value, sums) in b.values[range.clone()].iter().zip(&mut sums) {
+                let splat: [[f32; 4]; 3] = std::array::from_fn(|j| vec4_at(b.splats, 3 * gaussian(*value) + j));
                 pixel.replay(splat, x as f32 + 0.5 - splat[0][0], y as f32 + 0.5 - splat[0][1], sums);
             }
         }
-        for (value, sums) in values[range].iter().zip(&sums) {
+        for (value, sums) in b.values[range].iter().zip(&sums) {
             let row = (ROW_WORDS * value) as usize;
             sums.iter().enumerate().for_each(|(c, sum)| target[row + c] += sum);
         }
     }
-    target.iter().enumerate().for_each(|(i, v)| set_f32(rows, i, *v as f32));
-}
-
-pub(super) fn sum_instance_gradients_twin(call: &mut TwinCall<'_>) {
-    let push: SumInstanceGradientsPush = push(call);
-    let words = group_count(call) * 256 * 4;
-    let [counters, tile_count, first_slot, instance_gradient, splat_gradient] = call.buffers else { return };
-    let instances = counters[COUNT_INSTANCES as usize];
-    for word in 0..(push.gaussians * ROW_WORDS).min(words) {
-        let [gaussian, c] = [word / ROW_WORDS, word % ROW_WORDS];
-        let count = if counters[COUNT_FAILED as usize] == 0 { tile_count[gaussian as usize] } else { 0 };
-        let first = if count > 0 { first_slot[gaussian as usize].min(instances) } else { 0 };
-        let slots = first..first + count.min(instances - first);
-        let sum: f64 = slots.map(|slot| f64::from(f32_at(instance_gradient, (ROW_WORDS * slot + c) as usize))).sum();
-        set_f32(splat_gradient, word as usize, sum as f32);
-    }
+    target.iter().enumerate().for_each(|(i, v)| set_f32(b.gradient_rows, i, *v as f32));
 }

@@ -1,14 +1,14 @@
 //! A pass of density control: decide, select within the budget, find the new rows, move every array.
 
-use super::decide::{DENSITY_DECIDE, DENSITY_HISTOGRAM, DecidePush, HISTOGRAM_WORDS, HistogramPush, TOTAL_WORDS};
-use super::emit::{DENSITY_EMIT, DENSITY_SCAN, EmitPush, ScanPush};
-use super::rows::{GATHER_ROWS, GatherPush, RESET_OPACITY, ResetPush, SPLIT_CHILDREN, SplitPush};
-use super::{DENSITY_BLOCK, SOURCE_ROW};
+use super::density_decide::{DENSITY_DECIDE, DensityDecideBuffers, DensityDecidePush, TOTAL_WORDS};
+use super::density_emit::{DENSITY_EMIT, DensityEmitBuffers, DensityEmitPush};
+use super::density_histogram::{DENSITY_HISTOGRAM, DensityHistogramBuffers, DensityHistogramPush, HISTOGRAM_WORDS};
+use super::density_scan::{DENSITY_SCAN, DensityScanBuffers, DensityScanPush};
+use super::gather_rows::{GATHER_ROWS, GatherRowsBuffers, GatherRowsPush};
+use super::split_children::{SPLIT_CHILDREN, SplitChildrenBuffers, SplitChildrenPush};
+use super::{DENSITY_BLOCK, SOURCE_ROW, logit};
 use crate::error::{Error, Result};
-use crate::gpu::{Buffer, Gpu, Groups, Memory, Slice};
-
-/// Plane of the opacity in `moment_1` and `moment_2`.
-const OPACITY_PLANE: u32 = 10;
+use crate::gpu::{Buffer, Gpu, Groups, Memory};
 
 /// Limits of one pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -127,10 +127,6 @@ fn log_of(x: f64) -> f32 {
     x.ln() as f32
 }
 
-fn logit(p: f64) -> f32 {
-    (p / (1.0 - p)).ln() as f32
-}
-
 fn blocks(rows: u32) -> u32 {
     rows.div_ceil(DENSITY_BLOCK)
 }
@@ -167,24 +163,24 @@ impl Density {
         Ok(DensityOutcome { new_count, cloned, split, pruned, refused, buffers })
     }
 
-    fn decide(&self, buffers: &DensityBuffers, push: &DecidePush) -> Result<Decision> {
+    fn decide(&self, buffers: &DensityBuffers, push: &DensityDecidePush) -> Result<Decision> {
         let n = u64::from(push.gaussians);
         let action = self.gpu.buffer("action", 4 * n, Memory::Device)?;
         let row_block = self.gpu.buffer("row_block", 4 * u64::from(blocks(push.gaussians)), Memory::Device)?;
         let totals = self.gpu.buffer("totals", 4 * TOTAL_WORDS as u64, Memory::Device)?;
         let mut r = self.gpu.recorder("density decide");
         r.fill(&totals, 0)?;
-        let bound = [
-            Slice::from(&buffers.log_scale),
-            Slice::from(&buffers.opacity_logit),
-            Slice::from(&buffers.density),
-            Slice::from(&buffers.max_radius),
-            Slice::from(&action),
-            Slice::from(&row_block),
-            Slice::from(&totals),
-        ];
+        let bound = DensityDecideBuffers {
+            log_scale: buffers.log_scale.whole(),
+            opacity_logit: buffers.opacity_logit.whole(),
+            density: buffers.density.whole(),
+            max_radius: buffers.max_radius.whole(),
+            action: action.whole(),
+            row_block: row_block.whole(),
+            totals: totals.whole(),
+        };
         let groups = Groups::Direct(blocks(push.gaussians).into());
-        r.dispatch_untyped(&DENSITY_DECIDE, &[], bytemuck::bytes_of(push), &bound, groups)?;
+        r.dispatch(&DENSITY_DECIDE, (), *push, bound, groups)?;
         self.gpu.run(r)?;
         let words = self.words(&totals, TOTAL_WORDS)?;
         Ok(Decision { action, row_block, totals: std::array::from_fn(|i| words[i]) })
@@ -222,7 +218,7 @@ impl Density {
         let histogram = self.gpu.buffer("histogram", 4 * u64::from(HISTOGRAM_WORDS), Memory::Device)?;
         let (mut key, mut mask, mut before, mut equal) = (0_u32, 0_u32, 0, 0);
         for (shift, digit_mask) in [(21, 0x7ff_u32), (10, 0x7ff), (0, 0x3ff)] {
-            let push = HistogramPush {
+            let push = DensityHistogramPush {
                 gaussians,
                 by_index: u32::from(tie.is_some()),
                 tie_key: tie.unwrap_or(0),
@@ -232,9 +228,13 @@ impl Density {
             };
             let mut r = self.gpu.recorder("density histogram");
             r.fill(&histogram, 0)?;
-            let bound = [Slice::from(&buffers.density), Slice::from(&decision.action), Slice::from(&histogram)];
+            let bound = DensityHistogramBuffers {
+                density: buffers.density.whole(),
+                action: decision.action.whole(),
+                histogram: histogram.whole(),
+            };
             let groups = Groups::Direct(blocks(gaussians).into());
-            r.dispatch_untyped(&DENSITY_HISTOGRAM, &[], bytemuck::bytes_of(&push), &bound, groups)?;
+            r.dispatch(&DENSITY_HISTOGRAM, (), push, bound, groups)?;
             self.gpu.run(r)?;
             let counts = self.digit_counts(&histogram, digit_mask)?;
             let mut digit = digit_mask;
@@ -263,12 +263,12 @@ impl Density {
         let source = self.gpu.buffer("source", 4 * u64::from(rows), Memory::Device)?;
         let blocks = blocks(gaussians);
         let mut r = self.gpu.recorder("density source");
-        let push = ScanPush { blocks };
-        let bound = [Slice::from(&decision.row_block)];
-        r.dispatch_untyped(&DENSITY_SCAN, &[], bytemuck::bytes_of(&push), &bound, Groups::Direct(1))?;
-        let push = EmitPush { gaussians, rows };
-        let bound = [Slice::from(&decision.action), Slice::from(&decision.row_block), Slice::from(&source)];
-        r.dispatch_untyped(&DENSITY_EMIT, &[], bytemuck::bytes_of(&push), &bound, Groups::Direct(blocks.into()))?;
+        let row_block = decision.row_block.whole();
+        let bound = DensityScanBuffers { row_block: row_block.clone() };
+        r.dispatch(&DENSITY_SCAN, (), DensityScanPush { blocks }, bound, Groups::Direct(1))?;
+        let push = DensityEmitPush { gaussians, rows };
+        let bound = DensityEmitBuffers { action: decision.action.whole(), row_block, source: source.whole() };
+        r.dispatch(&DENSITY_EMIT, (), push, bound, Groups::Direct(blocks.into()))?;
         self.gpu.run(r)?;
         Ok(source)
     }
@@ -288,11 +288,12 @@ impl Density {
         let buffer = self.gpu.buffer(old.buffer.name(), 4 * words, Memory::Device)?;
         if new_count > 0 {
             let zero_new = u32::from(old.new_rows == NewRows::Zero);
-            let push = GatherPush { old_count, new_count, planes: old.planes, width: old.width, zero_new };
+            let push = GatherRowsPush { old_count, new_count, planes: old.planes, width: old.width, zero_new };
             let mut r = self.gpu.recorder("density gather");
-            let bound = [Slice::from(source), Slice::from(&old.buffer), Slice::from(&buffer)];
+            let bound =
+                GatherRowsBuffers { source: source.whole(), old_rows: old.buffer.whole(), new_rows: buffer.whole() };
             let groups = Groups::Direct((u64::from(new_count) * u64::from(old.width)).div_ceil(256));
-            r.dispatch_untyped(&GATHER_ROWS, &[], bytemuck::bytes_of(&push), &bound, groups)?;
+            r.dispatch(&GATHER_ROWS, (), push, bound, groups)?;
             self.gpu.run(r)?;
         }
         Ok(RowArray { buffer, ..old })
@@ -326,16 +327,21 @@ impl Density {
         let rotation = parameter(rotation, 1, 4)?;
         let opacity_logit = parameter(opacity_logit, 1, 1)?;
         if new_count > 0 {
-            let push = SplitPush {
+            let push = SplitChildrenPush {
                 rows: new_count,
                 seed_low: options.seed as u32,
                 seed_high: (options.seed >> 32) as u32,
                 iteration: options.iteration,
             };
             let mut r = self.gpu.recorder("density children");
-            let bound = [Slice::from(source), Slice::from(&rotation), Slice::from(&mean), Slice::from(&log_scale)];
+            let bound = SplitChildrenBuffers {
+                source: source.whole(),
+                rotation: rotation.whole(),
+                mean: mean.whole(),
+                log_scale: log_scale.whole(),
+            };
             let groups = Groups::Direct(blocks(new_count).into());
-            r.dispatch_untyped(&SPLIT_CHILDREN, &[], bytemuck::bytes_of(&push), &bound, groups)?;
+            r.dispatch(&SPLIT_CHILDREN, (), push, bound, groups)?;
             self.gpu.run(r)?;
         }
         let gather = |old| self.gather(old, source, old_count, new_count);
@@ -346,8 +352,8 @@ impl Density {
     }
 }
 
-fn decide_push(options: &DensityOptions, gaussians: u32) -> DecidePush {
-    DecidePush {
+fn decide_push(options: &DensityOptions, gaussians: u32) -> DensityDecidePush {
+    DensityDecidePush {
         gaussians,
         gradient_threshold: options.gradient_threshold,
         min_opacity_logit: logit(options.min_opacity),
@@ -357,16 +363,4 @@ fn decide_push(options: &DensityOptions, gaussians: u32) -> DecidePush {
         accept_key: 0,
         accept_index: u32::MAX,
     }
-}
-
-/// The opacity reset: opacity ← min(opacity, `max_opacity`), its moments (plane 10) ← 0. 3DGS: 0.01 every 3,000 iterations.
-pub fn reset_opacity(gpu: &Gpu, opacity_logit: &Buffer, moments: [&Buffer; 2], n: u32, max_opacity: f64) -> Result<()> {
-    if n == 0 {
-        return Ok(());
-    }
-    let push = ResetPush { gaussians: n, limit: logit(max_opacity), plane: OPACITY_PLANE };
-    let mut r = gpu.recorder("reset opacity");
-    let bound = [Slice::from(opacity_logit), Slice::from(moments[0]), Slice::from(moments[1])];
-    r.dispatch_untyped(&RESET_OPACITY, &[], bytemuck::bytes_of(&push), &bound, Groups::Direct(blocks(n).into()))?;
-    gpu.run(r).map(drop)
 }

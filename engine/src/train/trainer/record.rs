@@ -3,9 +3,13 @@
 use super::{READBACK, Trainer};
 use crate::error::Result;
 use crate::gpu::{Buffer, Commands, Groups, Recorder, Slice};
+use crate::render::deform_project::{MOTION_STATIC, MOTION_TABLE};
 use crate::render::pipeline::record_forward;
 use crate::train::blend_backward::{self, BackwardInput, BackwardTarget};
-use crate::train::deform_project_backward::{DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, OUTPUT_ADAM};
+use crate::train::deform_project_backward::{
+    DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, DeformProjectBackwardBuffers,
+    DeformProjectBackwardConstants, OUTPUT_ADAM,
+};
 use crate::train::deformation::{ProjectInputs, StepInputs};
 use crate::train::image_loss::{LOSS_WORDS, LossPassBuffers, TargetFormat};
 use crate::train::status;
@@ -78,49 +82,48 @@ impl Trainer {
 
     fn record_project_backward(&self, r: &mut Recorder, t: &Target) -> Result<()> {
         let (p, s) = (&self.parameters, &self.parameters.scene);
-        let slice = |b: &Buffer| Slice::from(b);
         let [sh_0, sh_1, sh_2, sh_3] = &s.sh;
+        let band = |degree: u32, sh: &Buffer| (s.sh_degree >= degree).then(|| sh.whole());
         let ProjectInputs { offset, mean_gradient } =
             self.deformation.as_ref().map_or_else(ProjectInputs::default, |m| m.project_inputs());
-        let (has_offset, (offset, offset_gradient)) =
-            (offset.is_some(), offset.unwrap_or((&self.unused[1], &self.unused[2])));
-        let buffers = [
-            slice(&t.frame.frame),
-            slice(&self.step),
-            t.work.counters.clone(),
-            slice(&self.status),
-            slice(&t.work.splats),
-            slice(&t.work.tile_count),
-            slice(&self.splat_gradient),
-            slice(&s.mean),
-            slice(&s.log_scale),
-            slice(&s.rotation),
-            slice(&s.opacity_logit),
-            slice(&s.deformation.superpoint_of_gaussian),
-            slice(&s.deformation.pose),
-            slice(sh_0),
-            slice(sh_1),
-            slice(sh_2),
-            slice(sh_3),
-            slice(&p.moment_1),
-            slice(&p.moment_2),
-            slice(&self.unused[0]),
-            slice(&self.pose_gradient),
-            slice(offset),
-            slice(offset_gradient),
-            slice(&p.density),
-            slice(&p.max_radius),
-            slice(mean_gradient.unwrap_or(&self.unused[1])),
-        ];
-        let spec = [
-            s.sh_degree,
-            u32::from(s.deformation.moves()),
-            u32::from(has_offset),
-            OUTPUT_ADAM,
-            u32::from(mean_gradient.is_some()),
-        ];
+        let moves = s.deformation.moves();
+        let constants = DeformProjectBackwardConstants {
+            sh_degree: s.sh_degree,
+            motion: if moves { MOTION_TABLE } else { MOTION_STATIC },
+            nonrigid: u32::from(offset.is_some()),
+            output: OUTPUT_ADAM,
+            mean_gradient: u32::from(mean_gradient.is_some()),
+        };
+        let buffers = DeformProjectBackwardBuffers {
+            frame: t.frame.frame.whole(),
+            step: self.step.whole(),
+            counters: t.work.counters.clone(),
+            status: self.status.whole(),
+            splats: t.work.splats.whole(),
+            tile_count: t.work.tile_count.whole(),
+            splat_gradient: self.splat_gradient.whole(),
+            mean: s.mean.whole(),
+            log_scale: s.log_scale.whole(),
+            rotation: s.rotation.whole(),
+            opacity_logit: s.opacity_logit.whole(),
+            superpoint_of_gaussian: moves.then(|| s.deformation.superpoint_of_gaussian.whole()),
+            pose: moves.then(|| s.deformation.pose.whole()),
+            sh_0: sh_0.whole(),
+            sh_1: band(1, sh_1),
+            sh_2: band(2, sh_2),
+            sh_3: band(3, sh_3),
+            moment_1: Some(p.moment_1.whole()),
+            moment_2: Some(p.moment_2.whole()),
+            gradient: None,
+            pose_gradient: moves.then(|| self.pose_gradient.whole()),
+            nonrigid_offset: offset.map(|(value, _)| value.whole()),
+            nonrigid_gradient: offset.map(|(_, gradient)| gradient.whole()),
+            density: Some(p.density.whole()),
+            max_radius: Some(p.max_radius.whole()),
+            mean_gradient: mean_gradient.map(Buffer::whole),
+        };
         let groups = u64::from(p.count().div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
-        r.dispatch_untyped(&DEFORM_PROJECT_BACKWARD, &spec, &[], &buffers, Groups::Direct(groups))
+        r.dispatch(&DEFORM_PROJECT_BACKWARD, constants, (), buffers, Groups::Direct(groups))
     }
 
     fn record_readback(&self, r: &mut Recorder, t: &Target) -> Result<()> {

@@ -1,12 +1,12 @@
-//! Whether arrays on the device are finite.
+//! Kernel `check_finite`: whether arrays on the device are finite.
 
 use crate::error::{Error, Result};
-use crate::gpu::kernel::{Access, Binding, Element, Kernel, Tolerance, TwinCall};
+use crate::gpu::interface::Call;
+use crate::gpu::kernel::{Kernel, Tolerance};
 use crate::gpu::{Gpu, Groups, Memory, SLICE_ALIGNMENT, Slice};
-use crate::render::twin;
 
 /// Kernels of this module.
-pub static KERNELS: &[&Kernel] = &[&CHECK_FINITE];
+pub static KERNELS: &[&Kernel] = &[&CHECK_FINITE.kernel];
 
 /// Floats per workgroup of `check_finite`.
 pub const CHECK_FINITE_FLOATS: u32 = 1024;
@@ -19,30 +19,37 @@ crate::gpu_struct! {
     }
 }
 
-/// Dispatch ceil(count / 1024) workgroups; `found` must be (0, 0xffffffff).
-pub static CHECK_FINITE: Kernel = Kernel {
-    name: "check_finite",
-    doc: "counts the floats that are not finite and finds the first",
-    local_size: 256,
-    spec: &["SUBGROUP_SIZE"],
-    push: CheckFinitePush::FIELDS,
-    bindings: &[
-        Binding::new("values", Access::Read, Element::U32),
-        Binding::new("found", Access::Atomic, Element::U32),
-    ],
-    twin: check_finite_twin,
-    tolerance: Tolerance::EXACT,
-    bytes: |w| 4 * w.get("weights"),
-    spirv: include_bytes!("../../../spirv_cache/check_finite.spv"),
-};
+crate::gpu_buffers! {
+    /// Buffers of [`CHECK_FINITE`].
+    pub struct CheckFiniteBuffers {
+        /// Bits of `count` floats.
+        values: Read U32,
+        /// How many are not finite, and the first; (0, 0xffffffff) before.
+        found: Atomic U32,
+    }
+}
 
-fn check_finite_twin(call: &mut TwinCall<'_>) {
-    let push: CheckFinitePush = twin::push(call);
-    let [values, found] = call.buffers else { return };
+crate::kernel! {
+    /// Dispatch ceil(count / 1024) workgroups.
+    pub static CHECK_FINITE: CheckFinite = {
+        name: "check_finite",
+        doc: "counts the floats that are not finite and finds the first",
+        local_size: 256,
+        constants: (),
+        push: CheckFinitePush,
+        buffers: CheckFiniteBuffers,
+        twin: check_finite_twin,
+        tolerance: Tolerance::EXACT,
+        bytes: |w| 4 * w.get("weights"),
+    }
+}
+
+fn check_finite_twin(call: Call<'_, CheckFinite>) {
+    let Call { push, buffers: b, .. } = call;
     for i in 0..push.count {
-        if !f32::from_bits(values[i as usize]).is_finite() {
-            found[0] += 1;
-            found[1] = found[1].min(i);
+        if !f32::from_bits(b.values[i as usize]).is_finite() {
+            b.found[0] += 1;
+            b.found[1] = b.found[1].min(i);
         }
     }
 }
@@ -60,10 +67,10 @@ pub fn check_finite(gpu: &Gpu, buffers: &[(&str, Slice, u32)]) -> Result<()> {
         r.fill(found.slice(start, 4), 0)?;
         r.fill(found.slice(start + 4, 4), u32::MAX)?;
         let values = buffer.buffer.slice(buffer.start, 4 * u64::from(*words));
-        let bound = [values, found.slice(start, 8)];
+        let buffers = CheckFiniteBuffers { values, found: found.slice(start, 8) };
         let push = CheckFinitePush { count: *words };
         let groups = Groups::Direct(words.div_ceil(CHECK_FINITE_FLOATS).into());
-        r.dispatch_untyped(&CHECK_FINITE, &[], bytemuck::bytes_of(&push), &bound, groups)?;
+        r.dispatch(&CHECK_FINITE, (), push, buffers, groups)?;
     }
     if r.is_empty() {
         return Ok(());
