@@ -187,10 +187,9 @@ fn array(path: &Path, name: &str) -> Vec<f64> {
 
 /// dL/dr and dL/dτ of L = Σ mean_t·d_mean_t + Σ rotation_t·d_rotation_t.
 fn motion_upstream(case: &oracle::case::SuperpointCase, poses: &[Pose]) -> [Vec<DVec3>; 2] {
-    let superpoints = case.scene.deformation.superpoints().unwrap();
     let (d_mean, d_rotation) = (array(&case.path, "d_mean_t"), array(&case.path, "d_rotation_t"));
     let mut sums = vec![[DVec3::ZERO; 2]; poses.len()];
-    for (i, &m) in superpoints.of_gaussian.iter().enumerate() {
+    for (i, &m) in case.scene.deformation.superpoint_of_gaussian().iter().enumerate() {
         let pose = &poses[m as usize];
         let d = DVec3::from_slice(&d_mean[3 * i..]);
         let g = &case.scene.gaussians;

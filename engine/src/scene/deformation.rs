@@ -195,7 +195,7 @@ impl Deformation {
     /// # Errors
     /// `Usage` when the scene lacks what is asked for.
     pub fn motion_source(&self, wanted: MotionSource) -> Result<Option<MotionSource>> {
-        let missing = |found: &str| Err(Error::usage("motion", found, "a source that the model contains"));
+        let missing = |found: &str| Err(source_missing(found, wanted));
         match (self, wanted) {
             (Self::Superpoints(s), _) => s.motion_source(wanted),
             (_, MotionSource::Auto) | (Self::Field(_), MotionSource::Network) => Ok(None),
@@ -253,6 +253,16 @@ impl Deformation {
             Self::Field(_) => vec!["deformation field"],
         }
     }
+}
+
+/// What says that a model lacks the source that was asked for.
+fn source_missing(found: &str, wanted: MotionSource) -> Error {
+    let expected = match wanted {
+        MotionSource::Auto => "a model that moves",
+        MotionSource::Table => "a model with a key-time table",
+        MotionSource::Network => "a model with network F",
+    };
+    Error::usage("motion", found, expected)
 }
 
 /// What says that a field is there, and something else that moves the same Gaussians.

@@ -3,6 +3,7 @@
 use super::super::gaussians::retain_chunks;
 use super::super::network::finite;
 use super::super::{Association, DeformNetwork, Motion, MotionSource, NonrigidNetwork, Superpoints};
+use super::source_missing;
 use crate::error::{Error, Result};
 
 /// Superpoints and what gives their poses. With neither table nor network they rest; with both, [`MotionSource`] says which
@@ -47,7 +48,7 @@ impl SuperpointDeformation {
 
     /// See [`super::Deformation::motion_source`].
     pub(super) fn motion_source(&self, wanted: MotionSource) -> Result<Option<MotionSource>> {
-        let missing = |found: &str| Err(Error::usage("motion", found, "a source that the model contains"));
+        let missing = |found: &str| Err(source_missing(found, wanted));
         let table = self.table.as_ref().is_some_and(|m| !m.times.is_empty());
         match wanted {
             MotionSource::Auto | MotionSource::Table if table => Ok(Some(MotionSource::Table)),
