@@ -6,6 +6,7 @@ use engine::gpu::kernel::Kernel;
 use engine::gpu::proof;
 pub use engine::gpu::proof::{POISON, SENTINEL_BYTES};
 
+use crate::coverage;
 use crate::model::{self, Options};
 
 /// Input of one comparison.
@@ -38,6 +39,7 @@ impl KernelCase {
     /// # Panics
     /// When the device fails, a sentinel was overwritten, or the model finds an error.
     pub fn run(self, gpu: &Gpu) -> KernelResult {
+        coverage::compared(self.kernel);
         if let Some(options) = model::options() {
             return self.run_model(&options);
         }

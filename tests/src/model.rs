@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use engine::gpu::kernel::{Element, Kernel};
 pub use model::{Dispatch, ModelError, Options, Program};
 
-use crate::KernelCase;
+use crate::{KernelCase, planted};
 
 /// What the environment asks for.
 ///
@@ -49,7 +49,7 @@ fn program(case: &KernelCase, lanes: u32) -> Arc<Program> {
         return found.clone();
     }
     log(case.kernel, lanes);
-    let words = engine::gpu::spirv::words(case.kernel).unwrap();
+    let words = planted::words(case.kernel);
     let made = Program::new(&words, &key.1).unwrap_or_else(|error| panic!("{}: {error}", case.kernel.name));
     programs.entry(key).or_insert(Arc::new(made)).clone()
 }
