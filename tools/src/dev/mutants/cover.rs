@@ -1,4 +1,5 @@
-//! Which tests run which kernels: asked of the tests themselves, once for each build of a test binary.
+//! Which tests run which kernels: asked of the tests themselves, once for each build of a test binary. Tests that compare
+//! kernels with their twins are asked on the model of subgroups, which is faster than a software device.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -78,7 +79,11 @@ pub(super) fn built(path: &Path) -> Result<u64> {
 fn ask(binary: &Binary) -> Result<Vec<Test>> {
     let folder = tempfile::tempdir().map_err(|e| Error::io(&binary.path, "make a temporary file for", e))?;
     let log = folder.path().join("coverage");
-    let set = [("SPGS_TEST_COVERAGE", &*log.to_string_lossy()), ("SPGS_TEST_SMALL", "1")];
+    let log_name = log.to_string_lossy();
+    let mut set = vec![("SPGS_TEST_COVERAGE", &*log_name), ("SPGS_TEST_SMALL", "1")];
+    if binary.is_of_twins() {
+        set.push(("SPGS_TEST_MODEL", "32"));
+    }
     if let Verdict::Red(how) = suite::run(binary, &[], &set, LIMIT)? {
         return Err(Error::usage(format!("the tests of {}", binary.name), how, "that they pass without a fault"));
     }

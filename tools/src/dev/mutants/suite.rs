@@ -16,6 +16,13 @@ pub(super) struct Binary {
     pub(super) path: PathBuf,
 }
 
+impl Binary {
+    /// Its tests compare kernels with their twins.
+    pub(super) fn is_of_twins(&self) -> bool {
+        self.name.starts_with("kernels_")
+    }
+}
+
 /// How tests ended.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
