@@ -6,6 +6,7 @@ use engine::gpu::interface::{Interface, KernelOf};
 use engine::gpu::proof;
 pub use engine::gpu::proof::{POISON, SENTINEL_BYTES};
 
+use crate::coverage;
 use crate::kernel_log;
 use crate::model::{self, Options};
 
@@ -51,6 +52,7 @@ impl<I: Interface> KernelCase<I> {
     /// # Panics
     /// When the device fails, a sentinel was overwritten, or the model finds an error.
     pub fn run(self, gpu: &Gpu) -> KernelResult<I> {
+        coverage::compared(self.kernel);
         if let Some(options) = model::options() {
             return self.run_model(&options);
         }
@@ -98,5 +100,11 @@ impl<I: Interface> KernelResult<I> {
         if let Some(why) = &self.mismatch {
             panic!("{} {context}: {why}", self.kernel.name);
         }
+    }
+}
+
+impl<I: Interface> From<KernelCase<I>> for proof::KernelCase {
+    fn from(case: KernelCase<I>) -> Self {
+        case.into_words()
     }
 }

@@ -1,38 +1,41 @@
 //! Test harness: one device per test, and a failed test when the validation layer said anything.
 
 pub mod compare;
+mod coverage;
 pub mod gradient;
 pub mod kernel_case;
 pub mod kernel_log;
 pub mod model;
+pub mod planted;
 pub mod posed;
 pub mod procedural_lpips;
 pub mod render_case;
-pub mod untyped_case;
 pub mod widths;
+
+use std::time::Instant;
 
 use engine::gpu::kernel::Kernel;
 use engine::gpu::{Gpu, GpuOptions};
 pub use kernel_case::{KernelCase, KernelResult};
-pub use untyped_case::{UntypedCase, UntypedResult};
 
 /// A device for tests, without a self-test. A missing device is a failure, never a skip.
 ///
 /// # Panics
 /// When no usable Vulkan device is found.
 pub fn gpu() -> TestGpu {
-    match Gpu::open(&GpuOptions { pipeline_cache: false, ..GpuOptions::default() }) {
+    let replace_spirv = planted::planted().to_vec();
+    match Gpu::open(&GpuOptions { pipeline_cache: false, replace_spirv, ..GpuOptions::default() }) {
         Ok(gpu) => {
             assert_driver(&gpu);
-            TestGpu(gpu)
+            TestGpu(gpu, Instant::now())
         }
         Err(error) => panic!("tests need a Vulkan device (run ci/setup --tests): {error}"),
     }
 }
 
-/// A device whose validation messages must be empty when it is dropped.
+/// A device whose validation messages must be empty when it is dropped, and when it was opened.
 #[derive(Debug)]
-pub struct TestGpu(pub Gpu);
+pub struct TestGpu(pub Gpu, Instant);
 
 impl TestGpu {
     /// Lanes of a subgroup: the device's, or those of the executable model when that runs the kernels.
@@ -55,6 +58,7 @@ impl std::ops::Deref for TestGpu {
 
 impl Drop for TestGpu {
     fn drop(&mut self) {
+        coverage::write(&self.0, self.1);
         let messages = self.0.take_validation_messages();
         if !messages.is_empty() && !std::thread::panicking() {
             panic!("the validation layer reported {} messages, first: {}", messages.len(), messages[0]);

@@ -1,5 +1,5 @@
 //! The executable model of subgroups in place of the device. `SPGS_TEST_MODEL=32` (4 to 128 lanes) makes every
-//! [`UntypedCase`] run on it, in an order that `SPGS_TEST_MODEL_SEED` chooses (0 if not set). The kernel tests then show races
+//! [`KernelCase`](crate::KernelCase) run on it, in an order that `SPGS_TEST_MODEL_SEED` chooses (0 if not set). The kernel tests then show races
 //! and divergent barriers, and hold at subgroup sizes that no software driver has.
 //!
 //! `SPGS_TEST_MODEL_MODE` is a list of: `wide-barriers` (a subgroup barrier waits for the workgroup, as in newer lavapipe),
@@ -11,10 +11,10 @@ use std::io::Write as _;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use engine::gpu::kernel::{Element, Kernel};
+use engine::gpu::proof::{KernelCase, KernelResult};
 pub use model::{Dispatch, ModelError, Options, Program};
 
-use crate::UntypedCase;
-use engine::gpu::proof;
+use crate::planted;
 
 /// What the environment asks for.
 ///
@@ -41,7 +41,7 @@ type Programs = HashMap<(&'static str, Vec<u32>), Arc<Program>>;
 static PROGRAMS: Mutex<Option<Programs>> = Mutex::new(None);
 
 /// The program of a case; read once for each set of constants.
-fn program(case: &UntypedCase, lanes: u32) -> Arc<Program> {
+fn program(case: &KernelCase, lanes: u32) -> Arc<Program> {
     let spec = [&[lanes], &case.spec[..]].concat();
     let key = (case.kernel.name, spec);
     let mut programs = PROGRAMS.lock().unwrap_or_else(PoisonError::into_inner);
@@ -50,7 +50,7 @@ fn program(case: &UntypedCase, lanes: u32) -> Arc<Program> {
         return found.clone();
     }
     log(case.kernel, lanes);
-    let words = engine::gpu::spirv::words(case.kernel).unwrap();
+    let words = planted::words(case.kernel);
     let made = Program::new(&words, &key.1).unwrap_or_else(|error| panic!("{}: {error}", case.kernel.name));
     programs.entry(key).or_insert(Arc::new(made)).clone()
 }
@@ -59,10 +59,9 @@ fn program(case: &UntypedCase, lanes: u32) -> Arc<Program> {
 ///
 /// # Panics
 /// When the model finds an error.
-pub fn run_beside_twin(mut case: proof::KernelCase, options: &Options) -> proof::KernelResult {
+pub fn run_beside_twin(mut case: KernelCase, options: &Options) -> KernelResult {
     case.poison();
-    let proof::KernelCase { kernel, spec, push, buffers, groups } = case.clone();
-    let result = run(&UntypedCase { kernel, spec, push, buffers, groups }, options);
+    let result = run(&case, options);
     case.with_twin(options.lanes, result)
 }
 
@@ -70,7 +69,7 @@ pub fn run_beside_twin(mut case: proof::KernelCase, options: &Options) -> proof:
 ///
 /// # Panics
 /// When the model finds an error.
-pub fn run(case: &UntypedCase, options: &Options) -> Vec<Vec<u32>> {
+pub fn run(case: &KernelCase, options: &Options) -> Vec<Vec<u32>> {
     try_run(case, options).unwrap_or_else(|error| panic!("{} on the model, {options:?}: {error}", case.kernel.name))
 }
 
@@ -78,7 +77,7 @@ pub fn run(case: &UntypedCase, options: &Options) -> Vec<Vec<u32>> {
 ///
 /// # Errors
 /// What the model finds.
-pub fn try_run(case: &UntypedCase, options: &Options) -> Result<Vec<Vec<u32>>, ModelError> {
+pub fn try_run(case: &KernelCase, options: &Options) -> Result<Vec<Vec<u32>>, ModelError> {
     run_program(&program(case, options.lanes), case, options)
 }
 
@@ -87,7 +86,7 @@ pub fn try_run(case: &UntypedCase, options: &Options) -> Result<Vec<Vec<u32>>, M
 ///
 /// # Errors
 /// What the model finds.
-pub fn run_program(program: &Program, case: &UntypedCase, options: &Options) -> Result<Vec<Vec<u32>>, ModelError> {
+pub fn run_program(program: &Program, case: &KernelCase, options: &Options) -> Result<Vec<Vec<u32>>, ModelError> {
     let mut buffers = case.buffers.clone();
     let has_image = case.kernel.bindings.iter().any(|b| b.element == Element::Image);
     let image_width = if has_image { buffers[0][FRAME_WIDTH] } else { 0 };

@@ -11,7 +11,7 @@ use engine::render::twin::vec4_at;
 use engine::scene::{Camera, Gaussians, Motion, Scene, SuperpointDeformation, Superpoints};
 use glam::DVec3;
 
-use crate::{KernelCase, UntypedCase};
+use crate::KernelCase;
 
 /// A small deterministic random generator (splitmix64).
 #[derive(Debug, Clone)]
@@ -162,13 +162,8 @@ impl RenderInput {
         }
     }
 
-    /// [`RenderInput::deform_project_case`] in words.
-    pub fn deform_project(&self, frame: &Frame) -> UntypedCase {
-        self.deform_project_case(frame).into()
-    }
-
     /// Kernel `deform_project` on these Gaussians.
-    pub fn deform_project_case(&self, frame: &Frame) -> KernelCase<DeformProject> {
+    pub fn deform_project(&self, frame: &Frame) -> KernelCase<DeformProject> {
         let words = |v: &[f32]| v.iter().map(|x| x.to_bits()).collect::<Vec<u32>>();
         let groups = (self.count as u32).div_ceil(DEFORM_PROJECT_THREADS).max(1);
         let (moving, nonrigid) = (!self.pose.is_empty(), !self.nonrigid_offset.is_empty());

@@ -35,13 +35,9 @@ fn run_twin(kernel: &'static Kernel, spec: &[u32], groups: u32, buffers: &mut [V
 impl Rendered {
     fn of_input(input: &RenderInput, size: [u32; 2]) -> Self {
         let frame = input.frame(&test_camera(size[0], size[1]));
-        let mut case = input.deform_project(&frame);
-        let spec = [8, input.degree, 0];
-        let mut call =
-            TwinCall { groups: [case.groups, 1, 1], spec: &spec, push: &case.push, buffers: &mut case.buffers };
-        (DEFORM_PROJECT.twin)(&mut call);
-        let (splats, tile_count) = (case.buffers.swap_remove(11), case.buffers.swap_remove(12));
-        Self::of_splats(frame, splats, tile_count)
+        let case = input.deform_project(&frame);
+        let done = DEFORM_PROJECT.run_twin(8, case.constants, case.push, case.buffers, case.groups);
+        Self::of_splats(frame, done.splats, done.tile_count)
     }
 
     /// `layers` splats over the middle of the image, one behind the other.

@@ -70,20 +70,12 @@ fn deform_project_of_random_gaussians() {
         let degree = i as u32 % 4;
         let input = RenderInput::random(n, degree, i as u64);
         let frame = input.frame(&test_camera(400, 300));
-        assert_deform_project(
-            &input.deform_project_case(&frame).run(&gpu),
-            n,
-            &format!("static, n = {n}, degree {degree}"),
-        );
+        assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("static, n = {n}, degree {degree}"));
         let input = input.moving(13, 5 + i as u64);
         let frame = input.frame(&test_camera(400, 300));
-        assert_deform_project(
-            &input.deform_project_case(&frame).run(&gpu),
-            n,
-            &format!("moving, n = {n}, degree {degree}"),
-        );
+        assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("moving, n = {n}, degree {degree}"));
         let input = input.nonrigid(9 + i as u64);
-        assert_deform_project(&input.deform_project_case(&frame).run(&gpu), n, &format!("non-rigid, n = {n}"));
+        assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("non-rigid, n = {n}"));
     }
 }
 
@@ -94,7 +86,7 @@ fn deform_project_of_nasty_gaussians() {
         let mut input = RenderInput::random(5000, 3, seed).moving(7, seed);
         input.spoil(seed);
         let frame = input.frame(&test_camera(333, 211));
-        let result = input.deform_project_case(&frame).run(&gpu);
+        let result = input.deform_project(&frame).run(&gpu);
         assert!(result.gpu.counters[4] > 100, "only {} rejected", result.gpu.counters[4]);
         assert_deform_project(&result, 5000, &format!("nasty, seed {seed}"));
     }
@@ -104,7 +96,7 @@ fn deform_project_of_nasty_gaussians() {
         v.fill(f32::from_bits(tests_harness::kernel_case::POISON));
     }
     let frame = input.frame(&test_camera(64, 64));
-    let result = input.deform_project_case(&frame).run(&gpu);
+    let result = input.deform_project(&frame).run(&gpu);
     assert_eq!(result.gpu.counters[..5], [0, 0, 0, 0, 777]);
 }
 
@@ -153,7 +145,7 @@ fn packed(case: KernelCase<Blend>, format: PixelFormat) -> KernelCase<BlendPacke
 }
 
 fn twin_splats(input: &RenderInput, frame: &Frame) -> (Vec<u32>, Vec<u32>) {
-    let KernelCase { kernel, constants, push, buffers, groups } = input.deform_project_case(frame);
+    let KernelCase { kernel, constants, push, buffers, groups } = input.deform_project(frame);
     let done = kernel.run_twin(8, constants, push, buffers, groups);
     (done.splats, done.tile_count)
 }
@@ -274,7 +266,7 @@ fn chain(gpu: Option<&TestGpu>, input: &RenderInput, camera: &Camera) -> Vec<f32
     let (splats, tile_count) = match gpu {
         None => twin_splats(input, &frame),
         Some(gpu) => {
-            let done = input.deform_project_case(&frame).run(gpu).gpu;
+            let done = input.deform_project(&frame).run(gpu).gpu;
             (done.splats, done.tile_count)
         }
     };

@@ -54,7 +54,7 @@ fn settings() -> Vec<Quality> {
 }
 
 fn project_case(input: &RenderInput, frame: &Frame, q: &Quality) -> KernelCase<DeformProject> {
-    let mut case = input.deform_project_case(frame);
+    let mut case = input.deform_project(frame);
     case.constants = DeformProjectConstants {
         alpha_cut: q.alpha_cut_constant(),
         tile_cull: q.cull_constant(),

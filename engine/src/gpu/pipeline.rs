@@ -1,6 +1,6 @@
 //! Compute pipelines from kernel declarations, and the pipeline cache on disk.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::Write as _;
 use std::path::PathBuf;
 
@@ -88,6 +88,12 @@ impl Gpu {
     /// `Kernel` when the constants or the SPIR-V do not fit the declaration; `Vulkan` when the driver fails.
     pub fn compile(&self, kernel: &'static Kernel, spec: &[u32]) -> Result<()> {
         self.pipeline(kernel, spec).map(|_| ())
+    }
+
+    /// Names of the kernels that have a pipeline by now.
+    #[doc(hidden)]
+    pub fn compiled_names(&self) -> BTreeSet<&'static str> {
+        lock(&self.0.pipelines).interfaces.keys().copied().collect()
     }
 
     /// Module and layouts, after checking the SPIR-V against the declaration.

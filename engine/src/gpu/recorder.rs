@@ -170,33 +170,7 @@ impl Recorder {
         self.record_dispatch(label, &kernel.kernel, &spec, push, &buffers, groups)
     }
 
-    /// Runs a kernel. `spec` holds the specialisation constants from id 1 on; `buffers` are in binding order.
-    pub fn dispatch_untyped(
-        &mut self,
-        kernel: &'static Kernel,
-        spec: &[u32],
-        push: &[u8],
-        buffers: &[Slice],
-        groups: Groups,
-    ) -> Result<()> {
-        self.dispatch_untyped_labelled(kernel.name, kernel, spec, push, buffers, groups)
-    }
-
-    /// See [`Recorder::dispatch_labelled`].
-    pub fn dispatch_untyped_labelled(
-        &mut self,
-        label: &str,
-        kernel: &'static Kernel,
-        spec: &[u32],
-        push: &[u8],
-        buffers: &[Slice],
-        groups: Groups,
-    ) -> Result<()> {
-        let buffers: Vec<Option<Slice>> = buffers.iter().cloned().map(Some).collect();
-        self.record_dispatch(label, kernel, spec, push, &buffers, groups)
-    }
-
-    /// What all kinds of dispatch come to. Of what is absent the watch, the barriers and the checks know nothing but that a
+    /// A dispatch without names: `spec` holds the specialisation constants from id 1 on. Of what is absent the watch, the barriers and the checks know nothing but that a
     /// kernel could write to its stand-in.
     pub(in crate::gpu) fn record_dispatch(
         &mut self,

@@ -64,11 +64,9 @@ fn rows(n: usize, r: &mut Random) -> Vec<f32> {
 
 /// Splats and tile counts, from the forward's twin.
 fn forward(input: &RenderInput, frame: &Frame) -> [Vec<u32>; 2] {
-    let mut case = input.deform_project(frame);
-    let spec = [vec![8], case.spec].concat();
-    let mut call = TwinCall { groups: [case.groups, 1, 1], spec: &spec, push: &case.push, buffers: &mut case.buffers };
-    (DEFORM_PROJECT.twin)(&mut call);
-    [11, 12].map(|binding| std::mem::take(&mut case.buffers[binding]))
+    let case = input.deform_project(frame);
+    let done = DEFORM_PROJECT.run_twin(8, case.constants, case.push, case.buffers, case.groups);
+    [done.splats, done.tile_count]
 }
 
 /// The kernel's call for `input`. Gradients of other losses at the centres come along in every other case.

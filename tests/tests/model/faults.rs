@@ -1,12 +1,12 @@
 //! Faults planted in the SPIR-V of real kernels are found: a barrier removed, a bound off by one.
 
-use engine::gpu::kernel::Kernel;
+use engine::gpu::proof;
 use engine::render::radix_sort::SortPlan;
 use engine::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers};
 use engine::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
 use engine::train::density::density_scan::{DENSITY_SCAN, DensityScanBuffers, DensityScanPush};
+use tests_harness::KernelCase;
 use tests_harness::model::{self, ModelError, Options, Program, instructions};
-use tests_harness::{KernelCase, UntypedCase};
 
 const NOP: u32 = 0x0001_0000;
 const CONTROL_BARRIER: u32 = 224;
@@ -19,7 +19,7 @@ fn places(words: &[u32], opcode: u32) -> Vec<usize> {
 }
 
 /// The first error of a kernel with other words, over several orders; and whether a result without one was wrong.
-fn found(case: &UntypedCase, words: &[u32], lanes: u32, right: &[Vec<u32>]) -> Result<(), String> {
+fn found(case: &proof::KernelCase, words: &[u32], lanes: u32, right: &[Vec<u32>]) -> Result<(), String> {
     let program = Program::new(words, &[&[lanes], &case.spec[..]].concat()).unwrap();
     for seed in 0..6 {
         match model::run_program(&program, case, &Options::new(lanes, seed)) {
@@ -32,7 +32,7 @@ fn found(case: &UntypedCase, words: &[u32], lanes: u32, right: &[Vec<u32>]) -> R
 }
 
 /// What is found when each barrier of the kernel is removed in turn.
-fn without_each_barrier(case: &UntypedCase, lanes: u32) -> Vec<Option<String>> {
+fn without_each_barrier(case: &proof::KernelCase, lanes: u32) -> Vec<Option<String>> {
     let words = engine::gpu::spirv::words(case.kernel).unwrap();
     let right = model::run(case, &Options::new(lanes, 0));
     assert_eq!(found(case, &words, lanes, &right), Ok(()), "{} as it is", case.kernel.name);
@@ -44,7 +44,7 @@ fn without_each_barrier(case: &UntypedCase, lanes: u32) -> Vec<Option<String>> {
     places(&words, CONTROL_BARRIER).into_iter().map(removed).collect()
 }
 
-fn sort_case() -> UntypedCase {
+fn sort_case() -> proof::KernelCase {
     let n = 5000_u32;
     let keys: Vec<u32> = (0..n).map(|i| i.wrapping_mul(2_654_435_761) >> 3).collect();
     let plan = SortPlan::new(n, 32).unwrap();
@@ -69,7 +69,7 @@ fn sort_case() -> UntypedCase {
 }
 
 /// Two rounds of 256 blocks: `workgroup_exclusive_add` is called again while its totals may still be read.
-fn scan_case() -> UntypedCase {
+fn scan_case() -> proof::KernelCase {
     let push = DensityScanPush { blocks: 600 };
     let buffers = DensityScanBuffers { row_block: (0..600).map(|i| i % 7).collect() };
     KernelCase { kernel: &DENSITY_SCAN, constants: (), push, buffers, groups: 1 }.into()
@@ -101,17 +101,17 @@ fn a_barrier_that_a_scan_lacks_is_found() {
 
 #[test]
 fn a_bound_that_is_off_by_one_is_found() {
-    let kernel: &'static Kernel = &SORT_HISTOGRAM;
     let n = 5000_u32;
     let plan = SortPlan::new(n, 32).unwrap();
-    let case = UntypedCase {
-        kernel,
-        spec: vec![],
-        push: bytemuck::bytes_of(&plan.histogram_push(2)).to_vec(),
-        buffers: vec![vec![0, 0, n, 0], vec![7; n as usize], vec![0; plan.histogram_rows() as usize * 256]],
-        groups: plan.partitions,
+    let buffers = SortHistogramBuffers {
+        counters: vec![0, 0, n, 0],
+        keys: vec![7; n as usize],
+        histogram: vec![0; plan.histogram_rows() as usize * 256],
     };
-    let words = engine::gpu::spirv::words(kernel).unwrap();
+    let push = plan.histogram_push(2);
+    let case =
+        KernelCase { kernel: &SORT_HISTOGRAM, constants: (), push, buffers, groups: plan.partitions }.into_words();
+    let words = engine::gpu::spirv::words(&SORT_HISTOGRAM).unwrap();
     let options = Options::new(64, 0);
     model::run(&case, &options);
     let errors: Vec<ModelError> = places(&words, LESS_UINT)

@@ -3,6 +3,7 @@
 
 use engine::gpu::Kernel;
 use engine::gpu::interface::{Buffers, Constants as _, Interface};
+use engine::gpu::proof;
 use engine::image::difference;
 use engine::reference::{self, ReferenceOptions};
 use engine::render::PixelFormat;
@@ -23,9 +24,9 @@ use engine::render::sum_tile_counts::{SUM_TILE_COUNTS, SumTileCountsBuffers, Sum
 use engine::render::tile_ranges::{TILE_RANGES, TileRangesBuffers};
 use engine::render::tiles::{block_words, tile_key_bits};
 use engine::scene::Camera;
+use tests_harness::KernelCase;
 use tests_harness::model::{self, Options};
 use tests_harness::render_case::{RenderInput, test_camera};
-use tests_harness::{KernelCase, UntypedCase};
 
 /// A kernel on the model, compared with its twin.
 fn check<I: Interface>(options: &Options, case: KernelCase<I>) -> I::Buffers<Vec<u32>> {
@@ -84,7 +85,7 @@ fn lists(options: &Options, input: &RenderInput, frame: &Frame, capacity: u32) -
     frame.instance_capacity = capacity;
     let n = input.count as u32;
     let (words, block_capacity) = block_words(n);
-    let mut project = input.deform_project_case(&frame);
+    let mut project = input.deform_project(&frame);
     project.buffers.visible_block = vec![0; words as usize];
     project.push = DeformProjectPush { block_capacity };
     // A Gaussian at the edge of a tile may count otherwise than in the twin: here the picture decides.
@@ -225,7 +226,7 @@ fn of_image(options: &Options, kernel: &'static Kernel, case: KernelCase<Blend>,
     // The image comes after the buffers.
     buffers.push(vec![0; color.len() / 4 * (format.bytes() as usize / 4)]);
     let (spec, push) = (case.constants.to_words(), vec![0; kernel.push_bytes() as usize]);
-    model::run(&UntypedCase { kernel, spec, push, buffers, groups: case.groups }, options).pop().unwrap()
+    model::run(&proof::KernelCase { kernel, spec, push, buffers, groups: case.groups }, options).pop().unwrap()
 }
 
 /// The kernels that store to an image hold what those of buffers do: bits as floats, levels within one.

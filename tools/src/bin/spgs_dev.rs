@@ -8,7 +8,7 @@ use engine::error::{Error, Result};
 use engine::gpu::{Gpu, GpuOptions};
 use tools::cli::output;
 use tools::dev::oracle::check;
-use tools::dev::{isa, kernel_docs, measurements, pictures, plan, spirv};
+use tools::dev::{isa, kernel_docs, measurements, mutants, pictures, plan, spirv};
 
 /// The project's own tasks: shaders, barrier plan, checks against the oracle.
 #[derive(Parser)]
@@ -50,6 +50,8 @@ enum Task {
     },
     /// What compilers of GPUs make of every kernel: registers, spills, subgroups in flight, estimated cycles
     Isa(isa::task::Options),
+    /// Plant faults in the kernels and count how many the tests see
+    Mutants(mutants::task::Options),
     /// Print the kernels as a table, from their declarations
     Docs,
     /// Render the images of the README from the built-in scene: an animation, a still, the f64 reference, the error
@@ -78,6 +80,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Task::Plan { check, write } => plan(cli, *check, *write),
         Task::OracleCheck { files, json } => oracle_check(files, *json),
         Task::Isa(options) => Ok(status(isa::task::run(&cli.root, options)?)),
+        Task::Mutants(options) => Ok(status(mutants::task::run(&cli.root, options)?)),
         Task::Docs => {
             output::line(kernel_docs::table().trim_end());
             Ok(ExitCode::SUCCESS)

@@ -3,6 +3,7 @@
 pub mod isa;
 pub mod kernel_docs;
 pub mod measurements;
+pub mod mutants;
 pub mod oracle;
 pub mod pictures;
 pub mod plan;

@@ -6,7 +6,7 @@
 //!
 //! Shaderc is called through its own program `glslc`: Debian's `libshaderc` cannot be linked (undefined glslang symbols).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -54,9 +54,7 @@ pub struct Outcome {
 
 /// Compiles everything and writes `spirv_cache/`. `root` is the folder of the workspace.
 pub fn write(root: &Path) -> Result<Outcome> {
-    let compiler = Compiler::find().ok_or_else(|| {
-        Error::usage("spgs-dev spirv", "no program `glslc`", "shaderc's compiler (ci/setup --tests installs it)")
-    })?;
+    let compiler = Compiler::find_or_say("spgs-dev spirv")?;
     let mut outcome = Outcome::default();
     let mut kernels = BTreeMap::new();
     let cache = root.join("spirv_cache");
@@ -163,7 +161,7 @@ pub fn read_manifest(path: &Path) -> Result<Manifest> {
 
 /// Name and path of every `glsl/*/*.comp`, sorted by name.
 /// Kernels by their stem, the shaders of the graphics pipeline by their whole name.
-fn sources(root: &Path) -> Result<Vec<(String, PathBuf)>> {
+pub(super) fn sources(root: &Path) -> Result<Vec<(String, PathBuf)>> {
     let glsl = root.join("glsl");
     let entries = std::fs::read_dir(&glsl).map_err(|e| Error::io(&glsl, "list", e))?;
     let mut found = Vec::new();
@@ -200,8 +198,26 @@ fn stems(folder: &Path, extension: &str) -> Result<Vec<(String, PathBuf)>> {
     Ok(found)
 }
 
-/// The source with `#include "…"` replaced by the file, recursively. As the compiler does, looks beside the including
-/// file first and then in `glsl/`.
+/// The files that make a kernel: its own and all that it includes.
+pub(super) fn files(path: &Path, root: &Path) -> Result<BTreeSet<PathBuf>> {
+    let mut found = BTreeSet::new();
+    let mut waiting = vec![path.to_owned()];
+    while let Some(path) = waiting.pop() {
+        let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
+        waiting.extend(text.lines().filter_map(included).map(|file| resolve(&path, root, file)));
+        found.insert(path);
+        waiting.retain(|path| !found.contains(path));
+    }
+    Ok(found)
+}
+
+/// Where an included file is: beside the including one, else in `glsl/`, as for the compiler.
+fn resolve(path: &Path, root: &Path, file: &str) -> PathBuf {
+    let beside = path.with_file_name(file);
+    if beside.is_file() { beside } else { root.join("glsl").join(file) }
+}
+
+/// The source with `#include "…"` replaced by the file, recursively.
 fn expand(path: &Path, root: &Path, depth: usize) -> Result<String> {
     let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
     if depth > MAX_INCLUDE_DEPTH {
@@ -211,9 +227,7 @@ fn expand(path: &Path, root: &Path, depth: usize) -> Result<String> {
     for line in text.lines() {
         match included(line) {
             Some(file) => {
-                let beside = path.with_file_name(file);
-                let target = if beside.is_file() { beside } else { root.join("glsl").join(file) };
-                out.push_str(&expand(&target, root, depth + 1)?);
+                out.push_str(&expand(&resolve(path, root, file), root, depth + 1)?);
             }
             None => {
                 out.push_str(line);
@@ -241,7 +255,7 @@ fn flags() -> Vec<String> {
 
 /// Shaderc's compiler program.
 #[derive(Debug)]
-struct Compiler {
+pub(super) struct Compiler {
     /// Versions of shaderc, SPIRV-Tools and glslang.
     version: String,
 }
@@ -255,13 +269,27 @@ impl Compiler {
         Some(Self { version: version.join("; ") })
     }
 
-    fn compile(&self, path: &Path, root: &Path) -> Result<Vec<u8>> {
+    /// [`Self::find`], or what to install for this task.
+    pub(super) fn find_or_say(task: &str) -> Result<Self> {
+        Self::find().ok_or_else(|| {
+            Error::usage(task, "no program `glslc`", "shaderc's compiler (ci/setup --tests installs it)")
+        })
+    }
+
+    /// Compiles a shader of the workspace in `root` with [`FLAGS`].
+    pub(super) fn compile(&self, path: &Path, root: &Path) -> Result<Vec<u8>> {
+        self.compile_with(path, root, &[])
+    }
+
+    /// [`Self::compile`] with more flags, which come last.
+    pub(super) fn compile_with(&self, path: &Path, root: &Path, flags: &[&str]) -> Result<Vec<u8>> {
         let failed = |e: &dyn std::fmt::Display| Error::corrupt(path, "compilation", e.to_string(), "valid GLSL");
         let out = tempfile::NamedTempFile::new().map_err(|e| Error::io(path, "make a temporary file for", e))?;
         let relative = path.strip_prefix(root).unwrap_or(path);
         let ran = Command::new("glslc")
             .current_dir(root)
             .args(FLAGS)
+            .args(flags)
             .arg(relative)
             .arg("-o")
             .arg(out.path())

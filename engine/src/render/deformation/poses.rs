@@ -2,9 +2,7 @@
 
 use glam::DVec3;
 
-use super::super::deform_network::{
-    self, DEFORM_NETWORK, DeformNetworkBuffers, DeformNetworkConstants, pack_weights,
-};
+use super::super::deform_network::{self, DEFORM_NETWORK, DeformNetworkBuffers, DeformNetworkConstants, pack_weights};
 use super::super::pose_table;
 use super::super::quality::{Interpolation, Quality, Storage};
 use crate::error::Result;
