@@ -18,9 +18,9 @@ fn root() -> PathBuf {
 
 #[test]
 fn every_shader_has_one_declaration() {
-    let shaders: BTreeSet<String> = std::fs::read_dir(root().join("glsl"))
-        .unwrap()
-        .map(|e| e.unwrap().path())
+    let files = |folder: &Path| std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path());
+    let shaders: BTreeSet<String> = files(&root().join("glsl"))
+        .flat_map(|folder| files(&folder))
         .filter(|p| p.extension().is_some_and(|e| e == "comp"))
         .map(|p| p.file_stem().unwrap().to_string_lossy().into_owned())
         .collect();
