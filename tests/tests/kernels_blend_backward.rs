@@ -1,8 +1,6 @@
 //! `blend_backward` and `sum_instance_gradients` on the device against their twins.
 
-use engine::gpu::Kernel;
 use engine::gpu::interface::{Interface, KernelOf};
-use engine::gpu::kernel::TwinCall;
 use engine::render::blend::{self, BLEND, Stage};
 use engine::render::deform_project::DEFORM_PROJECT;
 use engine::render::frame::Frame;
@@ -26,10 +24,6 @@ struct Rendered {
     first_slot: Vec<u32>,
     color: Vec<u32>,
     image_gradient: Vec<u32>,
-}
-
-fn run_twin(kernel: &'static Kernel, spec: &[u32], groups: u32, buffers: &mut [Vec<u32>]) {
-    (kernel.twin)(&mut TwinCall { groups: [groups, 1, 1], spec, push: &[], buffers });
 }
 
 impl Rendered {
@@ -81,19 +75,19 @@ impl Rendered {
             next[g as usize] += 1;
         }
         let pixels = frame.pixels();
-        let mut buffers = vec![
-            bytemuck::cast_slice(&[frame]).to_vec(),
-            ranges.clone(),
-            gaussians.clone(),
-            splats.clone(),
-            vec![0; 4 * pixels],
-            vec![0; 4],
-            vec![0; 4],
-        ];
-        run_twin(&BLEND, &[8, 0, 0, 8, 0], 1, &mut buffers);
+        let buffers = BlendBuffers {
+            frame: bytemuck::cast_slice(&[frame]).to_vec(),
+            ranges: ranges.clone(),
+            values: gaussians.clone(),
+            splats: splats.clone(),
+            color: vec![0; 4 * pixels],
+            depth: None,
+            gaussian_of_slot: None,
+        };
+        let constants = BlendConstants { pixels_per_lane: 8, ..BlendConstants::default() };
         let mut r = Random(pixels as u64);
         let image_gradient = (0..4 * pixels).map(|_| r.range(-1.0, 1.0).to_bits()).collect();
-        let color = buffers.swap_remove(4);
+        let color = BLEND.run_twin(8, constants, (), buffers, 1).color;
         Self {
             frame,
             splats,

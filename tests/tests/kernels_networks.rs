@@ -219,16 +219,6 @@ fn moving_input(count: usize) -> (RenderInput, Frame) {
     (input, frame)
 }
 
-fn input_words(input: &RenderInput, frame: &Frame) -> Vec<Vec<u32>> {
-    let words = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<u32>>();
-    vec![
-        bytemuck::cast_slice(&[*frame]).to_vec(),
-        words(&input.mean),
-        input.superpoint_of_gaussian.clone(),
-        words(&input.pose),
-    ]
-}
-
 /// Network G with heads that matter and little weight on the high octaves, which would magnify the last bit of a centre.
 fn nonrigid() -> NonrigidNetwork {
     let mut network = NonrigidNetwork::init(6);

@@ -3,6 +3,7 @@
 use engine::render::compact::*;
 use engine::render::ellipse::Ellipse;
 use engine::render::emit_tiles::{EMIT_TILES, EmitTiles, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
+use engine::render::frame::Frame;
 use engine::render::radix_sort::*;
 use engine::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
 use engine::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
@@ -26,7 +27,7 @@ impl Rng {
 
 /// Projected Gaussians as `deform_project` leaves them, in words.
 struct Scene {
-    frame: Vec<u32>,
+    frame: Frame,
     tile_count: Vec<u32>,
     splats: Vec<u32>,
     depths: u32,
@@ -36,10 +37,7 @@ impl Scene {
     fn random(n: u32, size: [u32; 2], seed: u64) -> Self {
         let mut rng = Rng(seed);
         let tiles = size.map(|s| s.div_ceil(16));
-        let mut frame = vec![0; 44];
-        frame[32..36].copy_from_slice(&[size[0], size[1], tiles[0], tiles[1]]);
-        frame[36] = n;
-        frame[41] = tiles[0] * tiles[1];
+        let frame = Frame { size, tiles, gaussians: n, tile_count: tiles[0] * tiles[1], ..Frame::default() };
         let mut scene = Self { frame, tile_count: vec![], splats: vec![], depths: 97 };
         for _ in 0..n {
             let l = 10_f32.powf(rng.unit() * 3.0 - 2.9);
@@ -57,9 +55,9 @@ impl Scene {
 
     fn push(&mut self, first: [f32; 4], second: [f32; 4]) {
         let e = Ellipse::of_splat(first, second);
-        self.tile_count.push(e.tile_count([self.frame[32], self.frame[33]]));
+        self.tile_count.push(e.tile_count(self.frame.size));
         self.splats.extend(first.iter().chain(&second).chain(&[0.0; 4]).map(|v| v.to_bits()));
-        self.frame[36] = self.tile_count.len() as u32;
+        self.frame.gaussians = self.tile_count.len() as u32;
     }
 
     fn total(&self) -> u64 {
@@ -70,8 +68,8 @@ impl Scene {
     /// arguments and ranges.
     fn check(&self, gpu: &TestGpu, capacity: u32) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
         let n = self.tile_count.len() as u32;
-        let mut frame = self.frame.clone();
-        frame[40] = capacity;
+        let tiles = self.frame.tile_count;
+        let frame: Vec<u32> = bytemuck::cast_slice(&[Frame { instance_capacity: capacity, ..self.frame }]).to_vec();
         let (words, block_capacity) = block_words(n);
         let mut visible_block = vec![0; words as usize];
         for (i, count) in self.tile_count.iter().enumerate() {
@@ -81,7 +79,7 @@ impl Scene {
         let visible: u32 = self.tile_count.iter().map(|c| u32::from(*c != 0)).sum();
         let counters = vec![visible, self.total() as u32, (self.total() >> 32) as u32, 0, 0, 0, 0, 0];
         let depth = SortPlan::new(n, 32).unwrap();
-        let tile = SortPlan::new(capacity, tile_key_bits(frame[41])).unwrap();
+        let tile = SortPlan::new(capacity, tile_key_bits(tiles)).unwrap();
         let out = vec![0; n as usize];
         let buffers = CompactBuffers {
             frame: frame.clone(),
@@ -133,7 +131,7 @@ impl Scene {
         let EmitTilesBuffers { keys, values, next_histogram, .. } = emitted;
         let keys = sort(gpu, &tile, keys, values, next_histogram, &counters, 5, groups(INDIRECT_TILE_SORT)).0;
         // `ranges` is zeroed each frame and only partly written, so it is compared where it was written.
-        let ranges = vec![0; 2 * self.frame[41] as usize];
+        let ranges = vec![0; 2 * tiles as usize];
         let buffers = TileRangesBuffers { frame, counters: counters.clone(), keys, ranges };
         let groups = groups(INDIRECT_RANGES) + 1;
         let ranges =

@@ -4,6 +4,7 @@
 use super::compact::*;
 use super::ellipse::Ellipse;
 use super::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
+use super::frame::Frame;
 use super::limits::*;
 use super::radix_sort::SortPlan;
 use super::sort_tests::{Rng, sort_by_twins};
@@ -187,10 +188,15 @@ impl Chain {
         let total: u64 = tile_count.iter().map(|c| u64::from(*c)).sum();
         let visible = tile_count.iter().filter(|c| **c != 0).count() as u32;
         let capacity = self.capacity.min(total as u32 + 100);
-        let mut frame = vec![0; 44];
-        frame[32..36].copy_from_slice(&[self.size[0], self.size[1], tiles_x, tiles_y]);
-        frame[36] = n;
-        frame[40..42].copy_from_slice(&[capacity, tiles_x * tiles_y]);
+        let frame = Frame {
+            size: self.size,
+            tiles: [tiles_x, tiles_y],
+            gaussians: n,
+            instance_capacity: capacity,
+            tile_count: tiles_x * tiles_y,
+            ..Frame::default()
+        };
+        let frame: Vec<u32> = bytemuck::cast_slice(&[frame]).to_vec();
         let (words, block_capacity) = block_words(n);
         let mut visible_block = vec![0; words as usize];
         for (i, count) in tile_count.iter().enumerate() {

@@ -1,7 +1,5 @@
 //! Accessors for CPU twins: their buffers are 32-bit words, as the GPU sees them.
 
-use crate::gpu::kernel::TwinCall;
-
 /// Word `i` as a float.
 pub fn f32_at(words: &[u32], i: usize) -> f32 {
     f32::from_bits(words[i])
@@ -32,21 +30,6 @@ pub fn set_vec4(words: &mut [u32], i: usize, value: [f32; 4]) {
 /// The struct that starts at word `at`.
 pub fn struct_at<T: bytemuck::AnyBitPattern>(words: &[u32], at: usize) -> T {
     bytemuck::pod_read_unaligned(&bytemuck::cast_slice(&words[at..])[..size_of::<T>()])
-}
-
-/// The push constants.
-pub fn push<T: bytemuck::AnyBitPattern>(call: &TwinCall<'_>) -> T {
-    bytemuck::pod_read_unaligned(&call.push[..size_of::<T>()])
-}
-
-/// Specialisation constant `id`; 0 when the call gives none.
-pub fn spec(call: &TwinCall<'_>, id: usize) -> u32 {
-    call.spec.get(id).copied().unwrap_or(0)
-}
-
-/// Number of workgroups of a folded one-dimensional grid (`glsl/lib/dispatch.glsl`).
-pub fn group_count(call: &TwinCall<'_>) -> u32 {
-    call.groups[0] * call.groups[1] * call.groups[2]
 }
 
 /// Group counts of a folded grid of `n` workgroups, as `folded_groups` in `glsl/lib/dispatch.glsl` makes them.

@@ -1,6 +1,5 @@
 //! Input of `deform_project_backward`: random Gaussians, splats from the forward's twin, rows as the blending leaves them.
 
-use engine::gpu::kernel::TwinCall;
 use engine::render::deform_project::DEFORM_PROJECT;
 use engine::render::frame::Frame;
 use engine::scene::Camera;

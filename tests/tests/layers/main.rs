@@ -241,6 +241,10 @@ fn shaders_spirv_and_rust_have_the_same_names() {
     for name in &glsl {
         let declared = format!("static {}: ", name.to_uppercase());
         assert!(rust.contains(&declared), "no `{declared}` in engine/src");
+        let homes = |folder: &str| files(&root.join("engine/src").join(folder), "rs");
+        let own = ["render", "train", "metrics", "self_test"].into_iter().flat_map(homes);
+        let count = own.filter(|p| p.file_stem().is_some_and(|stem| stem.to_str() == Some(name.as_str()))).count();
+        assert_eq!(count, 1, "files {name}.rs of kernels in engine/src");
         let named = format!("name: \"{name}\"");
         assert!(rust.contains(&named), "no `{named}` in engine/src");
     }
