@@ -9,7 +9,7 @@ use crate::dev::mutants::lexer::{self, Token};
 /// What kind of fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(in crate::dev::mutants) enum Fault {
+pub(crate) enum Fault {
     /// Another operator or another of a pair of functions.
     Operator,
     /// Another literal.
@@ -28,13 +28,13 @@ pub(in crate::dev::mutants) enum Fault {
 
 /// One change of a text.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(in crate::dev::mutants) struct Site {
+pub(crate) struct Site {
     /// The kind of fault.
-    pub(in crate::dev::mutants) fault: Fault,
+    pub(crate) fault: Fault,
     /// The bytes that are replaced.
-    pub(in crate::dev::mutants) range: Range<usize>,
+    pub(crate) range: Range<usize>,
     /// What takes their place.
-    pub(in crate::dev::mutants) with: String,
+    pub(crate) with: String,
 }
 
 /// A shader's text and the tokens of its code.
