@@ -1,48 +1,17 @@
 //! What can be changed in a shader: single faults that a programmer could have made.
 
-use std::ops::Range;
+use super::lexer;
 
-use serde::{Deserialize, Serialize};
-
-use super::lexer::{self, Token};
-
+mod code;
 mod numbers;
 mod statements;
 
-/// What kind of fault.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum Fault {
-    /// Another operator or another of a pair of functions.
-    Operator,
-    /// Another literal.
-    Constant,
-    /// A barrier that is not there.
-    Barrier,
-    /// A comparison or an index off by one, a condition that does not ask.
-    Bound,
-    /// An assignment that is not there.
-    Store,
-    /// An atomic operation that is plain or has another operand.
-    Atomic,
-    /// Another component of a vector.
-    Swizzle,
-}
+use code::Code;
+pub(super) use code::{Fault, Site};
 
 /// All kinds, in the order in which mutants are drawn from them.
 pub(super) const FAULTS: [Fault; 7] =
     [Fault::Operator, Fault::Constant, Fault::Barrier, Fault::Bound, Fault::Store, Fault::Atomic, Fault::Swizzle];
-
-/// One change of a text.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Site {
-    /// The kind of fault.
-    pub(super) fault: Fault,
-    /// The bytes that are replaced.
-    pub(super) range: Range<usize>,
-    /// What takes their place.
-    pub(super) with: String,
-}
 
 /// Operators and functions and what they are mistaken for.
 const SWAPS: [(Fault, &str, &str); 34] = [
@@ -85,7 +54,7 @@ const SWAPS: [(Fault, &str, &str); 34] = [
 /// Every change of a shader. Declarations of buffers, constants of specialisation, structures and shared memory stay as they
 /// are: the first are checked against Rust, and more memory is no fault.
 pub(super) fn sites(text: &str) -> Vec<Site> {
-    let code = Code { text, tokens: code_tokens(text) };
+    let code = Code::of(text);
     let mut found = Vec::new();
     for at in 0..code.tokens.len() {
         code.swap(at, &mut found);
@@ -98,45 +67,7 @@ pub(super) fn sites(text: &str) -> Vec<Site> {
     found
 }
 
-/// A shader's text and the tokens of its code.
-struct Code<'a> {
-    text: &'a str,
-    tokens: Vec<Token>,
-}
-
-impl<'a> Code<'a> {
-    /// The text of a token; empty past either end.
-    fn word(&self, at: usize) -> &'a str {
-        self.tokens.get(at).map_or("", |t| &self.text[t.range.clone()])
-    }
-
-    fn before(&self, at: usize) -> &'a str {
-        at.checked_sub(1).map_or("", |before| self.word(before))
-    }
-
-    fn kind(&self, at: usize) -> Option<lexer::Kind> {
-        self.tokens.get(at).map(|t| t.kind)
-    }
-
-    fn range(&self, at: usize) -> Range<usize> {
-        self.tokens.get(at).map_or(self.text.len()..self.text.len(), |t| t.range.clone())
-    }
-
-    /// The bracket that closes the one at `open`.
-    fn close(&self, open: usize) -> Option<usize> {
-        close(self.text, &self.tokens, open)
-    }
-
-    /// A value ends before this token, so that an operator here has two operands.
-    fn follows_value(&self, at: usize) -> bool {
-        let Some(before) = at.checked_sub(1) else { return false };
-        match self.kind(before) {
-            Some(lexer::Kind::Number) => true,
-            Some(lexer::Kind::Word) => self.word(before) != "return",
-            _ => matches!(self.word(before), ")" | "]"),
-        }
-    }
-
+impl Code<'_> {
     fn swap(&self, at: usize, found: &mut Vec<Site>) {
         let word = self.word(at);
         let range = self.range(at);
@@ -190,49 +121,58 @@ impl<'a> Code<'a> {
     }
 }
 
-/// The tokens outside declarations that are left alone.
-fn code_tokens(text: &str) -> Vec<Token> {
-    let all = lexer::tokens(text);
-    let (mut at, mut kept) = (0, Vec::with_capacity(all.len()));
-    while at < all.len() {
-        match &text[all[at].range.clone()] {
-            "layout" | "shared" | "struct" => at = end_of_declaration(text, &all, at),
-            _ => {
-                kept.push(all[at].clone());
-                at += 1;
-            }
-        }
-    }
-    kept
-}
-
-/// The token after the `;` that ends a declaration.
-fn end_of_declaration(text: &str, all: &[Token], mut at: usize) -> usize {
-    while at < all.len() {
-        match &text[all[at].range.clone()] {
-            ";" => return at + 1,
-            "{" => at = close(text, all, at).unwrap_or(all.len()),
-            _ => {}
-        }
-        at += 1;
-    }
-    all.len()
-}
-
-fn close(text: &str, tokens: &[Token], open: usize) -> Option<usize> {
-    let mut depth = 0_usize;
-    for (at, token) in tokens.iter().enumerate().skip(open) {
-        match &text[token.range.clone()] {
-            "(" | "[" | "{" => depth += 1,
-            ")" | "]" | "}" => depth = depth.checked_sub(1)?,
-            _ => {}
-        }
-        if depth == 0 {
-            return Some(at).filter(|at| *at > open);
-        }
-    }
-    None
-}
-
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::{Fault, sites};
+
+    /// `before -> after` of every change of this kind.
+    fn changes(text: &str, fault: Fault) -> Vec<String> {
+        let of_kind = sites(text).into_iter().filter(|s| s.fault == fault);
+        of_kind.map(|s| format!("{} -> {}", &text[s.range.clone()], s.with)).collect()
+    }
+
+    #[test]
+    fn each_kind_of_fault_is_found() {
+        let cases = [
+            (Fault::Operator, "x = -a + min(b, c);", vec!["- -> ", "+ -> -", "min -> max"]),
+            (
+                Fault::Constant,
+                "x = 1.0 + 0x10u * 0.5;",
+                vec!["1.0 -> 0.0", "1.0 -> 1.01", "0x10u -> 15u", "0x10u -> 17u", "0.5 -> 0.505", "0.5 -> 1.0"],
+            ),
+            (
+                Fault::Barrier,
+                "{ barrier(); subgroupMemoryBarrierShared(); }",
+                vec!["barrier(); -> ", "subgroupMemoryBarrierShared(); -> "],
+            ),
+            (
+                Fault::Bound,
+                "if (i >= n) { return; } x = a[i];",
+                vec!["i >= n -> true", "i >= n -> false", ">= -> >", "i -> (i) + 1", "i -> (i) - 1"],
+            ),
+            (Fault::Store, "float b = 2.0; a[i].x = b; s += f(b);", vec!["a[i].x = b; -> ", "s += f(b); -> "]),
+            (
+                Fault::Atomic,
+                "atomicAdd(t[g(a, b)], n);",
+                vec![" n ->  (n) + 1", "atomicAdd(t[g(a, b)], n) -> t[g(a, b)] += n"],
+            ),
+            (Fault::Swizzle, "a = v.xyz + p.w;", vec!["xyz -> yxz", "w -> z"]),
+        ];
+        for (fault, text, mut expected) in cases {
+            let mut found = changes(text, fault);
+            found.sort();
+            expected.sort_unstable();
+            let found: Vec<&str> = found.iter().map(|f| f.trim_start()).collect();
+            let expected: Vec<&str> = expected.iter().map(|f| f.trim_start()).collect();
+            assert_eq!(found, expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn interfaces_and_sizes_stay() {
+        let text = "layout(constant_id = 1) const uint K = 1u;\nshared uint s[64];\nstruct A { float b[3]; };\n\
+                layout(std430, set = 0, binding = 2) buffer B { uint b[]; };\n#define BINDING 3\n";
+        assert_eq!(sites(text), []);
+        assert_eq!(changes("float own[8];", Fault::Bound), [""; 0]);
+    }
+}

@@ -1,6 +1,6 @@
 //! Other literals: 0 for 1, one more, one less, 1 % more, twice as much.
 
-use super::{Code, Fault, Site};
+use super::code::{Code, Fault, Site};
 use crate::dev::mutants::lexer::Kind;
 
 pub(super) fn of(code: &Code<'_>, at: usize, found: &mut Vec<Site>) {

@@ -1,6 +1,6 @@
 //! Statements that are left out or changed: barriers, assignments, atomic operations.
 
-use super::{Code, Fault, Site};
+use super::code::{Code, Fault, Site};
 use crate::dev::mutants::lexer::Kind;
 
 const ASSIGNMENTS: [&str; 11] = ["=", "+=", "-=", "*=", "/=", "%=", "&=", "|=", "^=", "<<=", ">>="];
