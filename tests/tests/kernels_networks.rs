@@ -1,8 +1,10 @@
 //! The kernels of networks F and G in training against their twins.
 
 use engine::render::frame::Frame;
-use engine::render::linear_forward::{ForwardPush, LINEAR_FORWARD};
-use engine::render::nonrigid_network::{self, NONRIGID_NETWORK, NonrigidPush};
+use engine::render::linear_forward::{ForwardPush, LINEAR_FORWARD, LinearForwardBuffers, LinearForwardConstants};
+use engine::render::nonrigid_network::{
+    self, NONRIGID_NETWORK, NonrigidNetworkBuffers, NonrigidNetworkConstants, NonrigidPush,
+};
 use engine::scene::NonrigidNetwork;
 use engine::train::linear::{
     self, GATHER_GRADIENT, GatherPush, InputPush, LINEAR_BACKWARD_INPUT, LINEAR_BACKWARD_WEIGHT, LINEAR_UPDATE, Output,
@@ -12,8 +14,8 @@ use engine::train::network_f::{ENCODE_SUPERPOINTS, EncodePush};
 use engine::train::network_g::ENCODE_GAUSSIANS;
 use engine::train::status;
 use engine::train::step::{Step, bias_corrections};
-use tests_harness::UntypedCase;
 use tests_harness::render_case::{Random, RenderInput, test_camera};
+use tests_harness::{KernelCase, UntypedCase};
 
 const STAGES: [Stage; 2] = [Stage::Shuffle, Stage::Shared];
 
@@ -52,15 +54,13 @@ fn a_layer_does_not_hide_what_is_no_number() {
             let mut input = floats(&mut r, (rows * inputs) as usize, 1.0);
             input[(30 * inputs) as usize] = nan.to_bits();
             let push = ForwardPush { rows, outputs, inputs_0: inputs, inputs_1: 0, input_1_at: 0 };
-            let case = UntypedCase {
-                kernel: &LINEAR_FORWARD,
-                spec: vec![stage as u32, relu],
-                push: bytemuck::bytes_of(&push).to_vec(),
-                buffers: vec![input, parameter, vec![0; (rows * outputs) as usize]],
-                groups: linear::product_groups(stage, gpu.subgroup_size_of(&LINEAR_FORWARD), rows, outputs, 1) as u32,
-            };
-            let result = case.run(&gpu);
-            for (side, words) in [("device", &result.gpu[2]), ("twin", &result.twin[2])] {
+            let layer_output = vec![0; (rows * outputs) as usize];
+            let buffers = LinearForwardBuffers { layer_input: input, parameter, layer_output };
+            let constants = LinearForwardConstants { stage: stage as u32, relu };
+            let lanes = gpu.subgroup_size_of(&LINEAR_FORWARD);
+            let groups = linear::product_groups(stage, lanes, rows, outputs, 1) as u32;
+            let result = KernelCase { kernel: &LINEAR_FORWARD, constants, push, buffers, groups }.run(&gpu);
+            for (side, words) in [("device", &result.gpu.layer_output), ("twin", &result.twin.layer_output)] {
                 for (at, word) in words.iter().enumerate() {
                     let (row, o) = (at as u32 / outputs, at as u32 % outputs);
                     let expected = row == 30 || o == 5 || o == 69;
@@ -86,15 +86,16 @@ fn forward_and_backward_input_match_their_twins() {
             let input = floats(&mut r, (input_1_at + rows * i1) as usize, 1.0);
             for relu in [0, 1] {
                 let push = ForwardPush { rows, outputs, inputs_0: i0, inputs_1: i1, input_1_at };
-                let case = UntypedCase {
-                    kernel: &LINEAR_FORWARD,
-                    spec: vec![stage as u32, relu],
-                    push: bytemuck::bytes_of(&push).to_vec(),
-                    buffers: vec![input.clone(), parameter.clone(), vec![0; (rows * outputs) as usize]],
-                    groups: linear::product_groups(stage, gpu.subgroup_size_of(&LINEAR_FORWARD), rows, outputs, 1)
-                        as u32,
+                let buffers = LinearForwardBuffers {
+                    layer_input: input.clone(),
+                    parameter: parameter.clone(),
+                    layer_output: vec![0; (rows * outputs) as usize],
                 };
-                case.run(&gpu).assert_equal(&LINEAR_FORWARD, &format!("{rows} x {inputs} -> {outputs}, {stage:?}"));
+                let constants = LinearForwardConstants { stage: stage as u32, relu };
+                let lanes = gpu.subgroup_size_of(&LINEAR_FORWARD);
+                let groups = linear::product_groups(stage, lanes, rows, outputs, 1) as u32;
+                let case = KernelCase { kernel: &LINEAR_FORWARD, constants, push, buffers, groups };
+                case.check(&gpu, &format!("{rows} x {inputs} -> {outputs}, {stage:?}"));
             }
             let (first_input, columns) = if i1 > 0 { (i0, i1) } else { (0, i0) };
             let push = InputPush { rows, outputs, inputs: columns, weight_stride: inputs, first_input };
@@ -272,19 +273,21 @@ fn network_g_matches_its_twin() {
                 stages.push(0);
             }
             for stage in stages {
-                let mut buffers = input_words(&input, &frame);
-                buffers.extend([parameter.clone(), vec![0; 10 * count]]);
-                let origin = NonrigidPush { origin_x: 0.5, origin_y: -0.25, origin_z: 0.0 };
-                let case = UntypedCase {
-                    kernel: &NONRIGID_NETWORK,
-                    spec: vec![motion, stage],
-                    push: bytemuck::bytes_of(&origin).to_vec(),
-                    buffers,
-                    groups: count.div_ceil(64) as u32,
+                let words = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<u32>>();
+                let buffers = NonrigidNetworkBuffers {
+                    frame: bytemuck::cast_slice(&[frame]).to_vec(),
+                    mean: words(&input.mean),
+                    superpoint_of_gaussian: (motion == 1).then(|| input.superpoint_of_gaussian.clone()),
+                    pose: (motion == 1).then(|| words(&input.pose)),
+                    parameter: parameter.clone(),
+                    nonrigid_offset: vec![0; 10 * count],
                 };
-                let result = case.run(&gpu);
-                result.assert_equal(&NONRIGID_NETWORK, &format!("N = {count}, motion {motion}, stage {stage}"));
-                assert!(result.gpu[5].iter().all(|w| f32::from_bits(*w).is_finite()));
+                let push = NonrigidPush { origin_x: 0.5, origin_y: -0.25, origin_z: 0.0 };
+                let constants = NonrigidNetworkConstants { motion, stage };
+                let groups = count.div_ceil(64) as u32;
+                let case = KernelCase { kernel: &NONRIGID_NETWORK, constants, push, buffers, groups };
+                let offset = case.check(&gpu, &format!("N = {count}, motion {motion}, stage {stage}")).nonrigid_offset;
+                assert!(offset.iter().all(|w| f32::from_bits(*w).is_finite()));
             }
         }
     }
