@@ -1,7 +1,7 @@
 //! `blend_backward` and `sum_instance_gradients` on the device against their twins.
 
 use engine::gpu::interface::{Interface, KernelOf};
-use engine::render::blend::{self, BLEND, Stage};
+use engine::render::blend::{self, BLEND, BlendBuffers, BlendConstants, Stage};
 use engine::render::deform_project::DEFORM_PROJECT;
 use engine::render::frame::Frame;
 use engine::render::limits::COUNT_FAILED;
