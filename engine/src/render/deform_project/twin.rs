@@ -182,7 +182,7 @@ fn project(b: &Inputs<'_>, frame: &Frame, constants: &DeformProjectConstants, g:
     if !p.iter().all(|v| v.is_finite()) {
         return Outcome::Rejected;
     }
-    let in_front = p[2] > high[3];
+    let in_front = p[2] > frame.near;
     let log2_opacity = -(1.0 + (-logit).exp()).log2();
     let mut e = Ellipse { log2_opacity, ..Ellipse::NONE }.with_constants(constants.alpha_cut, constants.tile_cull);
     let bright = e.threshold() > 0.0;
