@@ -1,6 +1,6 @@
 // Adam on one weight of a network, not applied where a number is not finite. Include lib/step.glsl, lib/adam.glsl and
 // lib/status.glsl first; the includer has the buffers `parameter`, `moment_1` and `moment_2` and the constant NETWORK
-// (0 network F, 1 network G). Rust twin: `update_weight` in engine/src/train/linear/twins.rs.
+// (0 network F, 1 network G). Rust twin: `update_weight` in engine/src/train/linear/linear_update.rs.
 #ifndef SPGS_NETWORK_UPDATE
 #define SPGS_NETWORK_UPDATE
 
@@ -15,7 +15,7 @@ NetworkAdam network_adam() {
     uint network = NETWORK;
     float rate = network == 0u ? step_data.rate_network_f : step_data.rate_network_g;
     vec2 bias = network == 0u ? step_data.bias_network_f : step_data.bias_network_g;
-    return NetworkAdam(rate, bias, step_data.adam);
+    return NetworkAdam(rate, bias, adam_of_step());
 }
 
 // at: of the weight in the three buffers; index: its number in the network, for reports.

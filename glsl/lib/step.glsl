@@ -3,13 +3,6 @@
 #ifndef SPGS_STEP
 #define SPGS_STEP
 
-struct Adam {
-    float beta_1;
-    float beta_2;
-    float epsilon;
-    float unused; // to 16 bytes
-};
-
 // Learning rates are those of one step; bias: 1/(1 - beta_1^t), 1/sqrt(1 - beta_2^t).
 struct Step {
     uint gaussians;
@@ -32,7 +25,10 @@ struct Step {
     float time;               // given to the networks, with noise
     float exact_time;
     float density_statistics; // kept: 1, not: 0
-    Adam adam;
+    float beta_1;             // Adam's constants
+    float beta_2;
+    float epsilon;
+    float unused;             // to a multiple of 16 bytes
     vec2 bias_gaussians;
     vec2 bias_network_f;
     vec2 bias_association;

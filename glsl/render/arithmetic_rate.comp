@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 
-// Multiply-adds that depend on nothing but registers, to measure the device's f32 rate. Twin: engine/src/render/rate.rs.
+// Multiply-adds that depend on nothing but registers, to measure the device's f32 rate.
 
 #include "lib/dispatch.glsl"
 

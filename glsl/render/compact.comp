@@ -9,7 +9,6 @@
 
 // Stable compaction of the visible Gaussians into (depth key, index) pairs, 1,024 Gaussians per workgroup; also the
 // histogram of the first depth digit. The first workgroup turns the totals into indirect dispatch arguments.
-// Twin: engine/src/render/compact.rs.
 
 #include "lib/frame.glsl"
 #include "lib/limits.glsl"

@@ -9,7 +9,7 @@
 // Writes one (tile, Gaussian) pair for each tile that a visible Gaussian reaches, in depth order, and counts the first
 // digit of the tile ids. A workgroup has 256 depth-sorted Gaussians. Those that reach few tiles are written by a thread
 // each; for the others the threads run over instances, not Gaussians, so that one that covers the whole image is spread
-// over all threads. Twin: engine/src/render/tiles.rs.
+// over all threads.
 //
 // For training (WITH_SLOTS = 1) the sorted value is not the Gaussian but the slot: the position in this order, in which the
 // instances of a Gaussian follow one another. `gaussian_of_slot` leads back, `first_slot` says where a Gaussian's begin.

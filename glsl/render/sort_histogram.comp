@@ -2,7 +2,7 @@
 #extension GL_GOOGLE_include_directive : require
 
 // Histogram of one digit for each partition of 4,096 keys: the first pass of a sort whose keys were not counted by the
-// kernel that wrote them. Twin: engine/src/render/radix_sort.rs.
+// kernel that wrote them.
 
 #include "lib/limits.glsl"
 #include "lib/dispatch.glsl"

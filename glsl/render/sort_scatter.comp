@@ -9,7 +9,7 @@
 
 // One stable pass of a least-significant-digit radix sort: 256 threads scatter 4,096 keys (and values) to their places
 // and count the next pass's digits. Needs the histogram of this digit for each partition of 4,096 keys; no workgroup
-// waits for another. Twin: engine/src/render/radix_sort.rs.
+// waits for another.
 
 #include "lib/limits.glsl"
 #include "lib/dispatch.glsl"

@@ -4,7 +4,6 @@
 // In place, for each digit: exclusive prefix sum of the histogram over partitions; the digit totals go to `totals_row`.
 // Runs between the count and the scatter when there are so many partitions that summing them in every workgroup of
 // sort_scatter would cost more than this dispatch. A workgroup has 8 digits (32 bytes of a row) x 32 chunks of rows.
-// Twin: engine/src/render/radix_sort.rs.
 
 #include "lib/limits.glsl"
 #include "lib/dispatch.glsl"

@@ -5,7 +5,6 @@
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
 // Tile instances of each block of 256 depth-sorted Gaussians, and of each 256 blocks: where emit_tiles starts writing.
-// Twin: engine/src/render/tiles.rs.
 
 #include "lib/limits.glsl"
 #include "lib/dispatch.glsl"

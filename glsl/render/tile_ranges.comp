@@ -2,7 +2,7 @@
 #extension GL_GOOGLE_include_directive : require
 
 // First and last + 1 instance of each tile in the tile-sorted instances. Tiles without instances keep their zeros; the
-// sentinel id (one past the last tile) is ignored. Twin: engine/src/render/tiles.rs.
+// sentinel id (one past the last tile) is ignored.
 
 #include "lib/frame.glsl"
 #include "lib/limits.glsl"

@@ -7,7 +7,7 @@
 #extension GL_KHR_shader_subgroup_vote : require
 
 // What the other kernels take for granted of a device: the size and the order of subgroups, what the operations within
-// them give, and sums by many workgroups into the same words. Twin: engine/src/self_test/subgroup_order.rs.
+// them give, and sums by many workgroups into the same words.
 
 #include "lib/dispatch.glsl"
 #include "lib/subgroup.glsl"

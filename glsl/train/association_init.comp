@@ -3,7 +3,6 @@
 
 // First assignment and logits, after nearest_superpoints has filled rows that remembered nothing: every Gaussian moves
 // with its nearest superpoint, whose logit is push.logit where the rule of push.paper says so; all others keep 0.1.
-// Twin: engine/src/train/association/nearest.rs.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 

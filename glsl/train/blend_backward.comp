@@ -1,5 +1,5 @@
 // Backward of `blend` without float atomics: see lib/blend_backward.glsl. ACCUMULATE 0: rows of instances, each written once;
-// 2: rows of Gaussians, added by compare-and-swap. Twin: engine/src/train/blend_backward.rs.
+// 2: rows of Gaussians, added by compare-and-swap.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require

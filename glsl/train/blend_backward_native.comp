@@ -1,5 +1,5 @@
 // Backward of `blend` with the device's own float atomics (a module of its own, because it needs their capability): see
-// lib/blend_backward.glsl. Twin: engine/src/train/blend_backward.rs.
+// lib/blend_backward.glsl.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require

@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 
-// Counts the floats that are not finite and finds the first. Twin: engine/src/train/finite.rs.
+// Counts the floats that are not finite and finds the first.
 
 #include "lib/dispatch.glsl"
 

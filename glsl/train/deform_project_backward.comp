@@ -345,7 +345,7 @@ void main() {
     uint g = workgroup_index() * 128u + gl_LocalInvocationIndex;
     uint n = frame.gaussians;
     if (g < n && counters[COUNT_FAILED] == 0u) {
-        Target t = Target(g, n, step_data.adam, step_data.bias_gaussians, true);
+        Target t = Target(g, n, adam_of_step(), step_data.bias_gaussians, true);
         vec3 canonical = vec3(mean[g], mean[n + g], mean[2u * n + g]);
         bool visible = tile_count[g] > 0u;
         vec3 d = vec3(0.0, 0.0, 1.0);

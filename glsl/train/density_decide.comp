@@ -6,7 +6,6 @@
 #extension GL_KHR_shader_subgroup_vote : require
 
 // What becomes of each Gaussian: pruned, kept, cloned or split. Counts, and new rows per block of 256.
-// Twin: engine/src/train/density/decide.rs.
 
 #include "lib/dispatch.glsl"
 #include "lib/subgroup.glsl"

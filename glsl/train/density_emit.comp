@@ -5,7 +5,7 @@
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #extension GL_KHR_shader_subgroup_vote : require
 
-// Where each new row comes from: old row and kind, in the order of the old rows. Twin: engine/src/train/density/emit.rs.
+// Where each new row comes from: old row and kind, in the order of the old rows.
 
 #include "lib/dispatch.glsl"
 #include "lib/subgroup.glsl"

@@ -6,7 +6,7 @@
 #extension GL_KHR_shader_subgroup_vote : require
 
 // One digit of the selection of the Gaussians that may grow within the budget: counts the values of 11 bits of their keys.
-// The key is the gradient's bits, or, to break a tie, the inverted index. Twin: engine/src/train/density/decide.rs.
+// The key is the gradient's bits, or, to break a tie, the inverted index.
 
 #include "lib/dispatch.glsl"
 #include "lib/density.glsl"

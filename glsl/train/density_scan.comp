@@ -5,7 +5,7 @@
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #extension GL_KHR_shader_subgroup_vote : require
 
-// Exclusive prefix sum of row_block, in place. One workgroup. Twin: engine/src/train/density/emit.rs.
+// Exclusive prefix sum of row_block, in place. One workgroup.
 
 #include "lib/subgroup.glsl"
 

@@ -5,7 +5,7 @@
 
 // One round of farthest-point sampling over 1,024 points per workgroup: every workgroup finds the point farthest from
 // those chosen so far among the candidates of the round before, takes the distance of its points to it, and leaves its
-// own candidate for the next round. Twin: engine/src/train/farthest_point.rs.
+// own candidate for the next round.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 

@@ -2,7 +2,6 @@
 #extension GL_GOOGLE_include_directive : require
 
 // Copies rows of an array of 32-bit words to their new places: word plane * rows * width + row * width + component.
-// Twin: engine/src/train/density/rows.rs.
 
 #include "lib/dispatch.glsl"
 #include "lib/density.glsl"

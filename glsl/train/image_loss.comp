@@ -6,7 +6,7 @@
 
 // Gradient of (1 - lambda) L1 + lambda (1 - SSIM) by the rendered image, and the sums of L1 and MSE. Through SSIM it is
 //   G*(dS/dmu_x) + 2 x G*(dS/dE[x^2 + y^2]) + 2 (x - y) G*(dS/dE[d^2])
-// with G* the convolution with the (symmetric) window. Twin: engine/src/train/image_loss/gradient.rs.
+// with G* the convolution with the (symmetric) window.
 
 layout(local_size_x = 128) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;

@@ -4,7 +4,6 @@
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
 // The image loss from the partial sums of its workgroups, in a fixed order. One workgroup.
-// Twin: engine/src/train/image_loss/sum.rs.
 
 layout(local_size_x = 256) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;

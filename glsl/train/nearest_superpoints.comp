@@ -6,7 +6,7 @@
 
 // The K nearest superpoints of each Gaussian in canonical space, exact, nearest first, ties by lowest index; the row of
 // remembered superpoints is brought up to date (in use first, then those that left, latest first); softmax of the logits;
-// pairs (superpoint, slot and Gaussian) for the sort. Twin: engine/src/train/association/nearest.rs.
+// pairs (superpoint, slot and Gaussian) for the sort.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 

@@ -3,7 +3,7 @@
 #extension GL_EXT_control_flow_attributes : require
 
 // Backward of the paper's property losses through both reconstructions: logits (with Adam), each Gaussian's own pose and
-// its mean. Twin: engine/src/train/property_loss/backward.rs.
+// its mean.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 

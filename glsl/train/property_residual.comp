@@ -7,7 +7,6 @@
 // Property reconstruction losses: how far each Gaussian's position, so(3) vector and translation are from the weighted
 // mean of its neighbouring superpoints' properties. Writes the residuals scaled to gradients, and sums of squares per
 // workgroup. In the code's form (superpoints' properties are network F's outputs) the logits are updated here.
-// Twin: engine/src/train/property_loss/residual.rs.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 layout(constant_id = 3) const uint PAPER = 0u; // superpoints' properties are means over Gaussians (property_sum)

@@ -4,7 +4,7 @@
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
 // Property losses of the step from the workgroups' sums of squares: position, rotation, translation (means over
-// components), and the weighted total. One workgroup. Twin: engine/src/train/property_loss/residual.rs.
+// components), and the weighted total. One workgroup.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 

@@ -2,7 +2,7 @@
 #extension GL_GOOGLE_include_directive : require
 
 // The properties of each Gaussian (paper's form of the property losses): position at the step's time, so(3) vector and
-// translation of its superpoint, as 9 planes. Twin: engine/src/train/property_loss/backward.rs.
+// translation of its superpoint, as 9 planes.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 

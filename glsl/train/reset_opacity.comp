@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 
-// Lowers every opacity to a limit and clears its moments. Twin: engine/src/train/density/rows.rs.
+// Lowers every opacity to a limit and clears its moments.
 
 #include "lib/dispatch.glsl"
 

@@ -2,7 +2,6 @@
 #extension GL_GOOGLE_include_directive : require
 
 // The two children of a split Gaussian: centres drawn from the parent's normal distribution, scales divided by 1.6.
-// Twin: engine/src/train/density/rows.rs.
 
 #include "lib/dispatch.glsl"
 #include "lib/density.glsl"

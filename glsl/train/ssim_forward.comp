@@ -7,7 +7,7 @@
 // SSIM of each pixel and channel and its derivatives by the local moments. With d = x - y,
 //   SSIM = l c,  l = 1 - mu_d^2 / (mu_x^2 + mu_y^2 + C1),  c = 1 - var(d) / (var(x) + var(y) + C2),
 // which is the usual form with 2 mu_x mu_y = mu_x^2 + mu_y^2 - mu_d^2 and the same for the covariance: four moments instead
-// of five, and no cancellation where the images are alike. Twin: engine/src/train/image_loss/ssim_forward.rs.
+// of five, and no cancellation where the images are alike.
 
 layout(local_size_x = 128) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;

@@ -1,6 +1,6 @@
 // Adds the rows of a Gaussian's instances, in slot order, into its row: together with the stores of blend_backward
 // (ACCUMULATE 0) a sum without atomics that has the same bits on every run. Three threads per Gaussian, a vec4 each:
-// neighbouring threads read neighbouring words. Twin: engine/src/train/blend_backward/twin.rs.
+// neighbouring threads read neighbouring words.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 

@@ -2,7 +2,7 @@
 #extension GL_GOOGLE_include_directive : require
 
 // End of a step: the assignment and the superpoint centres that the next step uses. A superpoint that no Gaussian has as
-// a neighbour keeps its place. Nothing changes when the forward pass failed. Twin: engine/src/train/association/update.rs.
+// a neighbour keeps its place. Nothing changes when the forward pass failed.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 

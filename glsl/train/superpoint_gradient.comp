@@ -2,7 +2,7 @@
 #extension GL_GOOGLE_include_directive : require
 
 // dL/d(r, translation) of each superpoint: rendering plus property losses; left tangents become gradients of the so(3)
-// vector by the transposed left Jacobian. Twin: engine/src/train/association/update.rs.
+// vector by the transposed left Jacobian.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 layout(constant_id = 1) const uint PROPERTIES = 1u; // 0: rendering only; 1: the code's property losses; 2: the paper's

@@ -6,7 +6,7 @@
 
 // Sums over the Gaussians of each superpoint, one workgroup per superpoint, in a fixed order: weighted by the association
 // over all Gaussians that have it as a neighbour, unweighted over those that move with it. Pairs come sorted by superpoint,
-// then slot, then Gaussian. Twin: engine/src/train/association/segment.rs.
+// then slot, then Gaussian.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 layout(constant_id = 1) const uint MOMENTS = 1u;     // sum a and a * mean

@@ -12,7 +12,7 @@ use engine::train::linear::{self, LinearConstants, Output, Stage};
 use engine::train::network_f::encode_superpoints::*;
 use engine::train::network_g::encode_gaussians::*;
 use engine::train::status;
-use engine::train::step::{Adam, Step, bias_corrections};
+use engine::train::step::{Step, bias_corrections};
 use tests_harness::render_case::{Random, RenderInput, test_camera};
 use tests_harness::{KernelCase, TestGpu};
 
@@ -27,12 +27,11 @@ fn step() -> Step {
     Step {
         rate_network_f: 1e-2,
         rate_network_g: 2e-2,
-        adam: Adam::USUAL,
         bias_network_f: bias,
         bias_network_g: bias,
         time: 0.37,
         exact_time: 0.37,
-        ..Step::default()
+        ..Step::with_usual_adam()
     }
 }
 

@@ -13,7 +13,7 @@ use engine::train::linear::{Output, Stage};
 use engine::train::network_f::{self, NetworkF};
 use engine::train::network_g::{self, NetworkG};
 use engine::train::status;
-use engine::train::step::{Adam, Step, bias_corrections};
+use engine::train::step::{Step, bias_corrections};
 use glam::{DMat3, DVec3};
 use tests_harness::gradient::assert_gradients_close;
 use tests_harness::render_case::{Random, RenderInput, test_camera};
@@ -26,12 +26,11 @@ fn step(time: f32) -> Step {
     Step {
         rate_network_f: 1e-3,
         rate_network_g: 1e-3,
-        adam: Adam::USUAL,
         bias_network_f: bias,
         bias_network_g: bias,
         time,
         exact_time: time,
-        ..Step::default()
+        ..Step::with_usual_adam()
     }
 }
 

@@ -208,7 +208,7 @@ mod tests {
     #[test]
     fn is_176_bytes_in_std430_order() {
         assert_eq!(size_of::<Frame>(), 176);
-        assert_eq!(Frame::FIELDS[10], ("size", 128));
+        assert_eq!(Frame::FIELDS[11], ("size", 128));
     }
 
     #[test]

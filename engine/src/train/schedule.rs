@@ -2,7 +2,7 @@
 //! code counts). Resuming needs nothing but that number.
 
 use super::config::{Config, decayed};
-use super::step::{Adam, Step, bias_corrections};
+use super::step::{Step, bias_corrections};
 
 /// The part of the method that a run is in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -183,12 +183,10 @@ impl Schedule {
             time: time[0] as f32,
             exact_time: time[1] as f32,
             density_statistics: f32::from(u8::from(self.density_statistics(iteration))),
-            adam: Adam {
-                beta_1: c.adam.beta_1 as f32,
-                beta_2: c.adam.beta_2 as f32,
-                epsilon: c.adam.epsilon as f32,
-                unused: 0.0,
-            },
+            beta_1: c.adam.beta_1 as f32,
+            beta_2: c.adam.beta_2 as f32,
+            epsilon: c.adam.epsilon as f32,
+            unused: 0.0,
             bias_gaussians: all,
             bias_network_f: motion,
             bias_association: motion,

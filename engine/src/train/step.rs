@@ -1,20 +1,6 @@
 //! What a training step is, as the kernels see it: the Rust mirror of `glsl/lib/step.glsl`.
 
 crate::gpu_struct! {
-    /// Adam's constants.
-    pub struct Adam {
-        /// Decay of the first moment.
-        pub beta_1: f32,
-        /// Decay of the second moment.
-        pub beta_2: f32,
-        /// Added to the root of the second moment.
-        pub epsilon: f32,
-        /// To 16 bytes.
-        pub unused: f32,
-    }
-}
-
-crate::gpu_struct! {
     /// Counts, learning rates, Adam's corrections and loss weights of one step; written by the host before it. Corrections:
     /// 1/(1−β₁ᵗ), 1/√(1−β₂ᵗ).
     pub struct Step {
@@ -58,8 +44,14 @@ crate::gpu_struct! {
         pub exact_time: f32,
         /// Whether density statistics are kept, 1 or 0.
         pub density_statistics: f32,
-        /// Adam's constants.
-        pub adam: Adam,
+        /// Adam's decay of the first moment.
+        pub beta_1: f32,
+        /// Adam's decay of the second moment.
+        pub beta_2: f32,
+        /// Adam's ε, added to the root of the second moment.
+        pub epsilon: f32,
+        /// To a multiple of 16 bytes.
+        pub unused: f32,
         /// Corrections of the Gaussians.
         pub bias_gaussians: [f32; 2],
         /// Corrections of network F.
@@ -71,12 +63,12 @@ crate::gpu_struct! {
     }
 }
 
-impl Adam {
-    /// The usual constants of training Gaussians: 0.9, 0.999, 1e-15 (3D Gaussian Splatting).
-    pub const USUAL: Self = Self { beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, unused: 0.0 };
-}
-
 impl Step {
+    /// The usual constants of Adam for Gaussians, 0.9, 0.999, 1e-15 (3D Gaussian Splatting), and zeros.
+    pub fn with_usual_adam() -> Self {
+        Self { beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, ..Self::default() }
+    }
+
     /// λ of the property losses: position, rotation, translation.
     pub fn property_weights(&self) -> [f32; 3] {
         [self.weight_position, self.weight_rotation, self.weight_translation]

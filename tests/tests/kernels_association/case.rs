@@ -6,7 +6,7 @@ use engine::reference::gradient::association::nearest;
 use engine::train::association::*;
 use engine::train::property_loss::PropertyLoss;
 use engine::train::status;
-use engine::train::step::{Adam, Step, bias_corrections};
+use engine::train::step::{Step, bias_corrections};
 use glam::DVec3;
 use tests_harness::TestGpu;
 
@@ -71,13 +71,12 @@ impl Case {
             neighbors: slots,
             iteration: 7,
             rate_association: 1e-2,
-            adam: Adam::USUAL,
             bias_association: bias_corrections(0.9, 0.999, 3),
             weight_dssim: 0.2,
             weight_position: 1e-3,
             weight_rotation: 100.0,
             weight_translation: 10.0,
-            ..Step::default()
+            ..Step::with_usual_adam()
         };
         Self {
             mean: (0..n).map(|_| rng.vector()).collect(),

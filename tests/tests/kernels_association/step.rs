@@ -136,7 +136,7 @@ impl Dense {
         for (at, g) in gradient.iter().enumerate() {
             dense[at / k * self.m + near[at] as usize] = *g;
         }
-        let (b1, b2) = (f64::from(step.adam.beta_1), f64::from(step.adam.beta_2));
+        let (b1, b2) = (f64::from(step.beta_1), f64::from(step.beta_2));
         for (at, g) in dense.into_iter().enumerate() {
             let [first, second] = &mut self.moments[at];
             *first = b1 * *first + (1.0 - b1) * g;

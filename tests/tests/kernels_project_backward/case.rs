@@ -8,7 +8,7 @@ use engine::train::deform_project_backward::{
     DeformProjectBackwardConstants, OUTPUT_GRADIENT, parameter_planes,
 };
 use engine::train::status;
-use engine::train::step::{Adam, Step, bias_corrections};
+use engine::train::step::{Step, bias_corrections};
 use tests_harness::KernelCase;
 use tests_harness::render_case::{Random, RenderInput};
 
@@ -37,10 +37,9 @@ pub(super) fn step(statistics: bool) -> Step {
         rate_opacity_logit: 5e-2,
         rate_sh_0: 2.5e-3,
         rate_sh_rest: 1.25e-4,
-        adam: Adam::USUAL,
         bias_gaussians: bias,
         density_statistics: f32::from(u8::from(statistics)),
-        ..Step::default()
+        ..Step::with_usual_adam()
     }
 }
 

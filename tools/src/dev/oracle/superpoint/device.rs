@@ -9,7 +9,7 @@ use engine::train::network_f::{Backward, NetworkF};
 use engine::train::property_loss::PropertyLoss;
 use engine::train::property_loss::property_values::{PROPERTY_VALUES, PropertyValuesBuffers};
 use engine::train::status;
-use engine::train::step::{Adam, Step};
+use engine::train::step::Step;
 
 use super::case::Case;
 use super::reference;
@@ -47,7 +47,7 @@ impl Device<'_> {
             superpoints: m as u32,
             neighbors: self.case.neighbors as u32,
             iteration: 1,
-            adam: Adam { epsilon: 1.0, ..Adam::default() },
+            epsilon: 1.0,
             bias_association: [1.0; 2],
             weight_position: lambda[0],
             weight_rotation: lambda[1],
