@@ -70,7 +70,7 @@
 //!
 //! [`gpu::kernel::Kernel`] names the GLSL file, push constants, bindings with what is done to them, CPU twin, tolerance and
 //! bytes moved. From it follow the pipeline, the check against the SPIR-V (names, access, layouts, constants), the
-//! barriers, the GPU-against-twin test, the bench row and the table of `spgs-dev docs`. To add one: `glsl/<name>.comp`, a
+//! barriers, the GPU-against-twin test, the bench row and the table of `spgs-dev docs`. To add one: `glsl/<folder>/<name>.comp`, a
 //! `static` beside its twin in [`render`] or [`train`], a line in that module's `KERNELS`, and `spgs-dev spirv`. Kernels,
 //! twins and buffers are public for tests and tools, but no part of the interface: these pages do not show them.
 //!

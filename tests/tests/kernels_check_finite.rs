@@ -1,0 +1,33 @@
+//! `check_finite` on the device against its twin.
+
+use engine::train::check_finite::*;
+use tests_harness::render_case::Random;
+use tests_harness::{KernelCase, widths};
+
+#[test]
+fn what_is_not_finite_is_counted_and_the_first_is_named() {
+    let gpu = tests_harness::gpu();
+    widths::assert_lanes(&gpu);
+    let mut r = Random(3);
+    let nasty = [f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
+    let fine = [0.0, -0.0, f32::MAX, f32::MIN, f32::MIN_POSITIVE, f32::from_bits(1)];
+    for count in [1_u32, 7, 255, 256, 1023, 1024, 1025, 5000] {
+        // From none on; the last value belongs to nobody and must not be looked at.
+        for bad in [0, 1, count / 3] {
+            let mut values: Vec<f32> = (0..=count).map(|i| fine[i as usize % fine.len()] * r.range(0.0, 1.0)).collect();
+            let mut places: Vec<u32> = (0..bad).map(|_| (r.unit() * count as f32) as u32 % count).collect();
+            places.iter().for_each(|&at| values[at as usize] = nasty[at as usize % nasty.len()]);
+            values[count as usize] = f32::NAN;
+            places.sort_unstable();
+            places.dedup();
+            let buffers =
+                CheckFiniteBuffers { values: values.iter().map(|v| v.to_bits()).collect(), found: vec![0, u32::MAX] };
+            let groups = count.div_ceil(CHECK_FINITE_FLOATS);
+            let case =
+                KernelCase { kernel: &CHECK_FINITE, constants: (), push: CheckFinitePush { count }, buffers, groups };
+            let found = case.check(&gpu, &format!("{bad} of {count}")).found;
+            let first = places.first().copied().unwrap_or(u32::MAX);
+            assert_eq!(found, [places.len() as u32, first], "{bad} of {count}");
+        }
+    }
+}
