@@ -1,5 +1,6 @@
-//! Which test runs which kernels, and for how long: one JSON object per device and line, appended to the file that
-//! `SPGS_TEST_COVERAGE` names. `spgs-dev mutants` chooses by it the tests that can see a fault.
+//! Which test runs which kernels, at which subgroup size, and for how long: one JSON object per device and line, appended to the
+//! file that `SPGS_TEST_COVERAGE` names. `spgs-dev mutants` chooses by it the tests that can see a fault, and the gate sees that
+//! no kernel goes without a case against its twin (`tests/kernel_coverage.rs`).
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -23,14 +24,16 @@ pub(crate) fn compared(kernel: &Kernel) {
 ///
 /// # Panics
 /// When the file cannot be written.
-pub(crate) fn write(gpu: &Gpu, opened: Instant) {
+pub(crate) fn write(gpu: &Gpu, lanes: u32, opened: Instant) {
     let Some(path) = std::env::var_os("SPGS_TEST_COVERAGE") else { return };
     let line = serde_json::json!({
         "test": std::thread::current().name(),
         "compared": COMPARED.take(),
+        "lanes": lanes,
         "kernels": gpu.compiled_names(),
         "seconds": opened.elapsed().as_secs_f64(),
     });
     let mut file = std::fs::OpenOptions::new().append(true).create(true).open(path).unwrap();
-    writeln!(file, "{line}").unwrap();
+    // In one write: other tests write at the same time.
+    file.write_all(format!("{line}\n").as_bytes()).unwrap();
 }

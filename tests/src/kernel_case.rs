@@ -7,7 +7,6 @@ use engine::gpu::proof;
 pub use engine::gpu::proof::{POISON, SENTINEL_BYTES};
 
 use crate::coverage;
-use crate::kernel_log;
 use crate::model::{self, Options};
 
 /// Input of one comparison.
@@ -57,7 +56,6 @@ impl<I: Interface> KernelCase<I> {
             return self.run_model(&options);
         }
         let kernel = self.kernel;
-        kernel_log::note(kernel, gpu.subgroup_size());
         KernelResult::of(kernel, self.into_words().run(gpu).unwrap_or_else(|error| panic!("{error}")))
     }
 

@@ -4,7 +4,6 @@ pub mod compare;
 mod coverage;
 pub mod gradient;
 pub mod kernel_case;
-pub mod kernel_log;
 pub mod model;
 pub mod planted;
 pub mod posed;
@@ -58,7 +57,7 @@ impl std::ops::Deref for TestGpu {
 
 impl Drop for TestGpu {
     fn drop(&mut self) {
-        coverage::write(&self.0, self.1);
+        coverage::write(&self.0, self.subgroup_size(), self.1);
         let messages = self.0.take_validation_messages();
         if !messages.is_empty() && !std::thread::panicking() {
             panic!("the validation layer reported {} messages, first: {}", messages.len(), messages[0]);

@@ -313,6 +313,7 @@ macro_rules! kernel {
         bytes: $bytes:expr $(,)?
     }) => {
         #[doc = concat!("What [`", stringify!($KERNEL), "`] is given.")]
+        #[doc(hidden)]
         #[derive(Debug, Clone, Copy)]
         pub struct $interface;
         impl $crate::gpu::interface::Interface for $interface {

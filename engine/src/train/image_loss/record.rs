@@ -19,7 +19,7 @@ pub struct LossPassBuffers<'a> {
     pub target: &'a Buffer,
     /// `vec4[H·W]` result: gradient by the channels, w = 0.
     pub image_gradient: &'a Buffer,
-    /// float[[`LOSS_WORDS`]] result.
+    /// `float[LOSS_WORDS]`: see [`super::image_loss_sum`].
     pub loss: &'a Buffer,
     /// Reports of numbers that are not finite.
     pub status: &'a Buffer,
