@@ -2,7 +2,7 @@
 //! ([`engine::gpu::proof`]), with panics for tests.
 
 use engine::gpu::Gpu;
-use engine::gpu::interface::{Interface, KernelOf};
+use engine::gpu::interface::{Interface, KernelOf, of_words};
 use engine::gpu::proof;
 pub use engine::gpu::proof::{POISON, SENTINEL_BYTES};
 
@@ -87,7 +87,7 @@ impl<I: Interface> KernelCase<I> {
 impl<I: Interface> KernelResult<I> {
     fn of(kernel: &'static KernelOf<I>, result: proof::KernelResult) -> Self {
         let mismatch = result.mismatch().map(|m| m.why());
-        Self { kernel, gpu: proof::named::<I>(result.gpu), twin: proof::named::<I>(result.twin), mismatch }
+        Self { kernel, gpu: of_words::<I>(result.gpu), twin: of_words::<I>(result.twin), mismatch }
     }
 
     /// Asserts that every buffer agrees: integers bit for bit, floats within the kernel's tolerance.

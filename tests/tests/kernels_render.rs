@@ -1,6 +1,6 @@
 //! `deform_project`, `blend` and `deform_network` on the device against their twins.
 
-use engine::gpu::interface::{Buffers, Constants as _};
+use engine::gpu::interface::{Buffers, Constants as _, of_words};
 use engine::gpu::kernel::TwinCall;
 use engine::gpu::{Kernel, proof};
 use engine::image::difference;
@@ -246,7 +246,7 @@ fn twins_that_store_to_an_image_store_what_those_of_buffers_do() {
         let spec = [&[size], &constants.to_words()[..]].concat();
         (kernel.twin)(&mut TwinCall { groups: [case.groups, 1, 1], spec: &spec, push: &[0; 8], buffers: &mut words });
         let picture = words.pop().unwrap();
-        let image_depth = proof::named::<BlendRgba8>(words).depth;
+        let image_depth = of_words::<BlendRgba8>(words).depth;
         let (pixels, depth) = if format == PixelFormat::Rgba32F {
             let done = BLEND.run_twin(size, case.constants, (), case.buffers, case.groups);
             (done.color, done.depth)

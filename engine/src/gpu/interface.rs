@@ -11,7 +11,7 @@ use super::kernel::{Binding, Field, Kernel, TwinCall};
 
 /// A plain-data struct shared with GLSL. Made by [`gpu_struct!`](crate::gpu_struct); `()` for none.
 pub trait GpuStruct: bytemuck::Pod {
-    /// Name and byte offset of each member.
+    /// Name and byte offset of each member, checked against the SPIR-V.
     const MEMBERS: &'static [Field];
 }
 
@@ -78,9 +78,7 @@ impl<I: Interface> KernelOf<I> {
     pub const fn new(kernel: Kernel) -> Self {
         Self { kernel, interface: std::marker::PhantomData }
     }
-}
 
-impl<I: Interface> KernelOf<I> {
     /// What the twin makes of these buffers.
     pub fn run_twin(
         &self,
@@ -91,14 +89,23 @@ impl<I: Interface> KernelOf<I> {
         groups: u32,
     ) -> I::Buffers<Vec<u32>> {
         let spec = [&[subgroup_size], &constants.to_words()[..]].concat();
-        let buffers = buffers.into_list();
-        let present: Vec<bool> = buffers.iter().map(Option::is_some).collect();
-        let mut buffers: Vec<Vec<u32>> = buffers.into_iter().map(Option::unwrap_or_default).collect();
+        let mut buffers = into_words::<I>(buffers);
         let push = bytemuck::bytes_of(&push);
         (self.twin)(&mut TwinCall { groups: [groups, 1, 1], spec: &spec, push, buffers: &mut buffers });
-        let take = |i: usize| buffers.get_mut(i).map(std::mem::take).unwrap_or_default();
-        I::Buffers::from_fn(|i| present.get(i).copied().unwrap_or(false), take)
+        of_words::<I>(buffers)
     }
+}
+
+/// Words of each buffer in binding order; none of an absent one.
+pub(super) fn into_words<I: Interface>(buffers: I::Buffers<Vec<u32>>) -> Vec<Vec<u32>> {
+    buffers.into_list().into_iter().map(Option::unwrap_or_default).collect()
+}
+
+/// The buffers by name; an optional one without words is absent.
+pub fn of_words<I: Interface>(mut words: Vec<Vec<u32>>) -> I::Buffers<Vec<u32>> {
+    let present: Vec<bool> = words.iter().map(|words| !words.is_empty()).collect();
+    let take = |i: usize| words.get_mut(i).map(std::mem::take).unwrap_or_default();
+    I::Buffers::from_fn(|i| present.get(i).copied().unwrap_or(false), take)
 }
 
 impl<I: Interface> Deref for KernelOf<I> {
@@ -181,13 +188,9 @@ macro_rules! gpu_struct {
         #[repr(C)]
         #[derive(Debug, Clone, Copy, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
         pub struct $name { $($(#[$fmeta])* pub $field: $ty),* }
-        impl $name {
-            /// Name and byte offset of each member, checked against the SPIR-V.
-            pub const FIELDS: &'static [$crate::gpu::kernel::Field] =
-                &[$((stringify!($field), std::mem::offset_of!($name, $field) as u32)),*];
-        }
         impl $crate::gpu::interface::GpuStruct for $name {
-            const MEMBERS: &'static [$crate::gpu::kernel::Field] = Self::FIELDS;
+            const MEMBERS: &'static [$crate::gpu::kernel::Field] =
+                &[$((stringify!($field), std::mem::offset_of!($name, $field) as u32)),*];
         }
     };
 }

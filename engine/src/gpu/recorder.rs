@@ -170,8 +170,8 @@ impl Recorder {
         self.record_dispatch(label, &kernel.kernel, &spec, push, &buffers, groups)
     }
 
-    /// A dispatch without names: `spec` holds the specialisation constants from id 1 on. Of what is absent the watch, the barriers and the checks know nothing but that a
-    /// kernel could write to its stand-in.
+    /// A dispatch without names: `spec` holds the specialisation constants from id 1 on. Of what is absent the watch, the
+    /// barriers and the checks know nothing but that a kernel could write to its stand-in.
     pub(in crate::gpu) fn record_dispatch(
         &mut self,
         label: &str,

@@ -199,6 +199,7 @@ fn check_finite(what: &str, values: &[f64]) -> Result<()> {
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
+    use crate::gpu::interface::GpuStruct as _;
     use glam::{DMat3, DVec3};
 
     fn camera() -> Camera {
@@ -208,7 +209,7 @@ mod tests {
     #[test]
     fn is_176_bytes_in_std430_order() {
         assert_eq!(size_of::<Frame>(), 176);
-        assert_eq!(Frame::FIELDS[11], ("size", 128));
+        assert_eq!(Frame::MEMBERS[11], ("size", 128));
     }
 
     #[test]

@@ -207,7 +207,7 @@ impl Deformation {
         }
     }
 
-    /// Refuses arrays that do not fit together, for a scene of `gaussians`. What a device can bear is not looked at: numbers
+    /// Rejects arrays that do not fit together, for a scene of `gaussians`. What a device can bear is not looked at: numbers
     /// that are not finite.
     ///
     /// # Errors
@@ -221,7 +221,7 @@ impl Deformation {
         }
     }
 
-    /// Refuses what no model file may hold: arrays that do not fit together, numbers that are not finite, key times that do
+    /// Rejects what no model file may hold: arrays that do not fit together, numbers that are not finite, key times that do
     /// not increase.
     ///
     /// # Errors

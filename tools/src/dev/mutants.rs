@@ -11,5 +11,6 @@ mod lexer;
 mod plant;
 mod results;
 mod sites;
+mod store;
 mod suite;
 pub mod task;

@@ -3,7 +3,7 @@
 use super::compare::{Mismatch, compare};
 use super::{POISON, words_of};
 use crate::error::{Error, Result};
-use crate::gpu::interface::{Buffers as _, Constants as _, Interface, KernelOf};
+use crate::gpu::interface::{Constants as _, Interface, KernelOf, into_words};
 use crate::gpu::kernel::{Access, Binding, Kernel, TwinCall};
 use crate::gpu::{Buffer, Gpu, Groups, Slice};
 
@@ -80,7 +80,7 @@ impl KernelCase {
             kernel: &kernel.kernel,
             spec: constants.to_words(),
             push: bytemuck::bytes_of(&push).to_vec(),
-            buffers: buffers.into_list().into_iter().map(Option::unwrap_or_default).collect(),
+            buffers: into_words::<I>(buffers),
             groups,
         }
     }
@@ -152,11 +152,4 @@ impl KernelResult {
     pub fn mismatch(&self) -> Option<Mismatch> {
         compare(self.kernel, self.kernel.name, &self.gpu, &self.twin)
     }
-}
-
-/// The buffers of a result by name; of an optional one that was absent, none.
-pub fn named<I: Interface>(mut lists: Vec<Vec<u32>>) -> I::Buffers<Vec<u32>> {
-    let present: Vec<bool> = lists.iter().map(|words| !words.is_empty()).collect();
-    let take = |i: usize| lists.get_mut(i).map(std::mem::take).unwrap_or_default();
-    I::Buffers::from_fn(|i| present.get(i).copied().unwrap_or(false), take)
 }

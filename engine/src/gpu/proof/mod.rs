@@ -8,7 +8,7 @@ mod case;
 mod compare;
 mod watch;
 
-pub use case::{KernelCase, KernelResult, SENTINEL_BYTES, named};
+pub use case::{KernelCase, KernelResult, SENTINEL_BYTES};
 pub use compare::Mismatch;
 pub use watch::Watch;
 

@@ -8,6 +8,7 @@ use std::time::{Duration, UNIX_EPOCH};
 use engine::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 
+use super::store;
 use super::suite::{self, Binary, Verdict};
 
 /// What one test does.
@@ -40,14 +41,9 @@ const LIMIT: Duration = Duration::from_secs(1800);
 
 impl Coverage {
     /// # Errors
-    /// `Corrupt` when the file is none of ours.
+    /// `Io`; `Corrupt` when the file is none of ours.
     pub(super) fn open(path: &Path) -> Result<Self> {
-        let known = match std::fs::read_to_string(path) {
-            Ok(text) => serde_json::from_str(&text)
-                .map_err(|e| Error::corrupt(path, format!("line {}", e.line()), e.to_string(), "coverage"))?,
-            Err(_) => BTreeMap::new(),
-        };
-        Ok(Self { path: path.to_owned(), known })
+        Ok(Self { path: path.to_owned(), known: store::read(path, "coverage")? })
     }
 
     /// The tests of a binary that open a device. Runs them if that is not known of this build.
@@ -59,14 +55,9 @@ impl Coverage {
         if self.known.get(&binary.name).is_none_or(|known| known.built != built) {
             let tests = ask(binary)?;
             self.known.insert(binary.name.clone(), Known { built, tests });
-            self.save()?;
+            store::write(&self.path, &self.known)?;
         }
         Ok(self.known.get(&binary.name).map_or(&[], |known| &known.tests))
-    }
-
-    fn save(&self) -> Result<()> {
-        let text = serde_json::to_string_pretty(&self.known).map_err(|e| Error::io(&self.path, "encode", e.into()))?;
-        std::fs::write(&self.path, text).map_err(|e| Error::io(&self.path, "write", e))
     }
 }
 
@@ -90,8 +81,9 @@ fn ask(binary: &Binary) -> Result<Vec<Test>> {
     let text = std::fs::read_to_string(&log).unwrap_or_default();
     let mut tests = BTreeMap::<String, Test>::new();
     for line in text.lines() {
+        let one: serde_json::Value = serde_json::from_str(line)
+            .map_err(|e| Error::corrupt(&log, "a line", e.to_string(), "what a test wrote"))?;
         // A test on the main thread of a program has no name.
-        let Ok(one) = serde_json::from_str::<serde_json::Value>(line) else { continue };
         let Some(name) = one["test"].as_str() else { continue };
         let test = tests.entry(name.to_owned()).or_insert_with(|| Test { name: name.to_owned(), ..Test::default() });
         test.compared.extend(names(&one["compared"]));

@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use engine::error::{Error, Result};
+use engine::error::Result;
 use serde::{Deserialize, Serialize};
+
+use super::store;
 
 /// What became of a mutant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -40,14 +42,9 @@ pub(super) struct Results {
 
 impl Results {
     /// # Errors
-    /// `Corrupt` when the file is none of ours.
+    /// `Io`; `Corrupt` when the file is none of ours.
     pub(super) fn open(path: &Path) -> Result<Self> {
-        let records = match std::fs::read_to_string(path) {
-            Ok(text) => serde_json::from_str(&text)
-                .map_err(|e| Error::corrupt(path, format!("line {}", e.line()), e.to_string(), "results of mutants"))?,
-            Err(_) => BTreeMap::new(),
-        };
-        Ok(Self { path: path.to_owned(), records })
+        Ok(Self { path: path.to_owned(), records: store::read(path, "results of mutants")? })
     }
 
     /// What is known of a mutant; nothing of one that survived older tests.
@@ -61,10 +58,6 @@ impl Results {
     /// `Io` when that cannot be written.
     pub(super) fn insert(&mut self, id: String, record: Record) -> Result<()> {
         self.records.insert(id, record);
-        let text =
-            serde_json::to_string_pretty(&self.records).map_err(|e| Error::io(&self.path, "encode", e.into()))?;
-        let new = self.path.with_extension("new");
-        std::fs::write(&new, text).map_err(|e| Error::io(&new, "write", e))?;
-        std::fs::rename(&new, &self.path).map_err(|e| Error::io(&self.path, "replace", e))
+        store::write(&self.path, &self.records)
     }
 }
