@@ -30,19 +30,24 @@ impl Dependence {
 
     /// The branches that decide whether `block` runs.
     pub(super) fn branches(&self, block: usize) -> impl Iterator<Item = usize> + '_ {
-        bits(&self.sets[block])
+        bits(self.sets[block].iter().copied())
     }
 
     /// Those that decide whether `from` runs but not whether `to` does.
     pub(super) fn left_behind(&self, from: usize, to: usize) -> impl Iterator<Item = usize> + '_ {
-        self.branches(from).filter(move |b| self.sets[to][b / 64] >> (b % 64) & 1 == 0)
+        bits(self.sets[from].iter().zip(&self.sets[to]).map(|(from, to)| from & !to))
     }
 }
 
-fn bits(set: &[u64]) -> impl Iterator<Item = usize> + '_ {
-    set.iter()
-        .enumerate()
-        .flat_map(|(word, bits)| (0..64).filter(move |b| bits >> b & 1 == 1).map(move |b| word * 64 + b))
+/// The bits that are set, from the lowest. This is most of what the analysis does: it goes from one bit to the next.
+fn bits(set: impl Iterator<Item = u64>) -> impl Iterator<Item = usize> {
+    set.enumerate().flat_map(|(word, mut rest)| {
+        std::iter::from_fn(move || {
+            let bit = rest.trailing_zeros() as usize;
+            rest &= rest.wrapping_sub(1);
+            (bit < 64).then_some(word * 64 + bit)
+        })
+    })
 }
 
 /// Adds what the branches of each set depend on themselves.
@@ -50,7 +55,7 @@ fn close(sets: &mut [Vec<u64>]) {
     let mut changed = true;
     while std::mem::take(&mut changed) {
         for block in 0..sets.len() {
-            for branch in bits(&sets[block].clone()) {
+            for branch in bits(sets[block].clone().into_iter()) {
                 let more = sets[branch].clone();
                 for (mine, more) in sets[block].iter_mut().zip(more) {
                     changed |= *mine | more != *mine;
