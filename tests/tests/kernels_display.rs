@@ -99,11 +99,16 @@ fn three() -> Scene {
     Scene { gaussians, ..Scene::default() }
 }
 
+/// Each has pipelines of its own, which take seconds to compile: in small, one.
+fn qualities() -> impl Iterator<Item = Quality> {
+    [Quality::EXACT, Quality::HIGH, Quality::FAST].into_iter().take(if tests_harness::small() { 1 } else { 3 })
+}
+
 #[test]
 fn a_click_finds_what_is_seen_there() {
     let gpu = tests_harness::gpu();
     let camera = Camera::look_at(DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::NEG_Y, 0.6, [200, 100]);
-    for quality in [Quality::EXACT, Quality::HIGH, Quality::FAST] {
+    for quality in qualities() {
         let options = RenderOptions { quality, ..RenderOptions::default() };
         let mut renderer = Renderer::new(&gpu, &three(), &options).unwrap();
         assert_eq!(renderer.pick([1, 1]).unwrap(), None, "before the first frame");
@@ -123,7 +128,7 @@ fn a_click_finds_what_is_seen_there() {
 fn base_colours_replace_those_of_the_scene() {
     let gpu = tests_harness::gpu();
     let camera = Camera::look_at(DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::NEG_Y, 0.6, [64, 32]);
-    for quality in [Quality::EXACT, Quality::HIGH, Quality::FAST] {
+    for quality in qualities() {
         let options = RenderOptions { quality, ..RenderOptions::default() };
         let mut renderer = Renderer::new(&gpu, &three(), &options).unwrap();
         renderer.set_base_colors(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0; 3]]).unwrap();

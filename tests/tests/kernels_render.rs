@@ -67,7 +67,8 @@ fn assert_deform_project(result: &KernelResult<DeformProject>, n: usize, context
 fn deform_project_of_random_gaussians() {
     let gpu = tests_harness::gpu();
     for (i, n) in SIZES.into_iter().enumerate() {
-        let degree = i as u32 % 4;
+        // A degree is another three pipelines; `images_agree_with_the_reference` has all of them.
+        let degree = if tests_harness::small() { 3 } else { i as u32 % 4 };
         let input = RenderInput::random(n, degree, i as u64);
         let frame = input.frame(&test_camera(400, 300));
         assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("static, n = {n}, degree {degree}"));
@@ -166,17 +167,23 @@ fn blend_matches_its_twin() {
         let (splats, tile_count) = twin_splats(&input, &frame);
         for stage in [Stage::Shuffle, Stage::Shared, Stage::Reread] {
             for depth in [0, 1] {
+                if tests_harness::small() && depth == 1 && stage == Stage::Reread {
+                    continue;
+                }
                 let mut lanes = vec![usual];
-                if blend::subtile(size, 2 * usual)[2] <= 16 && usual < 16 {
+                // Each choice is a pipeline, which takes seconds to compile: in small, other sizes of subtiles once.
+                let other_sizes = !tests_harness::small() || (depth == 0 && stage == Stage::Shuffle);
+                if other_sizes && blend::subtile(size, 2 * usual)[2] <= 16 && usual < 16 {
                     lanes.push(2 * usual);
                 }
-                if usual > 1 {
+                if other_sizes && usual > 1 {
                     lanes.push(usual / 2);
                 }
                 for per_lane in lanes {
                     let constants = constants(depth, stage, per_lane);
                     let case = blend_case(&frame, &splats, &tile_count, constants, size);
-                    let slots = (per_lane == usual && depth == 0).then(|| with_slots(case.clone()).run(&gpu));
+                    let with = per_lane == usual && depth == 0 && (!tests_harness::small() || stage == Stage::Shuffle);
+                    let slots = with.then(|| with_slots(case.clone()).run(&gpu));
                     let result = case.run(&gpu);
                     if let Some(slots) = slots {
                         assert_eq!(slots.gpu.color, result.gpu.color, "slots change the image");
