@@ -53,16 +53,6 @@ layout(std430, set = 0, binding = 25) readonly buffer MeanGradientBlock { float 
 #include "lib/place.glsl"
 #include "lib/project_backward.glsl"
 
-// First plane of each parameter in moment_1, moment_2 and gradient.
-const uint PLANE_MEAN = 0u;
-const uint PLANE_LOG_SCALE = 3u;
-const uint PLANE_ROTATION = 6u;
-const uint PLANE_OPACITY_LOGIT = 10u;
-const uint PLANE_SH_0 = 11u;
-const uint PLANE_SH_1 = 14u;
-const uint PLANE_SH_2 = 23u;
-const uint PLANE_SH_3 = 38u;
-
 // The Gaussian's gradients that do not belong to a colour.
 struct Gradient {
     vec3 mean;
@@ -124,7 +114,7 @@ void sh_term_1(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3
     uint at = 3u * k * t.n + t.g;
     vec3 value = vec3(sh_1[at], sh_1[at + t.n], sh_1[at + 2u * t.n]);
     along += db * dot(value, colour);
-    vec3 next = apply3(t, PLANE_SH_1 + 3u * k, value, b * colour, step_data.rate_sh_rest);
+    vec3 next = apply3(t, PLANE_SH_1 + 3u * k, value, b * colour, step_data.rate[PARAMETER_SH_1]);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_1[at] = next.x;
@@ -137,7 +127,7 @@ void sh_term_2(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3
     uint at = 3u * k * t.n + t.g;
     vec3 value = vec3(sh_2[at], sh_2[at + t.n], sh_2[at + 2u * t.n]);
     along += db * dot(value, colour);
-    vec3 next = apply3(t, PLANE_SH_2 + 3u * k, value, b * colour, step_data.rate_sh_rest);
+    vec3 next = apply3(t, PLANE_SH_2 + 3u * k, value, b * colour, step_data.rate[PARAMETER_SH_2]);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_2[at] = next.x;
@@ -150,7 +140,7 @@ void sh_term_3(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3
     uint at = 3u * k * t.n + t.g;
     vec3 value = vec3(sh_3[at], sh_3[at + t.n], sh_3[at + 2u * t.n]);
     along += db * dot(value, colour);
-    vec3 next = apply3(t, PLANE_SH_3 + 3u * k, value, b * colour, step_data.rate_sh_rest);
+    vec3 next = apply3(t, PLANE_SH_3 + 3u * k, value, b * colour, step_data.rate[PARAMETER_SH_3]);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_3[at] = next.x;
@@ -165,13 +155,14 @@ vec3 sh_backward(inout Target t, vec3 d, vec3 colour) {
     uint g = t.g;
     uint n = t.n;
     vec3 value = vec3(sh_0[g], sh_0[n + g], sh_0[2u * n + g]);
-    vec3 next = apply3(t, PLANE_SH_0, value, SH_0 * colour, step_data.rate_sh_0);
+    vec3 next = apply3(t, PLANE_SH_0, value, SH_0 * colour, step_data.rate[PARAMETER_SH_0]);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_0[g] = next.x;
         sh_0[n + g] = next.y;
         sh_0[2u * n + g] = next.z;
     }
+    report(t, PARAMETER_SH_0);
     float x = d.x;
     float y = d.y;
     float z = d.z;
@@ -185,6 +176,7 @@ vec3 sh_backward(inout Target t, vec3 d, vec3 colour) {
         sh_term_1(t, 0u, b[0], vec3(0.0, -SH_1, 0.0), colour, along);
         sh_term_1(t, 1u, b[1], vec3(0.0, 0.0, SH_1), colour, along);
         sh_term_1(t, 2u, b[2], vec3(-SH_1, 0.0, 0.0), colour, along);
+        report(t, PARAMETER_SH_1);
     }
     if (degree >= 2u) {
         float b[5];
@@ -194,6 +186,7 @@ vec3 sh_backward(inout Target t, vec3 d, vec3 colour) {
         sh_term_2(t, 2u, b[2], SH_2B * vec3(-2.0 * x, -2.0 * y, 4.0 * z), colour, along);
         sh_term_2(t, 3u, b[3], -SH_2A * vec3(z, 0.0, x), colour, along);
         sh_term_2(t, 4u, b[4], SH_2C * vec3(2.0 * x, -2.0 * y, 0.0), colour, along);
+        report(t, PARAMETER_SH_2);
     }
     if (degree >= 3u) {
         float b[7];
@@ -205,8 +198,8 @@ vec3 sh_backward(inout Target t, vec3 d, vec3 colour) {
         sh_term_3(t, 4u, b[4], -SH_3C * vec3(4.0 * zz - 3.0 * xx - yy, -2.0 * x * y, 8.0 * x * z), colour, along);
         sh_term_3(t, 5u, b[5], SH_3E * vec3(2.0 * x * z, -2.0 * y * z, xx - yy), colour, along);
         sh_term_3(t, 6u, b[6], -SH_3A * vec3(3.0 * (xx - yy), -6.0 * x * y, 0.0), colour, along);
+        report(t, PARAMETER_SH_3);
     }
-    report(t, STATUS_SH);
     return along;
 }
 
@@ -318,17 +311,17 @@ void apply_geometry(inout Target t, vec3 canonical, Gradient o) {
     uint g = t.g;
     uint n = t.n;
     uint kind = OUTPUT;
-    vec3 new_mean = apply3(t, PLANE_MEAN, canonical, o.mean, step_data.rate_mean);
-    report(t, STATUS_MEAN);
+    vec3 new_mean = apply3(t, PLANE_MEAN, canonical, o.mean, step_data.rate[PARAMETER_MEAN]);
+    report(t, PARAMETER_MEAN);
     vec3 log_s = vec3(log_scale[g], log_scale[n + g], log_scale[2u * n + g]);
-    vec3 new_log_scale = apply3(t, PLANE_LOG_SCALE, log_s, o.log_scale, step_data.rate_log_scale);
-    report(t, STATUS_LOG_SCALE);
+    vec3 new_log_scale = apply3(t, PLANE_LOG_SCALE, log_s, o.log_scale, step_data.rate[PARAMETER_LOG_SCALE]);
+    report(t, PARAMETER_LOG_SCALE);
     vec4 q = rotation[g];
-    vec3 q_wxy = apply3(t, PLANE_ROTATION, q.xyz, o.rotation.xyz, step_data.rate_rotation);
-    float q_z = apply(t, PLANE_ROTATION + 3u, q.w, o.rotation.w, step_data.rate_rotation);
-    report(t, STATUS_ROTATION);
-    float logit = apply(t, PLANE_OPACITY_LOGIT, opacity_logit[g], o.opacity_logit, step_data.rate_opacity_logit);
-    report(t, STATUS_OPACITY_LOGIT);
+    vec3 q_wxy = apply3(t, PLANE_ROTATION, q.xyz, o.rotation.xyz, step_data.rate[PARAMETER_ROTATION]);
+    float q_z = apply(t, PLANE_ROTATION + 3u, q.w, o.rotation.w, step_data.rate[PARAMETER_ROTATION]);
+    report(t, PARAMETER_ROTATION);
+    float logit = apply(t, PLANE_OPACITY_LOGIT, opacity_logit[g], o.opacity_logit, step_data.rate[PARAMETER_OPACITY_LOGIT]);
+    report(t, PARAMETER_OPACITY_LOGIT);
     if (kind == 1u) {
         mean[g] = new_mean.x;
         mean[n + g] = new_mean.y;

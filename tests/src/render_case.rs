@@ -145,6 +145,7 @@ impl RenderInput {
             opacity_logit: self.opacity_logit.clone(),
             sh_degree: self.degree,
             sh: sh.collect(),
+            ..Gaussians::default()
         };
         if self.pose.is_empty() {
             return Scene { gaussians, ..Scene::default() };

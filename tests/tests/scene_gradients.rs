@@ -128,6 +128,7 @@ fn of(g: &SceneGradients, kept: &[usize], sh_row: usize) -> SceneGradients {
         log_scale: kept.iter().map(|&i| g.log_scale[i]).collect(),
         opacity_logit: kept.iter().map(|&i| g.opacity_logit[i]).collect(),
         sh: kept.iter().flat_map(|&i| g.sh[i * sh_row..(i + 1) * sh_row].iter().copied()).collect(),
+        optional: g.optional.selected(kept),
         mean2d: kept.iter().map(|&i| g.mean2d[i]).collect(),
         pose: Vec::new(),
     }

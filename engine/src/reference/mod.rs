@@ -136,6 +136,7 @@ impl Gaussians64 {
             opacity_logit: self.opacity_logit.iter().map(|&x| x as f32).collect(),
             sh_degree: self.sh_degree,
             sh: self.sh.iter().map(|&x| x as f32).collect(),
+            ..Gaussians::default()
         }
     }
 }

@@ -6,6 +6,7 @@ pub mod field;
 pub mod gaussians;
 pub mod motion;
 pub mod network;
+pub mod parameter;
 pub mod path;
 pub mod synthetic;
 

@@ -228,6 +228,21 @@ pub struct LearningRates {
     pub association_decay: bool,
 }
 
+impl LearningRates {
+    /// First and last rate of a key of the table of parameters; `None` for a key that is none of theirs.
+    pub fn of(&self, key: &str) -> Option<[f64; 2]> {
+        Some(match key {
+            "mean" => [self.mean, self.mean_final],
+            "log_scale" => [self.log_scale; 2],
+            "rotation" => [self.rotation; 2],
+            "opacity_logit" => [self.opacity_logit; 2],
+            "sh_0" => [self.sh_0; 2],
+            "sh_rest" => [self.sh_rest; 2],
+            _ => return None,
+        })
+    }
+}
+
 /// Adam's constants.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -464,7 +479,7 @@ fn merge(base: &mut toml::Table, over: toml::Table) {
 
 /// Log-linear decay from `first` to `last` over `steps`, held afterwards (Plenoxels' schedule, as 3DGS uses it).
 pub fn decayed(first: f64, last: f64, step: u64, steps: u64) -> f64 {
-    if first <= 0.0 || last <= 0.0 || steps == 0 {
+    if first <= 0.0 || last <= 0.0 || steps == 0 || first == last {
         return first;
     }
     let t = (step as f64 / steps as f64).clamp(0.0, 1.0);

@@ -3,9 +3,10 @@
 use engine::render::deform_project::DEFORM_PROJECT;
 use engine::render::frame::Frame;
 use engine::scene::Camera;
+use engine::scene::parameter::{PARAMETERS, first_plane, in_degree, required_planes};
 use engine::train::deform_project_backward::{
     DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, DeformProjectBackward, DeformProjectBackwardBuffers,
-    DeformProjectBackwardConstants, OUTPUT_GRADIENT, parameter_planes,
+    DeformProjectBackwardConstants, OUTPUT_GRADIENT,
 };
 use engine::train::status;
 use engine::train::step::{Step, bias_corrections};
@@ -16,8 +17,8 @@ pub(super) type Buffers = DeformProjectBackwardBuffers<Vec<u32>>;
 
 /// Kinds of parameters: name, first plane, planes.
 pub(super) fn kinds(degree: u32) -> Vec<(&'static str, usize, usize)> {
-    let sh = parameter_planes(degree) as usize - 11;
-    vec![("mean", 0, 3), ("log_scale", 3, 3), ("rotation", 6, 4), ("opacity_logit", 10, 1), ("sh", 11, sh)]
+    let given = PARAMETERS.iter().enumerate().filter(|(i, _)| in_degree(*i, degree));
+    given.map(|(i, p)| (p.name, first_plane(i) as usize, p.width as usize)).collect()
 }
 
 pub(super) fn words(v: &[f32]) -> Vec<u32> {
@@ -31,12 +32,7 @@ pub(super) fn floats(v: &[u32]) -> Vec<f32> {
 pub(super) fn step(statistics: bool) -> Step {
     let bias = bias_corrections(0.9, 0.999, 7);
     Step {
-        rate_mean: 1.6e-3,
-        rate_log_scale: 5e-3,
-        rate_rotation: 1e-3,
-        rate_opacity_logit: 5e-2,
-        rate_sh_0: 2.5e-3,
-        rate_sh_rest: 1.25e-4,
+        rate: [1.6e-3, 5e-3, 1e-3, 5e-2, 2.5e-3, 1.25e-4, 1.5e-4, 2e-4],
         bias_gaussians: bias,
         density_statistics: f32::from(u8::from(statistics)),
         ..Step::with_usual_adam()
@@ -72,7 +68,7 @@ pub(super) fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64)
     let frame: Frame = input.frame(camera);
     let [splats, tile_count] = forward(input, &frame);
     let (n, mut r) = (input.count, Random(seed));
-    let planes = parameter_planes(input.degree) as usize;
+    let planes = required_planes(input.degree) as usize;
     let splat_gradient = words(&rows(n, &mut r));
     let mut random =
         |count: usize, low: f32, high: f32| words(&(0..count).map(|_| r.range(low, high)).collect::<Vec<_>>());

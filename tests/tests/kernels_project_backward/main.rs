@@ -8,8 +8,9 @@ use engine::gpu::interface::Buffers as _;
 use engine::gpu::kernel::Access;
 use engine::render::limits::COUNT_FAILED;
 use engine::scene::Camera;
+use engine::scene::parameter::{PARAMETERS, first_plane, required_planes};
 use engine::train::deform_project_backward::{
-    DEFORM_PROJECT_BACKWARD, DeformProjectBackward, OUTPUT_ADAM, OUTPUT_GRADIENT, parameter_planes,
+    DEFORM_PROJECT_BACKWARD, DeformProjectBackward, OUTPUT_ADAM, OUTPUT_GRADIENT,
 };
 use glam::DVec3;
 use tests_harness::KernelResult;
@@ -177,19 +178,25 @@ fn far_from_the_origin() {
     assert_gradients(&result, &input, "a hundred thousand units from the origin");
 }
 
+/// The parameter that plane `p` belongs to.
+fn parameter_of_plane(p: usize) -> usize {
+    (0..PARAMETERS.len()).rfind(|&i| first_plane(i) as usize <= p).expect("planes begin at 0")
+}
+
 /// Value of parameter plane `p` of Gaussian `g`.
 fn parameter(b: &Buffers, p: usize, n: usize, g: usize) -> f32 {
-    let (words, k): (&[u32], usize) = match p {
-        0..3 => (&b.mean, p),
-        3..6 => (&b.log_scale, p - 3),
-        6..10 => return f32::from_bits(b.rotation[4 * g + p - 6]),
-        10 => (&b.opacity_logit, 0),
-        11..14 => (&b.sh_0, p - 11),
-        14..23 => (given(&b.sh_1), p - 14),
-        23..38 => (given(&b.sh_2), p - 23),
-        _ => (given(&b.sh_3), p - 38),
-    };
-    f32::from_bits(words[k * n + g])
+    let all: [&[u32]; PARAMETERS.len()] = [
+        &b.mean,
+        &b.log_scale,
+        &b.rotation,
+        &b.opacity_logit,
+        &b.sh_0,
+        b.sh_1.as_deref().unwrap_or_default(),
+        b.sh_2.as_deref().unwrap_or_default(),
+        b.sh_3.as_deref().unwrap_or_default(),
+    ];
+    let i = parameter_of_plane(p);
+    f32::from_bits(all[i][PARAMETERS[i].word(p - first_plane(i) as usize, g, n)])
 }
 
 #[test]
@@ -203,17 +210,10 @@ fn adam_takes_the_step_of_the_gradient() {
             let before = case(&input, &camera, OUTPUT_ADAM, 9).buffers;
             let result = case(&input, &camera, OUTPUT_ADAM, 9).run(&gpu);
             let step = step(true);
-            let planes = parameter_planes(degree) as usize;
+            let planes = required_planes(degree) as usize;
             let mut culled_moved = 0;
             for p in 0..planes {
-                let rate = match p {
-                    0..3 => step.rate_mean,
-                    3..6 => step.rate_log_scale,
-                    6..10 => step.rate_rotation,
-                    10 => step.rate_opacity_logit,
-                    11..14 => step.rate_sh_0,
-                    _ => step.rate_sh_rest,
-                };
+                let rate = step.rate[parameter_of_plane(p)];
                 for g in 0..n {
                     let word = |buffer: &Option<Vec<u32>>| f32::from_bits(given(buffer)[p * n + g]);
                     let mut moments = [word(&before.moment_1), word(&before.moment_2)];
@@ -285,7 +285,7 @@ fn inactive_bands_are_left_alone() {
         for (band, same) in same.into_iter().enumerate() {
             assert_eq!(same, band as u32 > degree, "band {band} at degree {degree}");
         }
-        let first = parameter_planes(degree) as usize * 300;
+        let first = required_planes(degree) as usize * 300;
         assert!(given(&after.moment_1)[first..] == given(&before.moment_1)[first..], "moments of inactive bands");
     }
 }

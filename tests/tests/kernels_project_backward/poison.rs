@@ -1,7 +1,8 @@
 //! Numbers that are not finite, absurd or tiny, in every buffer.
 
 use engine::gpu::Gpu;
-use engine::train::deform_project_backward::{OUTPUT_ADAM, OUTPUT_GRADIENT, parameter_planes};
+use engine::scene::parameter::required_planes;
+use engine::train::deform_project_backward::{OUTPUT_ADAM, OUTPUT_GRADIENT};
 use engine::train::status;
 use tests_harness::render_case::{RenderInput, test_camera};
 
@@ -39,7 +40,7 @@ fn poison_slots(b: &mut Buffers) -> Vec<(&mut [u32], usize, bool)> {
     fn given(buffer: &mut Option<Vec<u32>>) -> &mut [u32] {
         buffer.as_deref_mut().expect("the case has this buffer")
     }
-    let planes = parameter_planes(3) as usize;
+    let planes = required_planes(3) as usize;
     vec![
         (&mut b.splats, 12, false),
         (&mut b.splat_gradient, 12, false),

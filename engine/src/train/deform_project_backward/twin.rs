@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec2, DVec3};
 
-use super::{DeformProjectBackward, DeformProjectBackwardBuffers, OUTPUT_ADAM, PLANE_SH};
+use super::{DeformProjectBackward, DeformProjectBackwardBuffers, OUTPUT_ADAM};
 use crate::gpu::interface::Call;
 use crate::reference::gradient::project::{OneGaussian, OneGradient, View, backward};
 use crate::reference::gradient::splats::SplatGradient;
@@ -11,6 +11,7 @@ use crate::render::deform_project::MOTION_TABLE;
 use crate::render::frame::Frame;
 use crate::render::limits::COUNT_FAILED;
 use crate::render::twin::{f32_at, set_f32, struct_at, vec4_at};
+use crate::scene::parameter::{LOG_SCALE, MEAN, OPACITY_LOGIT, PARAMETERS, ROTATION, SH_0, first_plane};
 use crate::train::adam;
 use crate::train::deform_project_backward::DEFORM_PROJECT_BACKWARD_THREADS;
 use crate::train::status;
@@ -52,17 +53,6 @@ pub(super) fn deform_project_backward_twin(call: Call<'_, DeformProjectBackward>
     }
 }
 
-/// A parameter that a gradient is applied to.
-struct Parameter<'a> {
-    values: &'a mut [u32],
-    /// Words between its numbers, and between Gaussians.
-    stride: [usize; 2],
-    /// First plane of its gradient and moments.
-    first: usize,
-    /// Learning rate.
-    rate: f32,
-}
-
 /// Planes that gradients are written to or applied with.
 struct Planes<'a> {
     moment_1: &'a mut [u32],
@@ -85,12 +75,12 @@ impl Job {
         self.parameters(b, g, &gradient);
         if let Some(pose_gradient) = b.pose_gradient.as_mut().filter(|_| self.moving) {
             let values = [gradient.omega.to_array(), gradient.translation.to_array()].concat();
-            self.write(pose_gradient, b.status, 9, &values, g);
+            self.write(pose_gradient, b.status, status::POSE, &values, g);
         }
         if let Some(nonrigid_gradient) = b.nonrigid_gradient.as_mut().filter(|_| self.nonrigid) {
             let Offset { mean, rotation, scale } = gradient.offset;
             let values = [&mean[..], &rotation, &scale].concat();
-            self.write(nonrigid_gradient, b.status, 7, &values, g);
+            self.write(nonrigid_gradient, b.status, status::NETWORK_G, &values, g);
         }
     }
 
@@ -101,35 +91,20 @@ impl Job {
             moment_2: b.moment_2.as_deref_mut().unwrap_or_default(),
             gradient: b.gradient.as_deref_mut().unwrap_or_default(),
         };
-        let by_plane = [self.n, 1];
+        let (mean, slopes_of_sh) = (gradient.mean.to_array(), &gradient.sh);
+        let band = |band: usize| &slopes_of_sh[3 * band * band..][..3 * (2 * band + 1)];
         let sh = [Some(&mut *b.sh_0), b.sh_1.as_deref_mut(), b.sh_2.as_deref_mut(), b.sh_3.as_deref_mut()];
-        let mut good = true;
-        for (band, values) in sh.into_iter().flatten().enumerate().take(self.degree + 1) {
-            let rate = if band == 0 { self.step.rate_sh_0 } else { self.step.rate_sh_rest };
-            let slopes = &gradient.sh[3 * band * band..][..3 * (2 * band + 1)];
-            let parameter = Parameter { values, stride: by_plane, first: PLANE_SH[band], rate };
-            good &= self.apply(parameter, &mut planes, slopes, g);
-        }
-        report(b.status, good, 4, g);
-        let Step {
-            rate_mean: mean,
-            rate_log_scale: log_scale,
-            rate_rotation: rotation,
-            rate_opacity_logit: opacity,
-            ..
-        } = self.step;
-        let geometry: [(Parameter<'_>, &[f64]); 4] = [
-            (Parameter { values: b.mean, stride: by_plane, first: 0, rate: mean }, &gradient.mean.to_array()),
-            (Parameter { values: b.log_scale, stride: by_plane, first: 3, rate: log_scale }, &gradient.log_scale),
-            (Parameter { values: b.rotation, stride: [1, 4], first: 6, rate: rotation }, &gradient.rotation),
-            (
-                Parameter { values: b.opacity_logit, stride: by_plane, first: 10, rate: opacity },
-                &[gradient.opacity_logit],
-            ),
-        ];
-        for (group, (parameter, slopes)) in geometry.into_iter().enumerate() {
-            let good = self.apply(parameter, &mut planes, slopes, g);
-            report(b.status, good, group, g);
+        let bands = sh.into_iter().flatten().enumerate().take(self.degree + 1);
+        let mut all: Vec<(usize, &mut [u32], &[f64])> = bands.map(|(i, v)| (SH_0 + i, v, band(i))).collect();
+        all.extend([
+            (MEAN, &mut *b.mean, &mean[..]),
+            (LOG_SCALE, &mut *b.log_scale, &gradient.log_scale),
+            (ROTATION, &mut *b.rotation, &gradient.rotation),
+            (OPACITY_LOGIT, &mut *b.opacity_logit, std::slice::from_ref(&gradient.opacity_logit)),
+        ]);
+        for (parameter, values, slopes) in all {
+            let good = self.apply(parameter, values, &mut planes, slopes, g);
+            report(b.status, good, parameter, g);
         }
     }
 
@@ -214,11 +189,11 @@ impl Job {
     }
 
     /// Hands over the gradients of one parameter; whether all was finite.
-    fn apply(&self, parameter: Parameter<'_>, planes: &mut Planes<'_>, slopes: &[f64], g: usize) -> bool {
-        let Parameter { values, stride, first, rate } = parameter;
+    fn apply(&self, parameter: usize, values: &mut [u32], planes: &mut Planes<'_>, slopes: &[f64], g: usize) -> bool {
+        let (first, rate) = (first_plane(parameter) as usize, self.step.rate[parameter]);
         let mut good = true;
         for (k, &slope) in slopes.iter().enumerate() {
-            let (word, plane) = (k * stride[0] + g * stride[1], (first + k) * self.n + g);
+            let (word, plane) = (PARAMETERS[parameter].word(k, g, self.n), (first + k) * self.n + g);
             let slope = slope as f32;
             if !self.adam {
                 good &= slope.is_finite();

@@ -263,6 +263,7 @@ pub fn load_superpoint(path: &Path) -> Result<SuperpointCase> {
         sh_degree: 0,
         sh: vec![0.0; 3 * mean.len()],
         mean,
+        ..Gaussians::default()
     };
     let deformation = SuperpointDeformation {
         superpoints: Superpoints { of_gaussian, position },

@@ -1,0 +1,24 @@
+// Made by `spgs-dev spirv` from the table in engine/src/scene/parameter.rs. Place of each parameter in that table: of its
+// learning rate in Step and of its reports in status; first plane in moments and gradients.
+#ifndef SPGS_PARAMETERS
+#define SPGS_PARAMETERS
+
+const uint PARAMETERS = 8u;
+const uint PARAMETER_MEAN = 0u;
+const uint PLANE_MEAN = 0u;
+const uint PARAMETER_LOG_SCALE = 1u;
+const uint PLANE_LOG_SCALE = 3u;
+const uint PARAMETER_ROTATION = 2u;
+const uint PLANE_ROTATION = 6u;
+const uint PARAMETER_OPACITY_LOGIT = 3u;
+const uint PLANE_OPACITY_LOGIT = 10u;
+const uint PARAMETER_SH_0 = 4u;
+const uint PLANE_SH_0 = 11u;
+const uint PARAMETER_SH_1 = 5u;
+const uint PLANE_SH_1 = 14u;
+const uint PARAMETER_SH_2 = 6u;
+const uint PLANE_SH_2 = 23u;
+const uint PARAMETER_SH_3 = 7u;
+const uint PLANE_SH_3 = 38u;
+
+#endif
