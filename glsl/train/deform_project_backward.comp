@@ -13,6 +13,7 @@ layout(constant_id = 2) const uint MOTION = 0;    // 0 static, 1 pose table
 layout(constant_id = 3) const uint NONRIGID = 0;  // 1: nonrigid_offset is added
 layout(constant_id = 4) const uint OUTPUT = 0;    // 0 gradients, 1 Adam
 layout(constant_id = 5) const uint MEAN_GRADIENT = 0; // 1: mean_gradient, of other losses, is added
+layout(constant_id = 6) const uint OPTIONAL = 0;  // HAS_* of the optional parameters
 
 #define STEP_BINDING 1
 #define STATUS_BINDING 3
@@ -25,6 +26,7 @@ layout(constant_id = 5) const uint MEAN_GRADIENT = 0; // 1: mean_gradient, of ot
 #include "lib/quaternion.glsl"
 #include "lib/sh.glsl"
 #include "lib/projection.glsl"
+#include "lib/lifespan.glsl"
 
 layout(std430, set = 0, binding = 2) readonly buffer CountersBlock { uint counters[]; };
 layout(std430, set = 0, binding = 4) readonly buffer SplatsBlock { vec4 splats[]; };
@@ -49,6 +51,7 @@ layout(std430, set = 0, binding = 22) writeonly buffer NonrigidGradientBlock { f
 layout(std430, set = 0, binding = 23) buffer DensityBlock { float density[]; };
 layout(std430, set = 0, binding = 24) buffer MaxRadiusBlock { float max_radius[]; };
 layout(std430, set = 0, binding = 25) readonly buffer MeanGradientBlock { float mean_gradient[]; };
+layout(std430, set = 0, binding = 26) buffer OptionalBlock { float optional[]; };
 
 #include "lib/place.glsl"
 #include "lib/project_backward.glsl"
@@ -320,7 +323,8 @@ void apply_geometry(inout Target t, vec3 canonical, Gradient o) {
     vec3 q_wxy = apply3(t, PLANE_ROTATION, q.xyz, o.rotation.xyz, step_data.rate[PARAMETER_ROTATION]);
     float q_z = apply(t, PLANE_ROTATION + 3u, q.w, o.rotation.w, step_data.rate[PARAMETER_ROTATION]);
     report(t, PARAMETER_ROTATION);
-    float logit = apply(t, PLANE_OPACITY_LOGIT, opacity_logit[g], o.opacity_logit, step_data.rate[PARAMETER_OPACITY_LOGIT]);
+    float opacity_rate = step_data.rate[PARAMETER_OPACITY_LOGIT];
+    float logit = apply(t, PLANE_OPACITY_LOGIT, opacity_logit[g], o.opacity_logit, opacity_rate);
     report(t, PARAMETER_OPACITY_LOGIT);
     if (kind == 1u) {
         mean[g] = new_mean.x;
@@ -331,6 +335,32 @@ void apply_geometry(inout Target t, vec3 canonical, Gradient o) {
         log_scale[2u * n + g] = new_log_scale.z;
         rotation[g] = vec4(q_wxy, q_z);
         opacity_logit[g] = logit;
+    }
+}
+
+// Hands over the gradient of one optional number; `plane`: in the buffer `optional`.
+void apply_optional(inout Target t, uint plane, float slope, float rate) {
+    uint at = plane * t.n + t.g;
+    float next = apply(t, PLANE_OPTIONAL + plane, optional[at], slope, rate);
+    uint kind = OUTPUT;
+    if (kind == 1u) {
+        optional[at] = next;
+    }
+}
+
+// Optional parameters. opacity: dL / d ln opacity.
+void optional_backward(inout Target t, float opacity) {
+    uint has = OPTIONAL;
+    if ((has & HAS_LIFESPAN) != 0u) {
+        uint plane = OPTIONAL_LIFESPAN(has);
+        float log_length = optional[(plane + 1u) * t.n + t.g];
+        float x = lifespan_place(frame.time, optional[plane * t.n + t.g], log_length);
+        float rate = step_data.rate[PARAMETER_LIFESPAN];
+        // Gaussians that are not seen have no gradient, wherever their lifespan is.
+        bool seen = opacity != 0.0;
+        apply_optional(t, plane, seen ? opacity * x * exp(-log_length) : 0.0, rate);
+        apply_optional(t, plane + 1u, seen ? opacity * x * x : 0.0, rate);
+        report(t, PARAMETER_LIFESPAN);
     }
 }
 
@@ -368,6 +398,7 @@ void main() {
             o.mean += vec3(mean_gradient[g], mean_gradient[n + g], mean_gradient[2u * n + g]);
         }
         apply_geometry(t, canonical, o);
+        optional_backward(t, visible ? splat_gradient[12u * g] : 0.0);
         uint motion = MOTION;
         if (motion == 1u) {
             write_pose_gradient(g, n, o);

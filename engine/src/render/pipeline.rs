@@ -132,14 +132,15 @@ fn deform_project(
         superpoint_of_gaussian: moves.then(|| scene.deformation.superpoint_of_gaussian.whole()),
         pose: moves.then(|| pose.whole()),
         sh_0: scene.parameter[SH_0].whole(),
-        sh_1: scene.given(SH_0 + 1),
-        sh_2: scene.given(SH_0 + 2),
-        sh_3: scene.given(SH_0 + 3),
+        sh_1: scene.band(1),
+        sh_2: scene.band(2),
+        sh_3: scene.band(3),
         splats: work.splats.whole(),
         tile_count: work.tile_count.whole(),
         visible_block: work.visible_block.clone(),
         counters: work.counters.clone(),
         nonrigid_offset,
+        optional: scene.optional.as_ref().map(Buffer::whole),
     };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
     let groups = Groups::Direct(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS).into());
@@ -152,6 +153,7 @@ fn deform_project(
         packing: quality.packing_constant(),
         sh_storage: scene.sh_storage.constant(),
         mean_storage: mean_storage::constant(quality.position),
+        optional: scene.present.0,
     };
     r.dispatch(&DEFORM_PROJECT, constants, push, buffers, groups)
 }

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Slice, Suite};
-use crate::scene::parameter::{MEAN, PARAMETERS, Parameter, REQUIRED, SH_0, in_degree};
+use crate::scene::parameter::{MEAN, Optional, PARAMETERS, Parameter, Present, REQUIRED, SH_0, in_degree};
 use crate::scene::{Camera, Gaussians, MotionSource, Rejected, Scene};
 
 use super::bounds::Bounds;
@@ -35,10 +35,12 @@ pub(crate) struct SceneBuffers {
     /// Box that holds every Gaussian's centre over all time, relative to the origin; for depth keys.
     pub(crate) bounds: Bounds,
     pub(crate) rejected: Rejected,
-    /// One for each of [`PARAMETERS`]; small where the scene lacks the parameter.
+    /// One for each of the required [`PARAMETERS`]; small where the scene lacks an SH band.
     pub(crate) parameter: Vec<Buffer>,
     /// Optional parameters that the scene has.
-    pub(crate) optional: Vec<usize>,
+    pub(crate) present: Present,
+    /// Their planes, `[planes][N]`, one parameter after another.
+    pub(crate) optional: Option<Buffer>,
 }
 
 impl SceneBuffers {
@@ -68,7 +70,7 @@ impl SceneBuffers {
         let deformation = DeformationBuffers::new(gpu, scene, source, origin, quality)?;
         let sh_degree = g.sh_degree.min(quality.sh_degree);
         let mut parameter = Vec::with_capacity(PARAMETERS.len());
-        for (i, p) in PARAMETERS.iter().enumerate() {
+        for (i, p) in PARAMETERS.iter().enumerate().take(REQUIRED) {
             let words = match i {
                 MEAN => mean_storage::encode(quality.position, &mean),
                 SH_0..REQUIRED => {
@@ -93,14 +95,14 @@ impl SceneBuffers {
             bounds,
             rejected,
             parameter,
-            optional: g.optional.present(),
+            present: g.optional.present(),
+            optional: optional_buffer(gpu, &g.optional)?,
         })
     }
 
-    /// A parameter, where the scene has it at the SH degree in use.
-    pub(crate) fn given(&self, parameter: usize) -> Option<Slice> {
-        let has = in_degree(parameter, self.sh_degree) && (parameter < REQUIRED || self.optional.contains(&parameter));
-        has.then(|| self.parameter[parameter].whole())
+    /// An SH band, where it is in use.
+    pub(crate) fn band(&self, band: usize) -> Option<Slice> {
+        in_degree(SH_0 + band, self.sh_degree).then(|| self.parameter[SH_0 + band].whole())
     }
 
     /// A frame of this scene; background, near plane and time come from `options`.
@@ -126,8 +128,14 @@ impl SceneBuffers {
 
     /// Bytes of the model on the device.
     pub(crate) fn bytes(&self) -> u64 {
-        self.deformation.bytes() + self.parameter.iter().map(Buffer::bytes).sum::<u64>()
+        self.deformation.bytes() + self.parameter.iter().chain(&self.optional).map(Buffer::bytes).sum::<u64>()
     }
+}
+
+/// The planes of all optional parameters; `None` where there are none.
+pub(crate) fn optional_buffer(gpu: &Gpu, optional: &Optional) -> Result<Option<Buffer>> {
+    let some = (!optional.is_empty()).then(|| gpu.buffer_with("optional", bytemuck::cast_slice(&optional.to_device())));
+    some.transpose()
 }
 
 /// Centre of the valid Gaussians' bounds when it is far away in terms of their extent, else zero.

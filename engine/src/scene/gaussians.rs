@@ -5,7 +5,9 @@ use std::ops::Range;
 
 use serde::Serialize;
 
-use super::parameter::{LOG_SCALE, MEAN, OPACITY_LOGIT, Optional, PARAMETERS, REQUIRED, ROTATION, SH_0, in_degree};
+use super::parameter::{
+    LOG_SCALE, MEAN, OPACITY_LOGIT, Optional, PARAMETERS, Present, REQUIRED, ROTATION, SH_0, in_degree,
+};
 
 /// N Gaussians. Names carry their transform: `log_scale` is exponentiated, `opacity_logit` goes through a sigmoid,
 /// `rotation` is normalised, when used.
@@ -145,7 +147,7 @@ impl Gaussians {
     /// Those of `take`.
     pub(crate) fn from_parameters<E>(
         sh_degree: u32,
-        optional: &[usize],
+        optional: Present,
         mut take: impl FnMut(usize) -> Result<Vec<f32>, E>,
     ) -> Result<Self, E> {
         let mut made = Self {
@@ -164,7 +166,7 @@ impl Gaussians {
                 row[3 * band * band..][..of_band].copy_from_slice(values);
             }
         }
-        for &parameter in optional {
+        for parameter in optional.iter() {
             made.optional.set(parameter, take(parameter)?);
         }
         Ok(made)
@@ -207,7 +209,9 @@ impl Gaussians {
     pub fn is_valid(&self, i: usize, rejected: &mut Rejected) -> bool {
         let k3 = self.sh_coefficients() * 3;
         let sh = &self.sh[i * k3..(i + 1) * k3];
+        let optional = self.optional.present().iter().flat_map(|parameter| self.optional.row(parameter, i));
         let finite = self.mean[i].iter().chain(&self.log_scale[i]).chain(&self.rotation[i]).chain(sh);
+        let finite = finite.chain(optional.flatten());
         // Infinite opacity logits are legal limits (0 and 1); only NaN is refused.
         if !finite.copied().all(f32::is_finite) || self.opacity_logit[i].is_nan() {
             rejected.not_finite += 1;

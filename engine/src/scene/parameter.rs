@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use super::gaussians::retain_chunks;
+use crate::error::{Error, Result};
 
 /// How a parameter's numbers lie on the device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,6 +30,8 @@ pub enum Activation {
     UnitQuaternion,
     /// max(0, ½ + Σ coefficient · basis function).
     SphericalHarmonics,
+    /// [`lifespan_share`] of the opacity.
+    Lifespan,
 }
 
 /// What density control leaves in a new row.
@@ -41,7 +44,7 @@ pub enum NewRows {
 }
 
 /// A parameter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Parameter {
     /// Name: of the buffer, in GLSL, in reports.
     pub name: &'static str,
@@ -59,6 +62,10 @@ pub struct Parameter {
     pub new_rows: NewRows,
     /// Tensor of the model file that holds it, after `gaussians.`.
     pub export: &'static str,
+    /// Numbers that an optional parameter starts with.
+    pub start: &'static [f32],
+    /// Learning rate of an optional parameter, unless the configuration has another.
+    pub rate: f64,
 }
 
 /// Centre, world units.
@@ -71,6 +78,8 @@ pub const ROTATION: usize = 2;
 pub const OPACITY_LOGIT: usize = 3;
 /// First of the four bands of SH coefficients; band b has 3(2b + 1) numbers.
 pub const SH_0: usize = 4;
+/// When a Gaussian is seen: the middle, and the log of the length (a standard deviation), both in units of time.
+pub const LIFESPAN: usize = 8;
 
 const PLAIN: Parameter = Parameter {
     name: "",
@@ -81,12 +90,15 @@ const PLAIN: Parameter = Parameter {
     spatial: false,
     new_rows: NewRows::Copy,
     export: "",
+    start: &[],
+    rate: 0.0,
 };
 const SH: Parameter =
     Parameter { activation: Activation::SphericalHarmonics, learning_rate: "sh_rest", export: "sh", ..PLAIN };
 
-/// Every parameter. What follows the SH bands is optional: a scene has it or not.
-pub const PARAMETERS: [Parameter; 8] = [
+/// Every parameter. What follows the SH bands is optional: a scene has it or not. On the device all optional ones that a scene
+/// has share a buffer of planes, and clones and children have their parent's.
+pub const PARAMETERS: [Parameter; 9] = [
     Parameter { name: "mean", width: 3, learning_rate: "mean", spatial: true, export: "mean", ..PLAIN },
     Parameter {
         name: "log_scale",
@@ -117,6 +129,17 @@ pub const PARAMETERS: [Parameter; 8] = [
     Parameter { name: "sh_1", width: 9, ..SH },
     Parameter { name: "sh_2", width: 15, ..SH },
     Parameter { name: "sh_3", width: 21, ..SH },
+    Parameter {
+        name: "lifespan",
+        width: 2,
+        activation: Activation::Lifespan,
+        learning_rate: "lifespan",
+        export: "lifespan",
+        // Four times as long as a scene: nearly always there.
+        start: &[0.5, 1.386_294_4],
+        rate: 1e-3,
+        ..PLAIN
+    },
 ];
 
 /// Parameters that every scene has: those up to the SH bands.
@@ -166,24 +189,69 @@ pub const fn in_degree(parameter: usize, sh_degree: u32) -> bool {
     parameter < SH_0 || parameter >= REQUIRED || parameter <= SH_0 + sh_degree as usize
 }
 
-/// First plane of a parameter in moments and gradients, `float[P][N]`: one after another, all SH bands counted.
-pub const fn first_plane(parameter: usize) -> u32 {
-    let (mut plane, mut i) = (0, 0);
-    while i < parameter {
-        plane += PARAMETERS[i].width;
-        i += 1;
+/// First plane of a parameter in moments and gradients, `float[P][N]`. Optional ones follow the bands up to SH degree 3.
+pub fn first_plane(parameter: usize, optional: Present) -> u32 {
+    let required = |end: usize| PARAMETERS[..end].iter().map(|p| p.width).sum::<u32>();
+    if parameter < REQUIRED { required(parameter) } else { required(REQUIRED) + optional.planes_before(parameter) }
+}
+
+/// Numbers of a Gaussian with SH of a degree and these optional parameters: 11 + 3(degree + 1)² without any. Where there are
+/// some, all SH bands count.
+pub fn planes(sh_degree: u32, optional: Present) -> u32 {
+    let last = if optional.is_empty() { SH_0 + sh_degree as usize + 1 } else { PARAMETERS.len() };
+    first_plane(last, optional)
+}
+
+/// Share of a Gaussian's opacity at a time: exp(−½((time − middle) / length)²), as the temporal opacity of Spacetime
+/// Gaussians (Li et al. 2024).
+pub fn lifespan_share(middle: f64, log_length: f64, time: f64) -> f64 {
+    (-0.5 * ((time - middle) * (-log_length).exp()).powi(2)).exp()
+}
+
+/// Which optional parameters a scene has: bit k is parameter [`REQUIRED`] + k.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct Present(pub u32);
+
+impl Present {
+    /// Those of these names.
+    ///
+    /// # Errors
+    /// `Usage` for the name of no optional parameter.
+    pub fn of_names(names: &[String]) -> Result<Self> {
+        let mut made = Self::default();
+        for name in names {
+            let place = PARAMETERS.iter().position(|p| p.name == name).filter(|place| *place >= REQUIRED);
+            let known = || PARAMETERS[REQUIRED..].iter().map(|p| p.name).collect::<Vec<_>>().join(", ");
+            let place = place.ok_or_else(|| Error::usage("optional parameter", name.as_str(), known()))?;
+            made.0 |= 1 << (place - REQUIRED);
+        }
+        Ok(made)
     }
-    plane
-}
 
-/// Numbers of a Gaussian with SH of a degree and no optional parameter: 11 + 3(degree + 1)².
-pub const fn required_planes(sh_degree: u32) -> u32 {
-    first_plane(SH_0 + sh_degree as usize + 1)
-}
+    /// Whether there is none.
+    pub fn is_empty(self) -> bool {
+        self.0 == 0
+    }
 
-/// Numbers of a Gaussian with SH of a degree and these optional parameters. Where there are some, all SH bands count.
-pub fn planes(sh_degree: u32, optional: &[usize]) -> u32 {
-    optional.iter().max().map_or(required_planes(sh_degree), |last| first_plane(last + 1))
+    /// Whether this parameter is among them.
+    pub fn has(self, parameter: usize) -> bool {
+        parameter >= REQUIRED && self.0 >> (parameter - REQUIRED) & 1 == 1
+    }
+
+    /// Their places in [`PARAMETERS`].
+    pub fn iter(self) -> impl Iterator<Item = usize> {
+        (REQUIRED..PARAMETERS.len()).filter(move |&parameter| self.has(parameter))
+    }
+
+    /// Planes of those before this one, in the buffer that they share.
+    pub fn planes_before(self, parameter: usize) -> u32 {
+        self.iter().filter(|&p| p < parameter).map(|p| PARAMETERS[p].width).sum()
+    }
+
+    /// All their planes.
+    pub fn planes(self) -> u32 {
+        self.planes_before(PARAMETERS.len())
+    }
 }
 
 /// The kernels' constants, `glsl/lib/parameters.glsl`: place in the table and first plane of each parameter.
@@ -194,36 +262,61 @@ pub fn glsl() -> String {
          #ifndef SPGS_PARAMETERS\n#define SPGS_PARAMETERS\n\n",
     );
     text += &format!("const uint PARAMETERS = {}u;\n", PARAMETERS.len());
-    for (i, parameter) in PARAMETERS.iter().enumerate() {
-        let name = parameter.name.to_uppercase();
-        text += &format!("const uint PARAMETER_{name} = {i}u;\nconst uint PLANE_{name} = {}u;\n", first_plane(i));
+    for (i, parameter) in PARAMETERS.iter().enumerate().take(REQUIRED) {
+        let (name, plane) = (parameter.name.to_uppercase(), first_plane(i, Present::default()));
+        text += &format!("const uint PARAMETER_{name} = {i}u;\nconst uint PLANE_{name} = {plane}u;\n");
+    }
+    text += &format!(
+        "\n// Optional ones: bit of OPTIONAL and first plane in the buffer `optional`; first plane of all in moments and gradients. `has`: a\n\
+         // variable with the value of OPTIONAL (naga reads no operations on specialisation constants).\n\
+         const uint PLANE_OPTIONAL = {}u;\n",
+        first_plane(REQUIRED, Present::default())
+    );
+    let mut before = String::from("0u");
+    for (i, parameter) in PARAMETERS.iter().enumerate().skip(REQUIRED) {
+        let (name, bit) = (parameter.name.to_uppercase(), 1_u32 << (i - REQUIRED));
+        text += &format!("const uint PARAMETER_{name} = {i}u;\nconst uint HAS_{name} = {bit}u;\n");
+        text += &format!("#define OPTIONAL_{name}(has) ({before})\n");
+        before += &format!(" + (((has) & {bit}u) != 0u ? {}u : 0u)", parameter.width);
     }
     text + "\n#endif\n"
 }
 
 /// The optional parameters that some Gaussians have, `[N,width]` each.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Optional(BTreeMap<usize, Vec<f32>>);
+#[derive(Debug, Clone, PartialEq)]
+pub struct Optional<T = f32>(BTreeMap<usize, Vec<T>>);
 
-impl Optional {
+impl<T> Default for Optional<T> {
+    fn default() -> Self {
+        Self(BTreeMap::new())
+    }
+}
+
+impl<T: Copy> Optional<T> {
     /// Values of a parameter, where the Gaussians have it.
-    pub fn get(&self, parameter: usize) -> Option<&[f32]> {
+    pub fn get(&self, parameter: usize) -> Option<&[T]> {
         self.0.get(&parameter).map(Vec::as_slice)
     }
 
+    /// Values of a parameter of Gaussian `i`.
+    pub fn row(&self, parameter: usize, i: usize) -> Option<&[T]> {
+        let width = PARAMETERS[parameter].width as usize;
+        self.get(parameter)?.get(i * width..(i + 1) * width)
+    }
+
     /// Gives the Gaussians a parameter.
-    pub fn set(&mut self, parameter: usize, values: Vec<f32>) {
+    pub fn set(&mut self, parameter: usize, values: Vec<T>) {
         self.0.insert(parameter, values);
     }
 
     /// What there is: place in [`PARAMETERS`] and values.
-    pub fn iter(&self) -> impl Iterator<Item = (usize, &[f32])> {
+    pub fn iter(&self) -> impl Iterator<Item = (usize, &[T])> {
         self.0.iter().map(|(parameter, values)| (*parameter, values.as_slice()))
     }
 
-    /// Places of those that there are.
-    pub fn present(&self) -> Vec<usize> {
-        self.0.keys().copied().collect()
+    /// Which there are.
+    pub fn present(&self) -> Present {
+        Present(self.0.keys().fold(0, |bits, parameter| bits | 1 << (parameter - REQUIRED)))
     }
 
     /// Whether there is none.
@@ -234,11 +327,35 @@ impl Optional {
     /// Those of the Gaussians at these indices, in this order.
     #[must_use]
     pub fn selected(&self, indices: &[usize]) -> Self {
-        let chosen = |parameter: usize, values: &[f32]| {
-            let width = PARAMETERS[parameter].width as usize;
-            indices.iter().flat_map(|&i| values[i * width..(i + 1) * width].iter().copied()).collect()
-        };
-        Self(self.iter().map(|(parameter, values)| (parameter, chosen(parameter, values))).collect())
+        let of =
+            |parameter| indices.iter().flat_map(|&i| self.row(parameter, i).unwrap_or_default()).copied().collect();
+        Self(self.0.keys().map(|&parameter| (parameter, of(parameter))).collect())
+    }
+
+    /// Every number, one parameter after another.
+    pub fn numbers(&self) -> impl Iterator<Item = T> {
+        self.0.values().flatten().copied()
+    }
+
+    /// Every number, to be changed.
+    pub fn numbers_mut(&mut self) -> impl Iterator<Item = &mut T> {
+        self.0.values_mut().flatten()
+    }
+
+    /// The same in another type.
+    pub fn map<U>(&self, to: impl Fn(T) -> U) -> Optional<U> {
+        Optional(
+            self.0.iter().map(|(parameter, values)| (*parameter, values.iter().map(|v| to(*v)).collect())).collect(),
+        )
+    }
+}
+
+impl Optional {
+    /// Gives `n` Gaussians those of these parameters that they lack, as parameters start.
+    pub(crate) fn add(&mut self, present: Present, n: usize) {
+        for parameter in present.iter() {
+            self.0.entry(parameter).or_insert_with(|| PARAMETERS[parameter].start.repeat(n));
+        }
     }
 
     /// Keeps those of the Gaussians for which `keep` holds.
@@ -246,18 +363,24 @@ impl Optional {
         self.0.iter_mut().for_each(|(parameter, v)| retain_chunks(v, PARAMETERS[*parameter].width as usize, keep));
     }
 
-    /// Adds those of `other` in `range` after the `own` Gaussians there are. Who lacks a parameter of the other gets zeros.
+    /// Adds those of `other` in `range` after the `own` Gaussians there are. Who lacks a parameter of the other gets what it
+    /// starts with.
     pub(crate) fn append(&mut self, own: usize, other: &Self, range: Range<usize>) {
         let present: BTreeSet<usize> = self.0.keys().chain(other.0.keys()).copied().collect();
         for parameter in present {
-            let width = PARAMETERS[parameter].width as usize;
-            let values = self.0.entry(parameter).or_default();
-            values.resize(own * width, 0.0);
+            let Parameter { width, start, .. } = PARAMETERS[parameter];
+            let width = width as usize;
+            let values = self.0.entry(parameter).or_insert_with(|| start.repeat(own));
             match other.get(parameter) {
                 Some(more) => values.extend_from_slice(&more[range.start * width..range.end * width]),
-                None => values.resize((own + range.len()) * width, 0.0),
+                None => values.extend(start.repeat(range.len())),
             }
         }
+    }
+
+    /// `[planes][N]` of all of them, as the device has them.
+    pub fn to_device(&self) -> Vec<f32> {
+        self.iter().flat_map(|(parameter, values)| transposed(values, PARAMETERS[parameter].width as usize)).collect()
     }
 }
 
@@ -279,9 +402,37 @@ mod tests {
 
     #[test]
     fn planes_follow_one_another() {
-        assert_eq!([0, 1, 2, 3].map(required_planes), [14, 23, 38, 59]);
-        assert_eq!([MEAN, LOG_SCALE, ROTATION, OPACITY_LOGIT, SH_0, SH_0 + 3].map(first_plane), [0, 3, 6, 10, 11, 38]);
+        let none = Present::default();
+        assert_eq!([0, 1, 2, 3].map(|degree| planes(degree, none)), [14, 23, 38, 59]);
+        let places = [MEAN, LOG_SCALE, ROTATION, OPACITY_LOGIT, SH_0, SH_0 + 3];
+        assert_eq!(places.map(|place| first_plane(place, none)), [0, 3, 6, 10, 11, 38]);
+        let lifespan = Present::of_names(&["lifespan".into()]).unwrap();
+        assert!(lifespan.has(LIFESPAN) && !none.has(LIFESPAN) && !lifespan.has(MEAN));
+        assert_eq!((first_plane(LIFESPAN, lifespan), planes(1, lifespan)), (59, 61));
+        assert!(Present::of_names(&["mean".into()]).is_err());
         assert!(in_degree(SH_0, 0) && !in_degree(SH_0 + 1, 0) && in_degree(SH_0 + 3, 3) && in_degree(MEAN, 0));
+    }
+
+    /// Files, starts and the shared buffer take them so.
+    #[test]
+    fn optional_parameters_are_planes_that_start_somewhere() {
+        for p in &PARAMETERS[REQUIRED..] {
+            assert!(p.layout == Layout::Planes && p.new_rows == NewRows::Copy, "{}", p.name);
+            assert_eq!((p.start.len(), p.export), (p.width as usize, p.name));
+        }
+    }
+
+    #[test]
+    fn who_lacks_a_parameter_gets_its_start() {
+        let mut two = Optional::default();
+        two.set(LIFESPAN, vec![0.1, 0.2, 0.3, 0.4]);
+        let mut none = Optional::default();
+        none.append(1, &two, 1..2);
+        assert_eq!(none.get(LIFESPAN).unwrap(), [0.5, 1.386_294_4, 0.3, 0.4]);
+        two.append(2, &Optional::default(), 0..1);
+        assert_eq!(two.selected(&[2, 0]).get(LIFESPAN).unwrap(), [0.5, 1.386_294_4, 0.1, 0.2]);
+        two.retain(&[false, true, false]);
+        assert_eq!(two.to_device(), [0.3, 0.4]);
     }
 
     #[test]

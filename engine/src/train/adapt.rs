@@ -6,7 +6,7 @@ use super::trainer::Trainer;
 use crate::data::dataset::View;
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Memory};
-use crate::scene::parameter::{OPACITY_LOGIT, PARAMETERS};
+use crate::scene::parameter::{OPACITY_LOGIT, PARAMETERS, in_degree};
 
 /// Opacity that a reset leaves at most (3DGS).
 const RESET_OPACITY: f64 = 0.01;
@@ -99,12 +99,13 @@ impl Trainer {
             new_rows,
         };
         let parameters = PARAMETERS.iter().zip(&s.parameter).enumerate().map(|(i, (parameter, buffer))| {
-            let shape = if p.has(i) { parameter.planes_and_width() } else { [0, 0] };
+            let shape = if in_degree(i, p.sh_degree) { parameter.planes_and_width() } else { [0, 0] };
             row(buffer, shape, parameter.new_rows)
         });
         let moments = [&p.moment_1, &p.moment_2].map(|moment| row(moment, [p.planes(), 1], NewRows::Zero));
         let mut rows = moments.to_vec();
         rows.push(row(&s.deformation.superpoint_of_gaussian, [1, 1], NewRows::Copy));
+        rows.extend(s.optional.iter().map(|buffer| row(buffer, [s.present.planes(), 1], NewRows::Copy)));
         rows.extend(self.deformation.iter().flat_map(|m| m.density_rows()));
         DensityBuffers {
             parameters: parameters.collect(),
@@ -124,6 +125,9 @@ impl Trainer {
         (p.density, p.max_radius) = (b.density, b.max_radius);
         (p.moment_1, p.moment_2) = (next()?, next()?);
         p.scene.deformation.superpoint_of_gaussian = next()?;
+        if p.scene.optional.is_some() {
+            p.scene.optional = Some(next()?);
+        }
         p.scene.deformation.rest();
         if let Some(model) = self.deformation.take() {
             self.deformation = model.resized(&self.gpu, n, &mut rows)?;

@@ -94,7 +94,7 @@ impl Checkpoint {
 
     fn tensors(&self) -> Vec<NamedTensor<'_>> {
         let (p, g) = (&self.parameters, &self.parameters.gaussians);
-        let (n, planes) = (g.len(), planes(g.sh_degree, &g.optional.present()) as usize);
+        let (n, planes) = (g.len(), planes(g.sh_degree, g.optional.present()) as usize);
         let mut out: Vec<_> = g.arrays().into_iter().map(|(name, shape, values)| floats(name, shape, values)).collect();
         out.extend([
             floats("moment_1", vec![planes, n], &p.moment_1),
@@ -141,7 +141,7 @@ impl Checkpoint {
         let gaussians = Gaussians::from_arrays(sh_degree, |name, shape, required| {
             if !required && !r.has(name) { Ok(None) } else { r.shaped(name, shape).map(Some) }
         })?;
-        let (n, planes) = (gaussians.len(), planes(sh_degree, &gaussians.optional.present()) as usize);
+        let (n, planes) = (gaussians.len(), planes(sh_degree, gaussians.optional.present()) as usize);
         let parameters = ParameterState {
             gaussians,
             moment_1: r.floats("moment_1", Some(planes * n))?,

@@ -48,6 +48,8 @@ crate::gpu_constants! {
         output,
         /// 1: `mean_gradient` is added.
         mean_gradient,
+        /// Which optional parameters the scene has ([`Present`](crate::scene::parameter::Present)).
+        optional,
     }
 }
 
@@ -104,6 +106,8 @@ crate::gpu_buffers! {
         max_radius: optional Update F32,
         /// `float[3][N]`.
         mean_gradient: optional Read F32,
+        /// `[planes][N]` of the optional parameters.
+        optional: optional Update F32,
     }
 }
 
@@ -126,7 +130,7 @@ crate::kernel! {
 /// Parameters and both moments read and written (with `gradient_planes`: parameters read, gradients written), tile counts;
 /// rows and colours of the visible; poses, superpoints and their gradients when moving, offsets and theirs when non-rigid.
 fn deform_project_backward_bytes(work: &Workload) -> u64 {
-    let planes = 11 + 3 * work.get("sh_coefficients").max(1);
+    let planes = 11 + 3 * work.get("sh_coefficients").max(1) + work.get("optional_bytes") / 4;
     let words_per_plane = if work.get("gradient_planes") > 0 { 2 } else { 6 };
     let moving = if work.get("superpoints") > 0 { 4 + 24 } else { 0 };
     let nonrigid = if work.get("nonrigid") > 0 { 80 } else { 0 };

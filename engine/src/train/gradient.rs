@@ -136,7 +136,7 @@ impl Run<'_> {
         let shape = Shape { tiles, slots: Some(slots.clone()), ..Shape::default() };
         let rows = device("instance_gradient", u64::from(capacity) * u64::from(ROW_WORDS))?;
         let splat_gradient = device("splat_gradient", n * u64::from(ROW_WORDS))?;
-        let planes = planes(scene.sh_degree, &scene.optional);
+        let planes = planes(scene.sh_degree, scene.present);
         let gradient = device("gradient", n * u64::from(planes))?;
         let pose_gradient = device("pose_gradient", 6 * n)?;
 
@@ -208,8 +208,9 @@ fn mean2d(splat: &[f32], row: &[f32]) -> [f32; 2] {
 
 /// Planes to arrays per Gaussian.
 fn unpack(planes: &[f32], pose: &[f32], n: usize, scene: &SceneBuffers) -> Result<SceneGradients> {
-    let of_parameters = Gaussians::from_parameters(scene.sh_degree, &scene.optional, |parameter| {
-        let [first, width] = [first_plane(parameter), PARAMETERS[parameter].width].map(|plane| plane as usize);
+    let of_parameters = Gaussians::from_parameters(scene.sh_degree, scene.present, |parameter| {
+        let [first, width] =
+            [first_plane(parameter, scene.present), PARAMETERS[parameter].width].map(|plane| plane as usize);
         Ok::<_, Error>((0..n).flat_map(|g| (first..first + width).map(move |p| planes[p * n + g])).collect())
     })?;
     let pose_rows = if pose.is_empty() { 0 } else { n };

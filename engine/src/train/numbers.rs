@@ -5,7 +5,7 @@ use super::check_finite::check_finite;
 use super::trainer::Trainer;
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Slice};
-use crate::scene::parameter::PARAMETERS;
+use crate::scene::parameter::{PARAMETERS, in_degree};
 
 impl Trainer {
     /// Looks at every parameter, moment and statistic on the device; waits for it.
@@ -25,8 +25,9 @@ impl Trainer {
     fn kept_numbers(&self) -> Vec<(&'static str, Slice, u32)> {
         let (p, s, n) = (&self.parameters, &self.parameters.scene, self.parameters.count());
         let of = |name, buffer: &Buffer, width: u32| (name, Slice::from(buffer), n * width);
-        let parameters = PARAMETERS.iter().zip(&s.parameter).enumerate().filter(|(i, _)| p.has(*i));
+        let parameters = PARAMETERS.iter().zip(&s.parameter).enumerate().filter(|(i, _)| in_degree(*i, p.sh_degree));
         let mut all: Vec<_> = parameters.map(|(_, (p, buffer))| of(p.name, buffer, p.width)).collect();
+        all.extend(s.optional.iter().map(|buffer| of("optional", buffer, s.present.planes())));
         all.extend([
             of("moment_1", &p.moment_1, p.planes()),
             of("moment_2", &p.moment_2, p.planes()),

@@ -8,8 +8,8 @@ use crate::gpu::{Buffer, Gpu};
 use crate::render::bounds::Bounds;
 use crate::render::deformation::DeformationBuffers;
 use crate::render::quality::Storage;
-use crate::render::scene_buffers::SceneBuffers;
-use crate::scene::parameter::{PARAMETERS, Parameter, REQUIRED, in_degree, planes};
+use crate::render::scene_buffers::{SceneBuffers, optional_buffer};
+use crate::scene::parameter::{PARAMETERS, Parameter, REQUIRED, planes};
 use crate::scene::{Gaussians, Rejected};
 
 /// Gaussians on the device.
@@ -50,7 +50,7 @@ impl ParameterState {
     /// Gaussians without a history. SH coefficients are padded or cut to `sh_degree`.
     pub fn new(gaussians: &Gaussians, sh_degree: u32) -> Self {
         let n = gaussians.len();
-        let planes = n * planes(sh_degree, &gaussians.optional.present()) as usize;
+        let planes = n * planes(sh_degree, gaussians.optional.present()) as usize;
         Self {
             gaussians: with_sh_degree(gaussians, sh_degree),
             moment_1: vec![0.0; planes],
@@ -76,8 +76,7 @@ impl Parameters {
     /// `Usage` when lengths differ; `OutOfMemory`.
     pub(crate) fn upload(gpu: &Gpu, s: &ParameterState) -> Result<Self> {
         let g = &s.gaussians;
-        let optional = g.optional.present();
-        let (n, p) = (g.len(), planes(g.sh_degree, &optional) as usize);
+        let (n, p) = (g.len(), planes(g.sh_degree, g.optional.present()) as usize);
         for (name, found, expected) in [
             ("moment_1", s.moment_1.len(), n * p),
             ("moment_2", s.moment_2.len(), n * p),
@@ -99,8 +98,9 @@ impl Parameters {
             sh_storage: Storage::F32,
             bounds: Bounds::EVERYWHERE,
             rejected: Rejected::default(),
-            parameter: PARAMETERS.iter().enumerate().map(parameter).collect::<Result<_>>()?,
-            optional,
+            parameter: PARAMETERS.iter().enumerate().take(REQUIRED).map(parameter).collect::<Result<_>>()?,
+            present: g.optional.present(),
+            optional: optional_buffer(gpu, &g.optional)?,
         };
         Ok(Self {
             scene,
@@ -114,12 +114,7 @@ impl Parameters {
 
     /// P: numbers of a Gaussian.
     pub(crate) fn planes(&self) -> u32 {
-        planes(self.sh_degree, &self.scene.optional)
-    }
-
-    /// Whether the buffers hold this parameter.
-    pub(crate) fn has(&self, parameter: usize) -> bool {
-        in_degree(parameter, self.sh_degree) && (parameter < REQUIRED || self.scene.optional.contains(&parameter))
+        planes(self.sh_degree, self.scene.present)
     }
 
     /// N.
@@ -144,9 +139,18 @@ impl Parameters {
     /// Downloads the Gaussians.
     pub(crate) fn download_gaussians(&self, gpu: &Gpu) -> Result<Gaussians> {
         let (n, s) = (self.count() as usize, &self.scene);
-        Gaussians::from_parameters(self.sh_degree, &s.optional, |i| {
-            let p = &PARAMETERS[i];
-            Ok(p.from_device(words(gpu, &s.parameter[i], n * p.width as usize)?))
+        let optional = match &s.optional {
+            Some(buffer) => words::<f32>(gpu, buffer, n * s.present.planes() as usize)?,
+            None => Vec::new(),
+        };
+        Gaussians::from_parameters(self.sh_degree, s.present, |i| {
+            let (p, count) = (&PARAMETERS[i], n * PARAMETERS[i].width as usize);
+            let first = n * s.present.planes_before(i) as usize;
+            let words = match s.parameter.get(i) {
+                Some(buffer) => words(gpu, buffer, count)?,
+                None => optional.get(first..first + count).unwrap_or_default().to_vec(),
+            };
+            Ok(p.from_device(words))
         })
     }
 }

@@ -14,8 +14,8 @@ pub const NETWORK_G: usize = NETWORK_F + 2;
 pub const IMAGE_GRADIENT: usize = NETWORK_F + 3;
 /// Group of the poses.
 pub const POSE: usize = NETWORK_F + 4;
-/// Words of the `status` buffer: count and first index per group.
-pub const STATUS_WORDS: usize = 2 * (PARAMETERS.len() + OTHER.len());
+/// Words of the `status` buffer: count and first index per group, to a multiple of 16 bytes, as buffers are.
+pub const STATUS_WORDS: usize = (2 * (PARAMETERS.len() + OTHER.len())).next_multiple_of(4);
 
 /// The state before anything is reported.
 pub fn clear() -> [u32; STATUS_WORDS] {

@@ -324,6 +324,7 @@ mod tests {
         for sub in ["glsl/lib", "glsl/render", "spirv_cache"] {
             std::fs::create_dir_all(folder.path().join(sub)).unwrap();
         }
+        std::fs::write(folder.path().join(PARAMETERS), parameter::glsl()).unwrap();
         std::fs::write(folder.path().join("glsl/lib/b.glsl"), "const uint B = 2u;\n").unwrap();
         std::fs::write(folder.path().join("glsl/lib/a.glsl"), "#include \"b.glsl\"\n").unwrap();
         std::fs::write(
@@ -352,7 +353,8 @@ mod tests {
 
     #[test]
     fn every_kind_of_staleness_is_seen() {
-        let touch: [(&str, &str); 5] = [
+        let touch: [(&str, &str); 6] = [
+            (PARAMETERS, "const uint PLANE_MEAN = 1u;\n"),
             ("glsl/lib/b.glsl", "const uint B = 3u;\n"),
             ("glsl/render/k.comp", "#version 460\nvoid main() {}\n"),
             ("spirv_cache/k.spv", "other"),

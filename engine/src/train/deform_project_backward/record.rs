@@ -50,6 +50,7 @@ impl ProjectBackward<'_> {
             nonrigid: u32::from(self.model.offset.is_some()),
             output: if matches!(self.output, Output::Adam(_)) { OUTPUT_ADAM } else { OUTPUT_GRADIENT },
             mean_gradient: u32::from(self.model.mean_gradient.is_some()),
+            optional: scene.present.0,
         };
         let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
         r.dispatch(&DEFORM_PROJECT_BACKWARD, constants, (), self.buffers(), Groups::Direct(groups))
@@ -77,9 +78,9 @@ impl ProjectBackward<'_> {
             superpoint_of_gaussian: moves.then(|| moved.superpoint_of_gaussian.whole()),
             pose: moves.then(|| moved.pose.whole()),
             sh_0: scene.parameter[SH_0].whole(),
-            sh_1: scene.given(SH_0 + 1),
-            sh_2: scene.given(SH_0 + 2),
-            sh_3: scene.given(SH_0 + 3),
+            sh_1: scene.band(1),
+            sh_2: scene.band(2),
+            sh_3: scene.band(3),
             moment_1: parameters.map(|p| p.moment_1.whole()),
             moment_2: parameters.map(|p| p.moment_2.whole()),
             gradient: gradient.map(Buffer::whole),
@@ -89,6 +90,7 @@ impl ProjectBackward<'_> {
             density: parameters.map(|p| p.density.whole()),
             max_radius: parameters.map(|p| p.max_radius.whole()),
             mean_gradient: self.model.mean_gradient.map(Buffer::whole),
+            optional: scene.optional.as_ref().map(Buffer::whole),
         }
     }
 }

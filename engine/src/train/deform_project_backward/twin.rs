@@ -11,7 +11,9 @@ use crate::render::deform_project::MOTION_TABLE;
 use crate::render::frame::Frame;
 use crate::render::limits::COUNT_FAILED;
 use crate::render::twin::{f32_at, set_f32, struct_at, vec4_at};
-use crate::scene::parameter::{LOG_SCALE, MEAN, OPACITY_LOGIT, PARAMETERS, ROTATION, SH_0, first_plane};
+use crate::scene::parameter::{
+    LOG_SCALE, MEAN, OPACITY_LOGIT, Optional, PARAMETERS, Present, ROTATION, SH_0, first_plane,
+};
 use crate::train::adam;
 use crate::train::deform_project_backward::DEFORM_PROJECT_BACKWARD_THREADS;
 use crate::train::status;
@@ -29,6 +31,7 @@ struct Job {
     nonrigid: bool,
     adam: bool,
     with_mean_gradient: bool,
+    optional: Present,
 }
 
 pub(super) fn deform_project_backward_twin(call: Call<'_, DeformProjectBackward>) {
@@ -44,6 +47,7 @@ pub(super) fn deform_project_backward_twin(call: Call<'_, DeformProjectBackward>
         nonrigid: constants.nonrigid == 1,
         adam: constants.output == OUTPUT_ADAM,
         with_mean_gradient: constants.mean_gradient == 1,
+        optional: Present(constants.optional),
     };
     if b.counters[COUNT_FAILED as usize] != 0 {
         return;
@@ -102,10 +106,26 @@ impl Job {
             (ROTATION, &mut *b.rotation, &gradient.rotation),
             (OPACITY_LOGIT, &mut *b.opacity_logit, std::slice::from_ref(&gradient.opacity_logit)),
         ]);
+        // A culled Gaussian has no gradient of its optional parameters.
+        let optional = self.optional_slopes(gradient);
+        let n = self.n;
+        let mut rest = b.optional.as_deref_mut().unwrap_or_default();
+        for (parameter, slopes) in &optional {
+            let (values, others) = rest.split_at_mut(slopes.len() * n);
+            all.push((*parameter, values, slopes));
+            rest = others;
+        }
         for (parameter, values, slopes) in all {
             let good = self.apply(parameter, values, &mut planes, slopes, g);
             report(b.status, good, parameter, g);
         }
+    }
+
+    /// Gradients of the optional parameters, zero where there are none.
+    fn optional_slopes(&self, gradient: &OneGradient) -> Vec<(usize, Vec<f64>)> {
+        let zeros = |parameter: usize| vec![0.0; PARAMETERS[parameter].width as usize];
+        let of = |parameter: usize| gradient.optional.get(parameter).map_or(zeros(parameter), <[f64]>::to_vec);
+        self.optional.iter().map(|parameter| (parameter, of(parameter))).collect()
     }
 
     /// Numbers `first` and the following of Gaussian `g` in a buffer of planes.
@@ -123,6 +143,13 @@ impl Job {
             rotation: self.planes(words, 3, g),
             scale: self.planes(words, 7, g),
         });
+        let mut optional = Optional::default();
+        for parameter in self.optional.iter() {
+            let (first, width) = (self.optional.planes_before(parameter), PARAMETERS[parameter].width);
+            let words = b.optional.as_deref()?;
+            let value = |p: u32| self.planes::<1>(words, p as usize, g)[0];
+            optional.set(parameter, (first..first + width).map(value).collect());
+        }
         let pose = if self.moving { Some(self.pose(b, g)?) } else { None };
         let one = OneGaussian {
             mean: DVec3::from_array(self.planes(b.mean, 0, g)),
@@ -133,6 +160,7 @@ impl Job {
             sh_degree: self.degree as u32,
             pose,
             offset,
+            optional,
         };
         let long = one.rotation.iter().map(|x| x * x).sum::<f64>() > 1e-24;
         let sane = one.mean.is_finite() && one.log_scale.iter().all(|s| s.abs() <= 30.0) && long;
@@ -172,6 +200,7 @@ impl Job {
             position: v(&f.camera_position_high) + v(&f.camera_position_low),
             focal: DVec2::new(f.intrinsics[0].into(), f.intrinsics[1].into()),
             tangent: f.tan_limit.map(f64::from),
+            time: f.time.into(),
         }
     }
 
@@ -190,7 +219,7 @@ impl Job {
 
     /// Hands over the gradients of one parameter; whether all was finite.
     fn apply(&self, parameter: usize, values: &mut [u32], planes: &mut Planes<'_>, slopes: &[f64], g: usize) -> bool {
-        let (first, rate) = (first_plane(parameter) as usize, self.step.rate[parameter]);
+        let (first, rate) = (first_plane(parameter, self.optional) as usize, self.step.rate[parameter]);
         let mut good = true;
         for (k, &slope) in slopes.iter().enumerate() {
             let (word, plane) = (PARAMETERS[parameter].word(k, g, self.n), (first + k) * self.n + g);

@@ -6,7 +6,7 @@ use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 use crate::gpu::{Buffer, Gpu, Groups};
 use crate::render::twin::{f32_at, set_f32};
-use crate::scene::parameter::{OPACITY_LOGIT, first_plane};
+use crate::scene::parameter::{OPACITY_LOGIT, Present, first_plane};
 
 crate::gpu_struct! {
     /// Push constants of `reset_opacity`.
@@ -63,7 +63,11 @@ pub fn reset_opacity(gpu: &Gpu, opacity_logit: &Buffer, moments: [&Buffer; 2], n
     if n == 0 {
         return Ok(());
     }
-    let push = ResetOpacityPush { gaussians: n, limit: logit(max_opacity), plane: first_plane(OPACITY_LOGIT) };
+    let push = ResetOpacityPush {
+        gaussians: n,
+        limit: logit(max_opacity),
+        plane: first_plane(OPACITY_LOGIT, Present::default()),
+    };
     let [moment_1, moment_2] = moments.map(Buffer::whole);
     let buffers = ResetOpacityBuffers { opacity_logit: opacity_logit.whole(), moment_1, moment_2 };
     let mut r = gpu.recorder("reset opacity");
