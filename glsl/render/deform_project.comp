@@ -221,10 +221,6 @@ float log2_share(uint g, uint n) {
         float x = lifespan_place(frame.time, optional[plane * n + g], optional[(plane + 1u) * n + g]);
         share -= HALF_LOG2_E * x * x;
     }
-    if ((has & HAS_FADE) != 0u) {
-        float x = optional[OPTIONAL_FADE(has) * n + g] * frame.time;
-        share -= HALF_LOG2_E * x * x;
-    }
     return share;
 }
 

@@ -362,12 +362,6 @@ void optional_backward(inout Target t, float opacity) {
         apply_optional(t, plane + 1u, seen ? opacity * x * x : 0.0, rate);
         report(t, PARAMETER_LIFESPAN);
     }
-    if ((has & HAS_FADE) != 0u) {
-        uint plane = OPTIONAL_FADE(has);
-        float slope = opacity == 0.0 ? 0.0 : -opacity * optional[plane * t.n + t.g] * frame.time * frame.time;
-        apply_optional(t, plane, slope, step_data.rate[PARAMETER_FADE]);
-        report(t, PARAMETER_FADE);
-    }
 }
 
 void main() {

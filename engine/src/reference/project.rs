@@ -4,7 +4,7 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::{ALPHA_MIN, DILATION, Gaussians64, color_of};
 use crate::error::{Error, Result};
-use crate::scene::parameter::{FADE, LIFESPAN, Optional, PARAMETERS, Parameter, lifespan_share};
+use crate::scene::parameter::{LIFESPAN, Optional, PARAMETERS, Parameter, lifespan_share};
 use crate::scene::{Camera, Gaussians};
 
 /// Borrowed Gaussian parameters of either precision; read as f64.
@@ -82,12 +82,8 @@ impl<T: Copy + Into<f64>> Parameters<'_, T> {
     /// Opacity of Gaussian `i` at a time.
     pub(super) fn opacity(&self, i: usize, time: f64) -> f64 {
         let opacity = 1.0 / (1.0 + (-self.opacity_logit[i].into()).exp());
-        let opacity = match self.optional.row(LIFESPAN, i) {
+        match self.optional.row(LIFESPAN, i) {
             Some(&[middle, log_length]) => opacity * lifespan_share(middle.into(), log_length.into(), time),
-            _ => opacity,
-        };
-        match self.optional.row(FADE, i) {
-            Some(&[fade]) => opacity * (-0.5 * (fade.into() * time).powi(2)).exp(),
             _ => opacity,
         }
     }

@@ -32,8 +32,6 @@ pub enum Activation {
     SphericalHarmonics,
     /// [`lifespan_share`] of the opacity.
     Lifespan,
-    /// exp(−½(fade · time)²) of the opacity.
-    Fade,
 }
 
 /// What density control leaves in a new row.
@@ -82,8 +80,6 @@ pub const OPACITY_LOGIT: usize = 3;
 pub const SH_0: usize = 4;
 /// When a Gaussian is seen: the middle, and the log of the length (a standard deviation), both in units of time.
 pub const LIFESPAN: usize = 8;
-/// How fast a Gaussian fades, 1 / time.
-pub const FADE: usize = 9;
 
 const PLAIN: Parameter = Parameter {
     name: "",
@@ -102,7 +98,7 @@ const SH: Parameter =
 
 /// Every parameter. What follows the SH bands is optional: a scene has it or not. On the device all optional ones that a scene
 /// has share a buffer of planes, and clones and children have their parent's.
-pub const PARAMETERS: [Parameter; 10] = [
+pub const PARAMETERS: [Parameter; 9] = [
     Parameter { name: "mean", width: 3, learning_rate: "mean", spatial: true, export: "mean", ..PLAIN },
     Parameter {
         name: "log_scale",
@@ -141,15 +137,6 @@ pub const PARAMETERS: [Parameter; 10] = [
         export: "lifespan",
         // Four times as long as a scene: nearly always there.
         start: &[0.5, 1.386_294_4],
-        rate: 1e-3,
-        ..PLAIN
-    },
-    Parameter {
-        name: "fade",
-        activation: Activation::Fade,
-        learning_rate: "fade",
-        export: "fade",
-        start: &[0.5],
         rate: 1e-3,
         ..PLAIN
     },

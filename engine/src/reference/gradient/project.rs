@@ -21,7 +21,7 @@ use crate::reference::motion::rigid_quaternion;
 use crate::reference::project::tangent_limit;
 use crate::reference::{DILATION, Offset, Pose, SCALE_MIN, exp_quaternion};
 use crate::scene::Camera;
-use crate::scene::parameter::{FADE, LIFESPAN, Optional};
+use crate::scene::parameter::{LIFESPAN, Optional};
 
 /// A camera as the projection sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -200,9 +200,6 @@ fn optional_gradient(g: &OneGaussian, time: f64, h: f64) -> Optional<f64> {
         let inverse = (-log_length).exp();
         let x = (time - middle) * inverse;
         gradient.set(LIFESPAN, vec![h * x * inverse, h * x * x]);
-    }
-    if let Some(&[fade]) = g.optional.get(FADE) {
-        gradient.set(FADE, vec![-h * fade * time * time]);
     }
     gradient
 }

@@ -12,7 +12,7 @@ use super::{
     DEFORM_PROJECT_THREADS, DeformProject, DeformProjectBuffers, DeformProjectConstants, MOTION_TABLE, SH_0, sh_basis,
 };
 use crate::gpu::interface::Call;
-use crate::scene::parameter::{FADE, LIFESPAN, Present};
+use crate::scene::parameter::{LIFESPAN, Present};
 
 const DILATION_PX2: f32 = 0.3;
 const ROOT_HALF_LOG2_E: f32 = 0.849_321_8;
@@ -132,10 +132,6 @@ fn log2_share(b: &Inputs<'_>, constants: &DeformProjectConstants, frame: &Frame,
     let mut share = 0.0;
     if present.has(LIFESPAN) {
         let x = (frame.time - value(LIFESPAN, 0)) * (-value(LIFESPAN, 1)).exp();
-        share -= HALF_LOG2_E * x * x;
-    }
-    if present.has(FADE) {
-        let x = value(FADE, 0) * frame.time;
         share -= HALF_LOG2_E * x * x;
     }
     share
