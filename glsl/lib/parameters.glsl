@@ -21,11 +21,11 @@ const uint PLANE_SH_2 = 23u;
 const uint PARAMETER_SH_3 = 7u;
 const uint PLANE_SH_3 = 38u;
 
-// Optional ones: bit of OPTIONAL, first plane in the buffer `optional`, and first plane of all in moments and gradients.
+// Optional ones: bit of OPTIONAL and first plane in the buffer `optional`; first plane of all in moments and gradients. `has`: a
+// variable with the value of OPTIONAL (naga reads no operations on specialisation constants).
 const uint PLANE_OPTIONAL = 59u;
 const uint PARAMETER_LIFESPAN = 8u;
 const uint HAS_LIFESPAN = 1u;
-#define OPTIONAL_LIFESPAN (0u)
-#define OPTIONAL_PLANES (0u + ((OPTIONAL & 1u) != 0u ? 2u : 0u))
+#define OPTIONAL_LIFESPAN(has) (0u)
 
 #endif
