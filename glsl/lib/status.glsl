@@ -4,20 +4,18 @@
 #ifndef SPGS_STATUS
 #define SPGS_STATUS
 
+#include "lib/parameters.glsl"
+
 layout(std430, set = 0, binding = STATUS_BINDING) buffer StatusBlock { uint status[]; };
 
-const uint STATUS_MEAN = 0u;
-const uint STATUS_LOG_SCALE = 1u;
-const uint STATUS_ROTATION = 2u;
-const uint STATUS_OPACITY_LOGIT = 3u;
-const uint STATUS_SH = 4u;
-const uint STATUS_NETWORK_F = 5u;
-const uint STATUS_ASSOCIATION = 6u;
-const uint STATUS_NETWORK_G = 7u;
-const uint STATUS_IMAGE_GRADIENT = 8u;
-const uint STATUS_POSE = 9u;
+// The Gaussians' parameters are groups PARAMETER_*; after them:
+const uint STATUS_NETWORK_F = PARAMETERS;
+const uint STATUS_ASSOCIATION = PARAMETERS + 1u;
+const uint STATUS_NETWORK_G = PARAMETERS + 2u;
+const uint STATUS_IMAGE_GRADIENT = PARAMETERS + 3u;
+const uint STATUS_POSE = PARAMETERS + 4u;
 
-// group: STATUS_*; index: of the element within the group's array (for Gaussians: the Gaussian).
+// group: PARAMETER_* or STATUS_*; index: of the element within the group's array (for Gaussians: the Gaussian).
 void report_not_finite(uint group, uint index) {
     atomicAdd(status[2u * group], 1u);
     atomicMin(status[2u * group + 1u], index);

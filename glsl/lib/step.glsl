@@ -3,18 +3,18 @@
 #ifndef SPGS_STEP
 #define SPGS_STEP
 
+#include "lib/parameters.glsl"
+
 // Learning rates are those of one step; bias: 1/(1 - beta_1^t), 1/sqrt(1 - beta_2^t).
 struct Step {
+    vec2 bias_gaussians;
+    vec2 bias_network_f;
+    vec2 bias_association;
+    vec2 bias_network_g;
     uint gaussians;
     uint superpoints;
     uint neighbors;           // of a Gaussian: slots of the association
     uint iteration;
-    float rate_mean;
-    float rate_log_scale;
-    float rate_rotation;
-    float rate_opacity_logit;
-    float rate_sh_0;
-    float rate_sh_rest;       // bands 1 to 3
     float rate_network_f;
     float rate_association;
     float rate_network_g;
@@ -28,11 +28,8 @@ struct Step {
     float beta_1;             // Adam's constants
     float beta_2;
     float epsilon;
-    float unused;             // to a multiple of 16 bytes
-    vec2 bias_gaussians;
-    vec2 bias_network_f;
-    vec2 bias_association;
-    vec2 bias_network_g;
+    float unused;             // to a multiple of 8 bytes
+    float rate[(PARAMETERS + 1u) / 2u * 2u]; // of PARAMETER_*
 };
 
 layout(std430, set = 0, binding = STEP_BINDING) readonly buffer StepBlock { Step step_data; };

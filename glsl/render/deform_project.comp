@@ -20,6 +20,7 @@ layout(constant_id = 5) const uint TILE_CULL = 0;
 layout(constant_id = 6) const uint PACKING = 0;    // see lib/splat.glsl
 layout(constant_id = 7) const uint SH_STORAGE = 0; // 0 f32, 1 f16, 2 u8 with a range per plane (band 0: f16)
 layout(constant_id = 8) const uint MEAN_STORAGE = 0; // 0 f32, 1 unorm16 with a range per coordinate
+layout(constant_id = 9) const uint OPTIONAL = 0; // HAS_* of the optional parameters
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
@@ -30,6 +31,8 @@ layout(constant_id = 8) const uint MEAN_STORAGE = 0; // 0 f32, 1 unorm16 with a 
 #include "lib/quaternion.glsl"
 #include "lib/sh.glsl"
 #include "lib/projection.glsl"
+#include "lib/parameters.glsl"
+#include "lib/lifespan.glsl"
 
 layout(std430, set = 0, binding = 1) readonly buffer MeanBlock { uint mean[]; };
 layout(std430, set = 0, binding = 2) readonly buffer LogScaleBlock { float log_scale[]; };
@@ -46,6 +49,7 @@ layout(std430, set = 0, binding = 12) writeonly buffer TileCountBlock { uint til
 layout(std430, set = 0, binding = 13) buffer VisibleBlockBlock { uint visible_block[]; };
 layout(std430, set = 0, binding = 14) buffer CountersBlock { uint counters[]; };
 layout(std430, set = 0, binding = 15) readonly buffer NonrigidOffsetBlock { float nonrigid_offset[]; };
+layout(std430, set = 0, binding = 16) readonly buffer OptionalBlock { float optional[]; };
 
 #include "lib/place.glsl"
 
@@ -208,6 +212,18 @@ bool write_splat(uint g, uint n, Ellipse e, float z, vec3 d) {
     return usable;
 }
 
+// Log2 of the share of the opacity that the optional parameters leave at the frame's time.
+float log2_share(uint g, uint n) {
+    uint has = OPTIONAL;
+    float share = 0.0;
+    if ((has & HAS_LIFESPAN) != 0u) {
+        uint plane = OPTIONAL_LIFESPAN(has);
+        float x = lifespan_place(frame.time, optional[plane * n + g], optional[(plane + 1u) * n + g]);
+        share -= HALF_LOG2_E * x * x;
+    }
+    return share;
+}
+
 // Processes Gaussian g; the reads come in the order in which the tests need them. No early return: see lib/place.glsl.
 uint project(uint g, uint n, out uint tiles) {
     tiles = 0u;
@@ -219,7 +235,7 @@ uint project(uint g, uint n, out uint tiles) {
     float variance_x = 0.0;
     uint outcome = place_centre(g, n, logit, d, turn, p) ? VISIBLE : REJECTED;
     if (outcome == VISIBLE) {
-        e.log2_opacity = -log2(1.0 + exp(-logit));
+        e.log2_opacity = -log2(1.0 + exp(-logit)) + log2_share(g, n);
         outcome = p.z > frame.near && ellipse_threshold(e) > 0.0 ? VISIBLE : CULLED;
     }
     if (outcome == VISIBLE) {

@@ -13,6 +13,7 @@ layout(constant_id = 2) const uint MOTION = 0;    // 0 static, 1 pose table
 layout(constant_id = 3) const uint NONRIGID = 0;  // 1: nonrigid_offset is added
 layout(constant_id = 4) const uint OUTPUT = 0;    // 0 gradients, 1 Adam
 layout(constant_id = 5) const uint MEAN_GRADIENT = 0; // 1: mean_gradient, of other losses, is added
+layout(constant_id = 6) const uint OPTIONAL = 0;  // HAS_* of the optional parameters
 
 #define STEP_BINDING 1
 #define STATUS_BINDING 3
@@ -25,6 +26,7 @@ layout(constant_id = 5) const uint MEAN_GRADIENT = 0; // 1: mean_gradient, of ot
 #include "lib/quaternion.glsl"
 #include "lib/sh.glsl"
 #include "lib/projection.glsl"
+#include "lib/lifespan.glsl"
 
 layout(std430, set = 0, binding = 2) readonly buffer CountersBlock { uint counters[]; };
 layout(std430, set = 0, binding = 4) readonly buffer SplatsBlock { vec4 splats[]; };
@@ -49,19 +51,10 @@ layout(std430, set = 0, binding = 22) writeonly buffer NonrigidGradientBlock { f
 layout(std430, set = 0, binding = 23) buffer DensityBlock { float density[]; };
 layout(std430, set = 0, binding = 24) buffer MaxRadiusBlock { float max_radius[]; };
 layout(std430, set = 0, binding = 25) readonly buffer MeanGradientBlock { float mean_gradient[]; };
+layout(std430, set = 0, binding = 26) buffer OptionalBlock { float optional[]; };
 
 #include "lib/place.glsl"
 #include "lib/project_backward.glsl"
-
-// First plane of each parameter in moment_1, moment_2 and gradient.
-const uint PLANE_MEAN = 0u;
-const uint PLANE_LOG_SCALE = 3u;
-const uint PLANE_ROTATION = 6u;
-const uint PLANE_OPACITY_LOGIT = 10u;
-const uint PLANE_SH_0 = 11u;
-const uint PLANE_SH_1 = 14u;
-const uint PLANE_SH_2 = 23u;
-const uint PLANE_SH_3 = 38u;
 
 // The Gaussian's gradients that do not belong to a colour.
 struct Gradient {
@@ -124,7 +117,7 @@ void sh_term_1(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3
     uint at = 3u * k * t.n + t.g;
     vec3 value = vec3(sh_1[at], sh_1[at + t.n], sh_1[at + 2u * t.n]);
     along += db * dot(value, colour);
-    vec3 next = apply3(t, PLANE_SH_1 + 3u * k, value, b * colour, step_data.rate_sh_rest);
+    vec3 next = apply3(t, PLANE_SH_1 + 3u * k, value, b * colour, step_data.rate[PARAMETER_SH_1]);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_1[at] = next.x;
@@ -137,7 +130,7 @@ void sh_term_2(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3
     uint at = 3u * k * t.n + t.g;
     vec3 value = vec3(sh_2[at], sh_2[at + t.n], sh_2[at + 2u * t.n]);
     along += db * dot(value, colour);
-    vec3 next = apply3(t, PLANE_SH_2 + 3u * k, value, b * colour, step_data.rate_sh_rest);
+    vec3 next = apply3(t, PLANE_SH_2 + 3u * k, value, b * colour, step_data.rate[PARAMETER_SH_2]);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_2[at] = next.x;
@@ -150,7 +143,7 @@ void sh_term_3(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3
     uint at = 3u * k * t.n + t.g;
     vec3 value = vec3(sh_3[at], sh_3[at + t.n], sh_3[at + 2u * t.n]);
     along += db * dot(value, colour);
-    vec3 next = apply3(t, PLANE_SH_3 + 3u * k, value, b * colour, step_data.rate_sh_rest);
+    vec3 next = apply3(t, PLANE_SH_3 + 3u * k, value, b * colour, step_data.rate[PARAMETER_SH_3]);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_3[at] = next.x;
@@ -165,13 +158,14 @@ vec3 sh_backward(inout Target t, vec3 d, vec3 colour) {
     uint g = t.g;
     uint n = t.n;
     vec3 value = vec3(sh_0[g], sh_0[n + g], sh_0[2u * n + g]);
-    vec3 next = apply3(t, PLANE_SH_0, value, SH_0 * colour, step_data.rate_sh_0);
+    vec3 next = apply3(t, PLANE_SH_0, value, SH_0 * colour, step_data.rate[PARAMETER_SH_0]);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_0[g] = next.x;
         sh_0[n + g] = next.y;
         sh_0[2u * n + g] = next.z;
     }
+    report(t, PARAMETER_SH_0);
     float x = d.x;
     float y = d.y;
     float z = d.z;
@@ -185,6 +179,7 @@ vec3 sh_backward(inout Target t, vec3 d, vec3 colour) {
         sh_term_1(t, 0u, b[0], vec3(0.0, -SH_1, 0.0), colour, along);
         sh_term_1(t, 1u, b[1], vec3(0.0, 0.0, SH_1), colour, along);
         sh_term_1(t, 2u, b[2], vec3(-SH_1, 0.0, 0.0), colour, along);
+        report(t, PARAMETER_SH_1);
     }
     if (degree >= 2u) {
         float b[5];
@@ -194,6 +189,7 @@ vec3 sh_backward(inout Target t, vec3 d, vec3 colour) {
         sh_term_2(t, 2u, b[2], SH_2B * vec3(-2.0 * x, -2.0 * y, 4.0 * z), colour, along);
         sh_term_2(t, 3u, b[3], -SH_2A * vec3(z, 0.0, x), colour, along);
         sh_term_2(t, 4u, b[4], SH_2C * vec3(2.0 * x, -2.0 * y, 0.0), colour, along);
+        report(t, PARAMETER_SH_2);
     }
     if (degree >= 3u) {
         float b[7];
@@ -205,8 +201,8 @@ vec3 sh_backward(inout Target t, vec3 d, vec3 colour) {
         sh_term_3(t, 4u, b[4], -SH_3C * vec3(4.0 * zz - 3.0 * xx - yy, -2.0 * x * y, 8.0 * x * z), colour, along);
         sh_term_3(t, 5u, b[5], SH_3E * vec3(2.0 * x * z, -2.0 * y * z, xx - yy), colour, along);
         sh_term_3(t, 6u, b[6], -SH_3A * vec3(3.0 * (xx - yy), -6.0 * x * y, 0.0), colour, along);
+        report(t, PARAMETER_SH_3);
     }
-    report(t, STATUS_SH);
     return along;
 }
 
@@ -318,17 +314,18 @@ void apply_geometry(inout Target t, vec3 canonical, Gradient o) {
     uint g = t.g;
     uint n = t.n;
     uint kind = OUTPUT;
-    vec3 new_mean = apply3(t, PLANE_MEAN, canonical, o.mean, step_data.rate_mean);
-    report(t, STATUS_MEAN);
+    vec3 new_mean = apply3(t, PLANE_MEAN, canonical, o.mean, step_data.rate[PARAMETER_MEAN]);
+    report(t, PARAMETER_MEAN);
     vec3 log_s = vec3(log_scale[g], log_scale[n + g], log_scale[2u * n + g]);
-    vec3 new_log_scale = apply3(t, PLANE_LOG_SCALE, log_s, o.log_scale, step_data.rate_log_scale);
-    report(t, STATUS_LOG_SCALE);
+    vec3 new_log_scale = apply3(t, PLANE_LOG_SCALE, log_s, o.log_scale, step_data.rate[PARAMETER_LOG_SCALE]);
+    report(t, PARAMETER_LOG_SCALE);
     vec4 q = rotation[g];
-    vec3 q_wxy = apply3(t, PLANE_ROTATION, q.xyz, o.rotation.xyz, step_data.rate_rotation);
-    float q_z = apply(t, PLANE_ROTATION + 3u, q.w, o.rotation.w, step_data.rate_rotation);
-    report(t, STATUS_ROTATION);
-    float logit = apply(t, PLANE_OPACITY_LOGIT, opacity_logit[g], o.opacity_logit, step_data.rate_opacity_logit);
-    report(t, STATUS_OPACITY_LOGIT);
+    vec3 q_wxy = apply3(t, PLANE_ROTATION, q.xyz, o.rotation.xyz, step_data.rate[PARAMETER_ROTATION]);
+    float q_z = apply(t, PLANE_ROTATION + 3u, q.w, o.rotation.w, step_data.rate[PARAMETER_ROTATION]);
+    report(t, PARAMETER_ROTATION);
+    float opacity_rate = step_data.rate[PARAMETER_OPACITY_LOGIT];
+    float logit = apply(t, PLANE_OPACITY_LOGIT, opacity_logit[g], o.opacity_logit, opacity_rate);
+    report(t, PARAMETER_OPACITY_LOGIT);
     if (kind == 1u) {
         mean[g] = new_mean.x;
         mean[n + g] = new_mean.y;
@@ -338,6 +335,32 @@ void apply_geometry(inout Target t, vec3 canonical, Gradient o) {
         log_scale[2u * n + g] = new_log_scale.z;
         rotation[g] = vec4(q_wxy, q_z);
         opacity_logit[g] = logit;
+    }
+}
+
+// Hands over the gradient of one optional number; `plane`: in the buffer `optional`.
+void apply_optional(inout Target t, uint plane, float slope, float rate) {
+    uint at = plane * t.n + t.g;
+    float next = apply(t, PLANE_OPTIONAL + plane, optional[at], slope, rate);
+    uint kind = OUTPUT;
+    if (kind == 1u) {
+        optional[at] = next;
+    }
+}
+
+// Optional parameters. opacity: dL / d ln opacity.
+void optional_backward(inout Target t, float opacity) {
+    uint has = OPTIONAL;
+    if ((has & HAS_LIFESPAN) != 0u) {
+        uint plane = OPTIONAL_LIFESPAN(has);
+        float log_length = optional[(plane + 1u) * t.n + t.g];
+        float x = lifespan_place(frame.time, optional[plane * t.n + t.g], log_length);
+        float rate = step_data.rate[PARAMETER_LIFESPAN];
+        // Gaussians that are not seen have no gradient, wherever their lifespan is.
+        bool seen = opacity != 0.0;
+        apply_optional(t, plane, seen ? opacity * x * exp(-log_length) : 0.0, rate);
+        apply_optional(t, plane + 1u, seen ? opacity * x * x : 0.0, rate);
+        report(t, PARAMETER_LIFESPAN);
     }
 }
 
@@ -375,6 +398,7 @@ void main() {
             o.mean += vec3(mean_gradient[g], mean_gradient[n + g], mean_gradient[2u * n + g]);
         }
         apply_geometry(t, canonical, o);
+        optional_backward(t, visible ? splat_gradient[12u * g] : 0.0);
         uint motion = MOTION;
         if (motion == 1u) {
             write_pose_gradient(g, n, o);

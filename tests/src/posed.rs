@@ -7,6 +7,7 @@ use engine::gpu::Gpu;
 use engine::image::Image;
 use engine::reference::{self, ReferenceOptions};
 use engine::render::{RenderOptions, Renderer};
+use engine::scene::parameter::LIFESPAN;
 use engine::scene::synthetic::moving_scene;
 use engine::scene::{Camera, Scene};
 use glam::{DMat3, DVec3};
@@ -29,11 +30,22 @@ pub struct PosedOptions {
     pub moving: bool,
     /// How far superpoints swing, world units; beside the scene's own rocking.
     pub swing: f32,
+    /// Whether every other Gaussian is seen early, and the others late.
+    pub comes_and_goes: bool,
 }
 
 impl Default for PosedOptions {
     fn default() -> Self {
-        Self { sizes: vec![[32, 24]], train: 8, test: 2, gaussians: 80, superpoints: 3, moving: true, swing: 0.3 }
+        Self {
+            sizes: vec![[32, 24]],
+            train: 8,
+            test: 2,
+            gaussians: 80,
+            superpoints: 3,
+            moving: true,
+            swing: 0.3,
+            comes_and_goes: false,
+        }
     }
 }
 
@@ -83,6 +95,10 @@ fn scene(options: &PosedOptions) -> Scene {
             let (time, j) = (motion.times[at / superpoints], at % superpoints);
             translation[j % 3] += options.swing * (std::f32::consts::TAU * time).sin();
         }
+    }
+    if options.comes_and_goes {
+        let lifespan = |i: usize| [[0.1_f32, -1.6], [0.9, -1.6]][i % 2];
+        scene.gaussians.optional.set(LIFESPAN, (0..options.gaussians).flat_map(lifespan).collect());
     }
     scene
 }

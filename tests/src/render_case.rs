@@ -8,6 +8,8 @@ use engine::render::deform_project::{
 use engine::render::ellipse::Ellipse;
 use engine::render::frame::{Frame, FrameOptions};
 use engine::render::twin::vec4_at;
+use engine::scene::parameter::Optional;
+use engine::scene::synthetic::random_optional;
 use engine::scene::{Camera, Gaussians, Motion, Scene, SuperpointDeformation, Superpoints};
 use glam::DVec3;
 
@@ -63,6 +65,8 @@ pub struct RenderInput {
     pub superpoints: u32,
     /// `[10][N]`; empty without non-rigid offsets.
     pub nonrigid_offset: Vec<f32>,
+    /// Optional parameters.
+    pub optional: Optional,
 }
 
 impl RenderInput {
@@ -83,6 +87,7 @@ impl RenderInput {
             pose: Vec::new(),
             superpoints: 0,
             nonrigid_offset: Vec::new(),
+            optional: Optional::default(),
         }
     }
 
@@ -92,6 +97,13 @@ impl RenderInput {
         let mut r = Random(seed);
         let bound = [0.05, 0.05, 0.05, 0.3, 0.3, 0.3, 0.3, 0.01, 0.01, 0.01];
         self.nonrigid_offset = (0..10 * self.count).map(|i| bound[i / self.count] * r.range(-1.0, 1.0)).collect();
+        self
+    }
+
+    /// Gives it every optional parameter, near what it starts with.
+    #[must_use]
+    pub fn with_optional(mut self, seed: u64) -> Self {
+        self.optional = random_optional(self.count, seed);
         self
     }
 
@@ -145,6 +157,7 @@ impl RenderInput {
             opacity_logit: self.opacity_logit.clone(),
             sh_degree: self.degree,
             sh: sh.collect(),
+            optional: self.optional.clone(),
         };
         if self.pose.is_empty() {
             return Scene { gaussians, ..Scene::default() };
@@ -172,6 +185,7 @@ impl RenderInput {
             sh_degree: self.degree,
             motion: moving.into(),
             nonrigid: nonrigid.into(),
+            optional: self.optional.present().0,
             ..DeformProjectConstants::default()
         };
         let buffers = DeformProjectBuffers {
@@ -191,6 +205,7 @@ impl RenderInput {
             visible_block: vec![0; (groups + groups.div_ceil(256)) as usize],
             counters: vec![0; 8],
             nonrigid_offset: nonrigid.then(|| words(&self.nonrigid_offset)),
+            optional: (!self.optional.is_empty()).then(|| words(&self.optional.to_device())),
         };
         let push = DeformProjectPush { block_capacity: groups };
         KernelCase { kernel: &DEFORM_PROJECT, constants, push, buffers, groups }
@@ -203,6 +218,7 @@ impl RenderInput {
     pub fn frame(&self, camera: &Camera) -> Frame {
         let options = FrameOptions {
             background: [0.1, 0.2, 0.3],
+            time: 0.4,
             gaussians: self.count as u32,
             superpoints: self.superpoints,
             sh_degree: self.degree,

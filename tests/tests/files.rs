@@ -153,6 +153,7 @@ fn many(count: usize) -> Gaussians {
         opacity_logit: (0..count).map(value).collect(),
         sh_degree: 3,
         sh: (0..count * 48).map(value).collect(),
+        ..Gaussians::default()
     }
 }
 

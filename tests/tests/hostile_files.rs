@@ -22,6 +22,7 @@ fn small_scene() -> Scene {
             opacity_logit: vec![0.5; 3],
             sh_degree: 1,
             sh: vec![0.25; 36],
+            ..Gaussians::default()
         },
         deformation: deformation.into(),
         ..Scene::default()

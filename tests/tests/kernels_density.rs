@@ -3,6 +3,7 @@
 
 use engine::gpu::interface::{Interface, KernelOf};
 use engine::gpu::{Buffer, Gpu};
+use engine::scene::parameter::{LOG_SCALE, MEAN, OPACITY_LOGIT, PARAMETERS, ROTATION};
 use engine::scene::synthetic::Random;
 use engine::train::density::density_decide::{DENSITY_DECIDE, DensityDecideBuffers, DensityDecidePush};
 use engine::train::density::density_emit::{DENSITY_EMIT, DensityEmitBuffers, DensityEmitPush};
@@ -77,11 +78,12 @@ fn upload(gpu: &Gpu, rows: &[Row]) -> DensityBuffers {
         .collect::<Vec<Buffer>>()
         .into_iter();
     let mut next = || made.next().unwrap();
+    let parameter = |parameter: usize, buffer: Buffer| {
+        let [planes, width] = PARAMETERS[parameter].planes_and_width();
+        RowArray { buffer, planes, width, new_rows: NewRows::Copy }
+    };
     DensityBuffers {
-        mean: next(),
-        log_scale: next(),
-        rotation: next(),
-        opacity_logit: next(),
+        parameters: [MEAN, LOG_SCALE, ROTATION, OPACITY_LOGIT].map(|p| parameter(p, next())).to_vec(),
         density: next(),
         max_radius: next(),
         rows: vec![
@@ -95,10 +97,10 @@ fn upload(gpu: &Gpu, rows: &[Row]) -> DensityBuffers {
 fn download(gpu: &Gpu, buffers: &DensityBuffers, n: u32) -> [Vec<u32>; 9] {
     let b = buffers;
     let list = [
-        (&b.mean, 3),
-        (&b.log_scale, 3),
-        (&b.rotation, 4),
-        (&b.opacity_logit, 1),
+        (&b.parameters[MEAN].buffer, 3),
+        (&b.parameters[LOG_SCALE].buffer, 3),
+        (&b.parameters[ROTATION].buffer, 4),
+        (&b.parameters[OPACITY_LOGIT].buffer, 1),
         (&b.density, 2),
         (&b.max_radius, 1),
         (&b.rows[0].buffer, 2),

@@ -95,6 +95,7 @@ fn three() -> Scene {
         opacity_logit: vec![-9.0, 4.0, 4.0, 4.0],
         sh_degree: 0,
         sh: vec![0.5; 12],
+        ..Gaussians::default()
     };
     Scene { gaussians, ..Scene::default() }
 }

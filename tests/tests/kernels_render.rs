@@ -77,6 +77,8 @@ fn deform_project_of_random_gaussians() {
         assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("moving, n = {n}, degree {degree}"));
         let input = input.nonrigid(9 + i as u64);
         assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("non-rigid, n = {n}"));
+        let input = input.with_optional(17 + i as u64);
+        assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("optional parameters, n = {n}"));
     }
 }
 

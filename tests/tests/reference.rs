@@ -87,6 +87,7 @@ fn own_case() -> Vec<(&'static str, Vec<u64>, Vec<f64>)> {
         opacity_logit: g.opacity_logit.iter().map(|&x| f64::from(x)).collect(),
         sh_degree: 1,
         sh: g.sh.iter().map(|&x| f64::from(x)).collect(),
+        ..Gaussians64::default()
     };
     // x right, y down, z forward from (0, 0, −4).
     let view = [1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 4., 0., 0., 0., 1.];

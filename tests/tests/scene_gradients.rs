@@ -23,6 +23,7 @@ fn in_f64(scene: &Scene) -> Gaussians64 {
         opacity_logit: g.opacity_logit.iter().map(|&x| x.into()).collect(),
         sh_degree: g.sh_degree,
         sh: g.sh.iter().map(|&x| x.into()).collect(),
+        optional: g.optional.map(f64::from),
     }
 }
 
@@ -35,7 +36,7 @@ fn truth(scene: &Scene, camera: &Camera, gradient: &[f32]) -> Gradients {
     let gaussians = in_f64(scene);
     let poses = scene.deformation.table().map(|motion| table_poses(motion, TIME));
     let group = scene.deformation.superpoint_of_gaussian();
-    let deformation = DeformationAt { group, poses: poses.as_deref(), offsets: None };
+    let deformation = DeformationAt { group, poses: poses.as_deref(), offsets: None, time: TIME };
     let color: Vec<f64> = gradient.chunks_exact(4).flat_map(|g| [g[0], g[1], g[2]]).map(f64::from).collect();
     let alpha: Vec<f64> = gradient.chunks_exact(4).map(|g| g[3].into()).collect();
     let options = ReferenceOptions { background: BACKGROUND.map(f64::from), ..ReferenceOptions::default() };
@@ -128,6 +129,7 @@ fn of(g: &SceneGradients, kept: &[usize], sh_row: usize) -> SceneGradients {
         log_scale: kept.iter().map(|&i| g.log_scale[i]).collect(),
         opacity_logit: kept.iter().map(|&i| g.opacity_logit[i]).collect(),
         sh: kept.iter().flat_map(|&i| g.sh[i * sh_row..(i + 1) * sh_row].iter().copied()).collect(),
+        optional: g.optional.selected(kept),
         mean2d: kept.iter().map(|&i| g.mean2d[i]).collect(),
         pose: Vec::new(),
     }

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::model::deformation;
 use crate::error::Error;
+use crate::scene::parameter::{PARAMETERS, Parameter};
 use crate::scene::{Gaussians, Scene, Tensor};
 
 /// Highest SH degree of a model.
@@ -63,7 +64,11 @@ pub(crate) fn gaussians(g: &Gaussians) -> Check {
     length("gaussians.log_scale", g.log_scale.len(), n)?;
     length("gaussians.rotation", g.rotation.len(), n)?;
     length("gaussians.opacity_logit", g.opacity_logit.len(), n)?;
-    length("gaussians.sh", g.sh.len(), n * g.sh_coefficients() * 3)
+    length("gaussians.sh", g.sh.len(), n * g.sh_coefficients() * 3)?;
+    g.optional.iter().try_for_each(|(parameter, values)| {
+        let Parameter { export, width, .. } = PARAMETERS[parameter];
+        length(&format!("gaussians.{export}"), values.len(), n * width as usize)
+    })
 }
 
 /// Everything but the values of the Gaussians.
@@ -75,15 +80,8 @@ pub(crate) fn scene(scene: &Scene) -> Check {
 
 /// Names that the format gives a meaning, which therefore cannot be further tensors.
 fn is_known(name: &str) -> bool {
-    const KNOWN: [&str; 6] = [
-        "gaussians.mean",
-        "gaussians.log_scale",
-        "gaussians.rotation",
-        "gaussians.opacity_logit",
-        "gaussians.sh",
-        "__metadata__",
-    ];
-    KNOWN.contains(&name) || deformation::is_known(name)
+    let parameter = |rest: &str| PARAMETERS.iter().any(|p| p.export == rest);
+    name == "__metadata__" || name.strip_prefix("gaussians.").is_some_and(parameter) || deformation::is_known(name)
 }
 
 fn extra(name: &str, tensor: &Tensor) -> Check {

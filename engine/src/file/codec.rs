@@ -39,6 +39,7 @@ pub(crate) fn allocate(n: usize, degree: u32) -> Gaussians {
         opacity_logit: vec![0.0; n],
         sh_degree: degree,
         sh: vec![0.0; n * k3],
+        ..Gaussians::default()
     }
 }
 

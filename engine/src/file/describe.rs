@@ -167,23 +167,16 @@ fn statistics(g: &Gaussians) -> Vec<Statistics> {
     if g.is_empty() {
         return Vec::new();
     }
-    let parameters = [
-        ("gaussians.mean", g.mean.as_flattened()),
-        ("gaussians.log_scale", g.log_scale.as_flattened()),
-        ("gaussians.rotation", g.rotation.as_flattened()),
-        ("gaussians.opacity_logit", &g.opacity_logit),
-        ("gaussians.sh", &g.sh),
-    ];
-    let of = |(name, values): (&str, &[f32])| {
+    let of = |(name, _, values): (&str, Vec<usize>, &[f32])| {
         let all = || values.iter().map(|&v| f64::from(v));
         Statistics {
-            name: name.into(),
+            name: format!("gaussians.{name}"),
             min: all().fold(f64::INFINITY, f64::min),
             max: all().fold(f64::NEG_INFINITY, f64::max),
             mean: all().sum::<f64>() / values.len() as f64,
         }
     };
-    parameters.into_iter().map(of).collect()
+    g.arrays().into_iter().map(of).collect()
 }
 
 fn bounds(means: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {

@@ -5,6 +5,7 @@ use std::path::Path;
 use super::{gltf, model, ply, sog, splat, spz};
 use crate::error::{Error, Result};
 use crate::scene::Scene;
+use crate::scene::parameter::PARAMETERS;
 
 /// Formats that can be written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -107,6 +108,7 @@ fn lost(output: Output, scene: &Scene) -> Vec<String> {
     if output == Output::Splat && degree > 0 {
         lost.push(format!("SH degrees 1 to {degree}"));
     }
+    lost.extend(scene.gaussians.optional.iter().map(|(parameter, _)| format!("{}s", PARAMETERS[parameter].name)));
     lost.extend(scene.deformation.parts().into_iter().map(String::from));
     lost.extend((!scene.extra.is_empty()).then(|| "further tensors".into()));
     lost.extend((!scene.metadata.is_empty()).then(|| "metadata".into()));

@@ -34,7 +34,7 @@ pub(crate) fn gaussians(n: usize, sh_degree: u32) -> Gaussians {
     let mut v = Values(n as u64 * 31 + u64::from(sh_degree));
     let k = ((sh_degree + 1) * (sh_degree + 1)) as usize;
     let (mean, log_scale, rotation, opacity_logit) = (v.many(n), v.many(n), v.many(n), v.floats(n));
-    Gaussians { mean, log_scale, rotation, opacity_logit, sh_degree, sh: v.floats(n * k * 3) }
+    Gaussians { mean, log_scale, rotation, opacity_logit, sh_degree, sh: v.floats(n * k * 3), ..Gaussians::default() }
 }
 
 /// A scene with every feature.

@@ -29,7 +29,7 @@ pub fn place_scene(scene: &Scene, time: f64, source: MotionSource) -> Result<Pla
     let parameters = Parameters::from(&scene.gaussians);
     let poses = poses(scene, time, source)?;
     let group = scene.deformation.superpoint_of_gaussian();
-    let rigid = DeformationAt { group, poses: poses.as_deref(), offsets: None };
+    let rigid = DeformationAt { group, poses: poses.as_deref(), offsets: None, time };
     let Some(offsets) = offsets(scene, &parameters, &rigid, time)? else {
         return place_deformed(&parameters, &rigid);
     };

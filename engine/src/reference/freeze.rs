@@ -17,21 +17,22 @@ use crate::scene::{Gaussians, MotionSource, Scene};
 pub fn freeze(scene: &Scene, time: f64, source: MotionSource) -> Result<Gaussians> {
     Parameters::from(&scene.gaussians).check()?;
     let sizes_change = scene.deformation.changes_scales();
-    if scene.deformation.motion_source(source)?.is_none() && !sizes_change {
+    if scene.deformation.motion_source(source)?.is_none() && !sizes_change && scene.gaussians.optional.is_empty() {
         return Ok(scene.gaussians.clone());
     }
     let placed = place_scene(scene, time, source)?;
     Ok(frozen(&scene.gaussians, &placed, sizes_change))
 }
 
-/// The Gaussians of a scene that stands still but for `offsets` `[N]`.
+/// The Gaussians at `time` of a scene that stands still but for `offsets` `[N]`.
 ///
 /// # Errors
 /// [`crate::Error::Usage`] when arrays do not fit together.
-pub fn freeze_with(gaussians: &Gaussians, offsets: &[Offset]) -> Result<Gaussians> {
+pub fn freeze_with(gaussians: &Gaussians, offsets: &[Offset], time: f64) -> Result<Gaussians> {
     let parameters = Parameters::from(gaussians);
     parameters.check()?;
-    let placed = place_deformed(&parameters, &DeformationAt { offsets: Some(offsets), ..DeformationAt::default() })?;
+    let placed =
+        place_deformed(&parameters, &DeformationAt { offsets: Some(offsets), time, ..DeformationAt::default() })?;
     Ok(frozen(gaussians, &placed, true))
 }
 
@@ -41,6 +42,10 @@ fn frozen(gaussians: &Gaussians, placed: &Placed, sizes_change: bool) -> Gaussia
         for (log_scale, scale) in gaussians.log_scale.iter_mut().zip(&placed.scale) {
             *log_scale = scale.map(|s| s.ln() as f32);
         }
+    }
+    // What depended on time is in the opacity now.
+    if !std::mem::take(&mut gaussians.optional).is_empty() {
+        gaussians.opacity_logit = placed.opacity.iter().map(|o| (o / (1.0 - o)).ln() as f32).collect();
     }
     for (i, (mean, rotation)) in placed.mean.iter().zip(&placed.rotation).enumerate() {
         gaussians.mean[i] = mean.as_vec3().to_array();

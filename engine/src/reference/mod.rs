@@ -8,6 +8,7 @@
 //! - camera space p = W·(mean(t) − position); kept iff p.z > near.
 //! - Σ₂ = J W Σ Wᵀ Jᵀ + 0.3·I (px²), J taken at x/z and y/z clamped 0.3·tan(half field of view) outside the image.
 //! - colour = max(0, 0.5 + Σ SH(direction from the camera to mean(t))); SH are not rotated.
+//! - o = sigmoid(logit), times the share of a lifespan at this time where the Gaussians have one.
 //! - α = min(0.99, o·exp(−½dᵀΣ₂⁻¹d)) at pixel centres (i + 0.5, j + 0.5); a Gaussian contributes wherever α ≥ 1/255.
 //! - front to back by camera-space z, ties by index; blending stops before the Gaussian that would take T below 1e-4.
 //! - image = Σ c·α·T + T·background; A = 1 − T; Z = Σ z·α·T.
@@ -41,6 +42,7 @@ pub use sh::color_of;
 
 use crate::error::{Error, Result};
 use crate::image::Image;
+use crate::scene::parameter::Optional;
 use crate::scene::synthetic::HardCase;
 use crate::scene::{Camera, Gaussians, MotionSource, Rejected, Scene};
 
@@ -124,6 +126,8 @@ pub struct Gaussians64 {
     pub sh_degree: u32,
     /// `[N,K,3]` SH coefficients, K = (degree + 1)².
     pub sh: Vec<f64>,
+    /// What only some scenes have.
+    pub optional: Optional<f64>,
 }
 
 impl Gaussians64 {
@@ -136,6 +140,7 @@ impl Gaussians64 {
             opacity_logit: self.opacity_logit.iter().map(|&x| x as f32).collect(),
             sh_degree: self.sh_degree,
             sh: self.sh.iter().map(|&x| x as f32).collect(),
+            optional: self.optional.map(|x| x as f32),
         }
     }
 }
@@ -204,11 +209,11 @@ fn sorted_splats<T: Copy + Into<f64> + Sync>(
     camera: &Camera,
     options: &ReferenceOptions,
 ) -> Vec<Splat> {
-    let Placed { mean, rotation, scale } = placed;
+    let Placed { mean, rotation, scale, opacity } = placed;
     let mut splats: Vec<Splat> = (0..mean.len())
         .into_par_iter()
         .filter(|&i| valid[i])
-        .filter_map(|i| project(parameters, i, mean[i], rotation[i], scale[i], camera, options.near))
+        .filter_map(|i| project(parameters, i, (mean[i], rotation[i], scale[i]), opacity[i], camera, options.near))
         .collect();
     splats.par_sort_by(|a, b| a.depth.total_cmp(&b.depth).then(a.index.cmp(&b.index)));
     splats

@@ -41,6 +41,8 @@ pub struct DeformationAt<'a> {
     pub poses: Option<&'a [Pose]>,
     /// `[N]` non-rigid offsets.
     pub offsets: Option<&'a [Offset]>,
+    /// The time.
+    pub time: f64,
 }
 
 /// Where the Gaussians are at a time.
@@ -52,6 +54,8 @@ pub struct Placed {
     pub rotation: Vec<DMat3>,
     /// `[N]` standard deviations along the Gaussian's axes, world units.
     pub scale: Vec<[f64; 3]>,
+    /// `[N]` opacities.
+    pub opacity: Vec<f64>,
 }
 
 /// sin(x)/x, by its Taylor series near zero, where the quotient would lose digits or be 0/0.
@@ -110,7 +114,7 @@ pub fn place<T: Copy + Into<f64> + Sync>(
     poses: Option<&[Pose]>,
 ) -> Result<Placed> {
     let group = superpoints.map_or(&[][..], |s| &s.of_gaussian);
-    place_deformed(parameters, &DeformationAt { group, poses: superpoints.and(poses), offsets: None })
+    place_deformed(parameters, &DeformationAt { group, poses: superpoints.and(poses), ..DeformationAt::default() })
 }
 
 /// Moves every Gaussian with its superpoint and adds its non-rigid offset.
@@ -119,7 +123,9 @@ pub fn place_deformed<T: Copy + Into<f64> + Sync>(
     deformation: &DeformationAt<'_>,
 ) -> Result<Placed> {
     let count = parameters.count();
-    let mut placed = Placed { scale: (0..count).map(|i| parameters.scale(i)).collect(), ..Placed::default() };
+    let scale = (0..count).map(|i| parameters.scale(i)).collect();
+    let opacity = (0..count).map(|i| parameters.opacity(i, deformation.time)).collect();
+    let mut placed = Placed { scale, opacity, ..Placed::default() };
     let still = |i: usize| (parameters.mean(i), rotation_of_quaternion(parameters.rotation(i)));
     (placed.mean, placed.rotation) = match deformation.poses {
         Some(poses) => {

@@ -4,6 +4,7 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::{ALPHA_MIN, DILATION, Gaussians64, color_of};
 use crate::error::{Error, Result};
+use crate::scene::parameter::{LIFESPAN, Optional, PARAMETERS, Parameter, lifespan_share};
 use crate::scene::{Camera, Gaussians};
 
 /// Borrowed Gaussian parameters of either precision; read as f64.
@@ -15,6 +16,7 @@ pub struct Parameters<'a, T> {
     opacity_logit: &'a [T],
     sh_degree: u32,
     sh: &'a [T],
+    optional: &'a Optional<T>,
 }
 
 macro_rules! borrow_parameters {
@@ -28,6 +30,7 @@ macro_rules! borrow_parameters {
                     opacity_logit: &g.opacity_logit,
                     sh_degree: g.sh_degree,
                     sh: &g.sh,
+                    optional: &g.optional,
                 }
             }
         }
@@ -49,7 +52,11 @@ impl<T: Copy + Into<f64>> Parameters<'_, T> {
             ("opacity_logit", self.opacity_logit.len(), n),
             ("sh", self.sh.len(), n * self.sh_values()),
         ];
-        match lengths.iter().find(|(_, found, expected)| found != expected) {
+        let optional = self.optional.iter().map(|(parameter, values)| {
+            let Parameter { name, width, .. } = PARAMETERS[parameter];
+            (name, values.len(), n * width as usize)
+        });
+        match lengths.into_iter().chain(optional).find(|(_, found, expected)| found != expected) {
             Some((name, found, expected)) => {
                 Err(Error::usage(format!("gaussians.{name}"), found.to_string(), format!("{expected} elements")))
             }
@@ -70,6 +77,15 @@ impl<T: Copy + Into<f64>> Parameters<'_, T> {
     /// Canonical centre of Gaussian `i`.
     pub(super) fn mean(&self, i: usize) -> DVec3 {
         DVec3::from_array(self.mean[i].map(Into::into))
+    }
+
+    /// Opacity of Gaussian `i` at a time.
+    pub(super) fn opacity(&self, i: usize, time: f64) -> f64 {
+        let opacity = 1.0 / (1.0 + (-self.opacity_logit[i].into()).exp());
+        match self.optional.row(LIFESPAN, i) {
+            Some(&[middle, log_length]) => opacity * lifespan_share(middle.into(), log_length.into(), time),
+            _ => opacity,
+        }
     }
 
     /// Standard deviations of Gaussian `i`.
@@ -127,18 +143,16 @@ pub(super) fn tangent_limit(size: u32, focal: f64, center: f64) -> (f64, f64) {
     (-(center / focal + margin), (size - center) / focal + margin)
 }
 
-/// Projects Gaussian `i`, which has centre `mean`, axes `rotation` and deviations `scale` in world space. `None` when it is behind the near
-/// plane, can nowhere reach α = 1/255, or is not finite. Conditions are phrased so that NaN fails.
+/// Projects Gaussian `i`, which has this centre, these axes and deviations in world space, and this opacity. `None` when it is
+/// behind the near plane, can nowhere reach α = 1/255, or is not finite. Conditions are phrased so that NaN fails.
 pub fn project<T: Copy + Into<f64>>(
     parameters: &Parameters<'_, T>,
     i: usize,
-    mean: DVec3,
-    rotation: DMat3,
-    scale: [f64; 3],
+    (mean, rotation, scale): (DVec3, DMat3, [f64; 3]),
+    opacity: f64,
     camera: &Camera,
     near: f64,
 ) -> Option<Splat> {
-    let opacity = 1.0 / (1.0 + (-parameters.opacity_logit[i].into()).exp());
     let offset = mean - camera.position;
     let p = camera.rotation * offset;
     if !(p.z > near && opacity >= ALPHA_MIN) {

@@ -118,6 +118,7 @@ fn one_gaussian_by_hand() {
             opacity_logit: vec![0.0],
             sh_degree: 0,
             sh: vec![1.0, -0.5, -5.0],
+            ..Gaussians::default()
         },
         ..Scene::default()
     };
@@ -154,6 +155,7 @@ fn alpha_is_clamped_and_the_stop_rule_leaves_the_last_gaussian_out() {
         opacity_logit: vec![f32::INFINITY; 3],
         sh_degree: 0,
         sh: [[9.0, 0.0, 0.0], [0.0, 9.0, 0.0], [0.0, 0.0, 9.0]].concat(),
+        ..Gaussians::default()
     };
     let scene = Scene { gaussians, ..Scene::default() };
     let camera = Camera::look_at(DVec3::ZERO, DVec3::Z, DVec3::NEG_Y, 0.1, [1, 1]);

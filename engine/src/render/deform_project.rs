@@ -51,6 +51,8 @@ crate::gpu_constants! {
         sh_storage,
         /// How centres are stored ([`super::mean_storage`]).
         mean_storage,
+        /// Which optional parameters the scene has ([`Present`](crate::scene::parameter::Present)).
+        optional,
     }
 }
 
@@ -83,6 +85,8 @@ crate::gpu_buffers! {
         visible_block: Atomic U32,
         counters: Atomic U32,
         nonrigid_offset: optional Read F32,
+        /// `[planes][N]` of the optional parameters.
+        optional: optional Read F32,
     }
 }
 
@@ -107,7 +111,7 @@ crate::kernel! {
 fn deform_project_bytes(work: &Workload) -> u64 {
     let moving = if work.get("superpoints") > 0 { 4 } else { 0 };
     let keys = work.get("superpoints") * 64;
-    work.get("gaussians") * (work.get("mean_bytes") + 4 + 4 + moving)
+    work.get("gaussians") * (work.get("mean_bytes") + 4 + 4 + moving + work.get("optional_bytes"))
         + work.get("visible") * (12 + 16 + work.get("sh_bytes") + work.get("splat_bytes"))
         + keys
 }

@@ -18,13 +18,14 @@ use crate::gpu::product::Stage;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, SLICE_ALIGNMENT, Slice};
 use crate::reference::Offset;
 use crate::scene::field::{ControlNodes, DeformationField, FieldInput, FieldRule};
+use crate::scene::parameter::{LOG_SCALE, MEAN, ROTATION, transposed};
 use crate::scene::{Gaussians, Linear, MotionSource, Scene};
 
 use super::deformation::offset_buffer;
 use super::frame::{Frame, FrameOptions};
 use super::linear_forward::{self, ForwardPush, LinearForwardBuffers};
 use super::quality::Quality;
-use super::scene_buffers::{SceneBuffers, planes as component_planes};
+use super::scene_buffers::SceneBuffers;
 
 use field_nodes::{FieldNodesBuffers, FieldNodesPush};
 use field_offset::{FieldOffsetBuffers, FieldOffsetPush};
@@ -142,14 +143,14 @@ impl FieldBuffers {
         let (gaussians, offset) = (scene.gaussians, Slice::from(&self.offset));
         let Some(nodes) = &self.nodes else {
             let rows = (gaussians - first).min(self.chunk as u32);
-            self.evaluate(r, stage, &frame, &Slice::from(&scene.mean), [first, rows, gaussians])?;
+            self.evaluate(r, stage, &frame, &Slice::from(&scene.parameter[MEAN]), [first, rows, gaussians])?;
             let push = FieldOffsetPush { first_row: first, rows, outputs: self.outputs() };
             let buffers = FieldOffsetBuffers {
                 frame,
                 head_output: self.head_output(rows),
-                mean: scene.mean.whole(),
-                log_scale: scene.log_scale.whole(),
-                rotation: scene.rotation.whole(),
+                mean: scene.parameter[MEAN].whole(),
+                log_scale: scene.parameter[LOG_SCALE].whole(),
+                rotation: scene.parameter[ROTATION].whole(),
                 nonrigid_offset: offset,
             };
             return field_offset::record(r, self.rule, push, buffers);
@@ -159,8 +160,8 @@ impl FieldBuffers {
         let buffers = FieldNodesBuffers {
             frame,
             head_output: self.head_output(nodes.count),
-            mean: scene.mean.whole(),
-            rotation: scene.rotation.whole(),
+            mean: scene.parameter[MEAN].whole(),
+            rotation: scene.parameter[ROTATION].whole(),
             node_position: nodes.position.whole(),
             node_neighbor: nodes.neighbor.whole(),
             node_weight: nodes.weight.whole(),
@@ -306,7 +307,7 @@ impl Nodes {
             count: nodes.position.len() as u32,
             neighbors: nodes.neighbors as u32,
             turn: ControlNodes::turn(outputs),
-            position: upload("node_position", bytemuck::cast_slice(&component_planes(&nodes.position)))?,
+            position: upload("node_position", bytemuck::cast_slice(&transposed(nodes.position.as_flattened(), 3)))?,
             neighbor: upload("node_neighbor", bytemuck::cast_slice(&nodes.neighbor))?,
             weight: upload("node_weight", bytemuck::cast_slice(&nodes.weight))?,
             share: upload("node_share", bytemuck::cast_slice(&nodes.share))?,

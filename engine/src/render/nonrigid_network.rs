@@ -17,6 +17,7 @@ use crate::gpu::kernel::{Tolerance, Workload};
 use crate::gpu::{Buffer, Gpu, Groups, Recorder, Slice};
 use crate::scene::NonrigidNetwork;
 use crate::scene::network::{NONRIGID_ENCODING, NONRIGID_LAYERS, NONRIGID_ROWS, NONRIGID_WIDTH, relu};
+use crate::scene::parameter::MEAN;
 
 crate::gpu_struct! {
     /// Push constants of [`NONRIGID_NETWORK`]: what was subtracted from every centre, world units.
@@ -142,7 +143,7 @@ impl NonrigidBuffers {
         let moves = scene.deformation.moves();
         let buffers = NonrigidNetworkBuffers {
             frame: frame.whole(),
-            mean: scene.mean.whole(),
+            mean: scene.parameter[MEAN].whole(),
             superpoint_of_gaussian: moves.then(|| scene.deformation.superpoint_of_gaussian.whole()),
             pose: moves.then(|| pose.whole()),
             parameter: self.parameter.whole(),

@@ -3,6 +3,7 @@
 use crate::error::Result;
 use crate::gpu::kernel::Kernel;
 use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, Slice};
+use crate::scene::parameter::{LOG_SCALE, MEAN, OPACITY_LOGIT, ROTATION, SH_0};
 
 use super::blend::{self, BLEND, BlendBuffers, BlendConstants};
 use super::blend_image::{BlendImageBuffers, BlendImagePush};
@@ -122,24 +123,24 @@ fn deform_project(
     let nonrigid = u32::from(nonrigid_offset.is_some());
     let moves = scene.deformation.moves();
     let pose = frame.host_pose.as_ref().unwrap_or(&scene.deformation.pose);
-    let sh_band = |band: usize| (band <= scene.sh_degree as usize).then(|| scene.sh[band].whole());
     let buffers = DeformProjectBuffers {
         frame: frame.frame.whole(),
-        mean: scene.mean.whole(),
-        log_scale: scene.log_scale.whole(),
-        rotation: scene.rotation.whole(),
-        opacity_logit: scene.opacity_logit.whole(),
+        mean: scene.parameter[MEAN].whole(),
+        log_scale: scene.parameter[LOG_SCALE].whole(),
+        rotation: scene.parameter[ROTATION].whole(),
+        opacity_logit: scene.parameter[OPACITY_LOGIT].whole(),
         superpoint_of_gaussian: moves.then(|| scene.deformation.superpoint_of_gaussian.whole()),
         pose: moves.then(|| pose.whole()),
-        sh_0: scene.sh[0].whole(),
-        sh_1: sh_band(1),
-        sh_2: sh_band(2),
-        sh_3: sh_band(3),
+        sh_0: scene.parameter[SH_0].whole(),
+        sh_1: scene.band(1),
+        sh_2: scene.band(2),
+        sh_3: scene.band(3),
         splats: work.splats.whole(),
         tile_count: work.tile_count.whole(),
         visible_block: work.visible_block.clone(),
         counters: work.counters.clone(),
         nonrigid_offset,
+        optional: scene.optional.as_ref().map(Buffer::whole),
     };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
     let groups = Groups::Direct(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS).into());
@@ -152,6 +153,7 @@ fn deform_project(
         packing: quality.packing_constant(),
         sh_storage: scene.sh_storage.constant(),
         mean_storage: mean_storage::constant(quality.position),
+        optional: scene.present.0,
     };
     r.dispatch(&DEFORM_PROJECT, constants, push, buffers, groups)
 }

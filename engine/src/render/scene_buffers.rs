@@ -1,9 +1,12 @@
 //! A scene on the device: the model's arrays, plane by plane, and what moves it.
 
+use std::borrow::Cow;
+
 use glam::DVec3;
 
 use crate::error::{Error, Result};
-use crate::gpu::{Buffer, Gpu, Suite};
+use crate::gpu::{Buffer, Gpu, Slice, Suite};
+use crate::scene::parameter::{MEAN, Optional, PARAMETERS, Parameter, Present, REQUIRED, SH_0, in_degree};
 use crate::scene::{Camera, Gaussians, MotionSource, Rejected, Scene};
 
 use super::bounds::Bounds;
@@ -32,11 +35,12 @@ pub(crate) struct SceneBuffers {
     /// Box that holds every Gaussian's centre over all time, relative to the origin; for depth keys.
     pub(crate) bounds: Bounds,
     pub(crate) rejected: Rejected,
-    pub(crate) mean: Buffer,
-    pub(crate) log_scale: Buffer,
-    pub(crate) rotation: Buffer,
-    pub(crate) opacity_logit: Buffer,
-    pub(crate) sh: [Buffer; 4],
+    /// One for each of the required [`PARAMETERS`]; small where the scene lacks an SH band.
+    pub(crate) parameter: Vec<Buffer>,
+    /// Optional parameters that the scene has.
+    pub(crate) present: Present,
+    /// Their planes, `[planes][N]`, one parameter after another.
+    pub(crate) optional: Option<Buffer>,
 }
 
 impl SceneBuffers {
@@ -65,11 +69,18 @@ impl SceneBuffers {
             .collect();
         let deformation = DeformationBuffers::new(gpu, scene, source, origin, quality)?;
         let sh_degree = g.sh_degree.min(quality.sh_degree);
-        let band = |b: u32| {
-            let planes = if b > sh_degree { Vec::new() } else { sh_band(g, b) };
-            let words = sh_storage::encode(quality.sh, b as usize, &planes, g.len());
-            gpu.buffer_with(&format!("sh_{b}"), bytemuck::cast_slice(&words))
-        };
+        let mut parameter = Vec::with_capacity(PARAMETERS.len());
+        for (i, p) in PARAMETERS.iter().enumerate().take(REQUIRED) {
+            let words = match i {
+                MEAN => mean_storage::encode(quality.position, &mean),
+                SH_0..REQUIRED => {
+                    let planes = if in_degree(i, sh_degree) { p.to_device(g.values(i)) } else { Cow::default() };
+                    sh_storage::encode(quality.sh, i - SH_0, &planes, g.len())
+                }
+                _ => bytemuck::cast_slice(&p.to_device(g.values(i))).to_vec(),
+            };
+            parameter.push(gpu.buffer_with(p.name, bytemuck::cast_slice(&words))?);
+        }
         let bounds = if quality.depth_bits < DEPTH_KEY_BITS {
             Bounds::of(&scene.deformation, &mean, &deformation.poses, origin)
         } else {
@@ -83,12 +94,15 @@ impl SceneBuffers {
             sh_storage: quality.sh,
             bounds,
             rejected,
-            mean: gpu.buffer_with("mean", bytemuck::cast_slice(&mean_storage::encode(quality.position, &mean)))?,
-            log_scale: gpu.buffer_with("log_scale", bytemuck::cast_slice(&planes(&g.log_scale)))?,
-            rotation: gpu.buffer_with("rotation", bytemuck::cast_slice(&g.rotation))?,
-            opacity_logit: gpu.buffer_with("opacity_logit", bytemuck::cast_slice(&g.opacity_logit))?,
-            sh: [band(0)?, band(1)?, band(2)?, band(3)?],
+            parameter,
+            present: g.optional.present(),
+            optional: optional_buffer(gpu, &g.optional)?,
         })
+    }
+
+    /// An SH band, where it is in use.
+    pub(crate) fn band(&self, band: usize) -> Option<Slice> {
+        in_degree(SH_0 + band, self.sh_degree).then(|| self.parameter[SH_0 + band].whole())
     }
 
     /// A frame of this scene; background, near plane and time come from `options`.
@@ -107,32 +121,21 @@ impl SceneBuffers {
 
     /// SH bytes that a visible Gaussian costs.
     pub(crate) fn sh_bytes(&self) -> u64 {
-        let words = self.sh.iter().take(self.sh_degree as usize + 1).map(Buffer::bytes).sum::<u64>();
+        let bands = &self.parameter[SH_0..=SH_0 + self.sh_degree as usize];
+        let words = bands.iter().map(Buffer::bytes).sum::<u64>();
         words / u64::from(self.gaussians.max(1))
     }
 
     /// Bytes of the model on the device.
     pub(crate) fn bytes(&self) -> u64 {
-        let shared = [&self.mean, &self.log_scale, &self.rotation, &self.opacity_logit];
-        self.deformation.bytes()
-            + shared.iter().map(|b| b.bytes()).sum::<u64>()
-            + self.sh.iter().map(Buffer::bytes).sum::<u64>()
+        self.deformation.bytes() + self.parameter.iter().chain(&self.optional).map(Buffer::bytes).sum::<u64>()
     }
 }
 
-/// `[N,3]` → three planes of N.
-pub(crate) fn planes(values: &[[f32; 3]]) -> Vec<f32> {
-    (0..3).flat_map(|axis| values.iter().map(move |v| v[axis])).collect()
-}
-
-/// Coefficients of one SH band as planes of N: plane = (k − b²)·3 + channel. Empty above the scene's degree.
-pub(crate) fn sh_band(g: &Gaussians, band: u32) -> Vec<f32> {
-    if band > g.sh_degree {
-        return Vec::new();
-    }
-    let k3 = g.sh_coefficients() * 3;
-    let (first, last) = ((band * band) as usize * 3, ((band + 1) * (band + 1)) as usize * 3);
-    (first..last).flat_map(|c| (0..g.len()).map(move |i| g.sh[i * k3 + c])).collect()
+/// The planes of all optional parameters; `None` where there are none.
+pub(crate) fn optional_buffer(gpu: &Gpu, optional: &Optional) -> Result<Option<Buffer>> {
+    let some = (!optional.is_empty()).then(|| gpu.buffer_with("optional", bytemuck::cast_slice(&optional.to_device())));
+    some.transpose()
 }
 
 /// Centre of the valid Gaussians' bounds when it is far away in terms of their extent, else zero.
@@ -160,6 +163,13 @@ fn check_lengths(g: &Gaussians) -> Result<()> {
     for (name, found, expected) in lengths {
         if found != expected {
             return Err(Error::usage(format!("gaussians.{name}"), format!("{found} values"), format!("{expected}")));
+        }
+    }
+    for (parameter, values) in g.optional.iter() {
+        let Parameter { export, width, .. } = PARAMETERS[parameter];
+        if values.len() != n * width as usize {
+            let expected = (n * width as usize).to_string();
+            return Err(Error::usage(format!("gaussians.{export}"), format!("{} values", values.len()), expected));
         }
     }
     if g.sh_degree > 3 {

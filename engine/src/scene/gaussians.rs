@@ -1,8 +1,13 @@
 //! The canonical Gaussians, as stored: raw parameters, one array per parameter.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use serde::Serialize;
+
+use super::parameter::{
+    LOG_SCALE, MEAN, OPACITY_LOGIT, Optional, PARAMETERS, Present, REQUIRED, ROTATION, SH_0, in_degree,
+};
 
 /// N Gaussians. Names carry their transform: `log_scale` is exponentiated, `opacity_logit` goes through a sigmoid,
 /// `rotation` is normalised, when used.
@@ -20,7 +25,12 @@ pub struct Gaussians {
     pub sh_degree: u32,
     /// `[N,K,3]` SH coefficients (coefficient-major, RGB innermost); colour = max(0, 0.5 + Σ).
     pub sh: Vec<f32>,
+    /// What only some scenes have.
+    pub optional: Optional,
 }
+
+/// An array of [`Gaussians`]: name, shape, values.
+pub type Array<'a> = (&'static str, Vec<usize>, &'a [f32]);
 
 /// How many Gaussians were skipped on load or refused by the renderer, by reason.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
@@ -79,6 +89,109 @@ impl Gaussians {
             opacity_logit: indices.iter().map(|&i| self.opacity_logit[i]).collect(),
             sh_degree: self.sh_degree,
             sh: indices.iter().flat_map(|&i| self.sh[i * k..(i + 1) * k].iter().copied()).collect(),
+            optional: self.optional.selected(indices),
+        }
+    }
+
+    /// All arrays that files hold.
+    pub fn arrays(&self) -> Vec<Array<'_>> {
+        let n = self.len();
+        let mut all: Vec<Array<'_>> = vec![
+            ("mean", vec![n, 3], self.mean.as_flattened()),
+            ("log_scale", vec![n, 3], self.log_scale.as_flattened()),
+            ("rotation", vec![n, 4], self.rotation.as_flattened()),
+            ("opacity_logit", vec![n], &self.opacity_logit),
+            ("sh", vec![n, self.sh_coefficients(), 3], &self.sh),
+        ];
+        let optional = self.optional.iter().map(|(parameter, values)| {
+            let p = &PARAMETERS[parameter];
+            (p.export, vec![n, p.width as usize], values)
+        });
+        all.extend(optional);
+        all
+    }
+
+    /// Gaussians of these arrays. `take` gives an array of this name, and of this shape where sides are known; of an optional
+    /// parameter `None` where there is none.
+    ///
+    /// # Errors
+    /// Those of `take`.
+    pub(crate) fn from_arrays<E>(
+        sh_degree: u32,
+        mut take: impl FnMut(&str, &[Option<usize>], bool) -> Result<Option<Vec<f32>>, E>,
+    ) -> Result<Self, E> {
+        let k = ((sh_degree + 1) * (sh_degree + 1)) as usize;
+        let mut required = |name: &str, shape: &[Option<usize>]| Ok(take(name, shape, true)?.unwrap_or_default());
+        let mean = required("mean", &[None, Some(3)])?.as_chunks().0.to_vec();
+        let n = Some(mean.len());
+        let mut made = Self {
+            mean,
+            log_scale: required("log_scale", &[n, Some(3)])?.as_chunks().0.to_vec(),
+            rotation: required("rotation", &[n, Some(4)])?.as_chunks().0.to_vec(),
+            opacity_logit: required("opacity_logit", &[n])?,
+            sh_degree,
+            sh: required("sh", &[n, Some(k), Some(3)])?,
+            optional: Optional::default(),
+        };
+        for (parameter, p) in PARAMETERS.iter().enumerate().skip(REQUIRED) {
+            if let Some(values) = take(p.export, &[n, Some(p.width as usize)], false)? {
+                made.optional.set(parameter, values);
+            }
+        }
+        Ok(made)
+    }
+
+    /// Gaussians whose parameters `take` gives, `[N,width]` each: those of the degree, and `optional` ones.
+    ///
+    /// # Errors
+    /// Those of `take`.
+    pub(crate) fn from_parameters<E>(
+        sh_degree: u32,
+        optional: Present,
+        mut take: impl FnMut(usize) -> Result<Vec<f32>, E>,
+    ) -> Result<Self, E> {
+        let mut made = Self {
+            mean: take(MEAN)?.as_chunks().0.to_vec(),
+            log_scale: take(LOG_SCALE)?.as_chunks().0.to_vec(),
+            rotation: take(ROTATION)?.as_chunks().0.to_vec(),
+            opacity_logit: take(OPACITY_LOGIT)?,
+            sh_degree,
+            ..Self::default()
+        };
+        let width = 3 * made.sh_coefficients();
+        made.sh = vec![0.0; made.len() * width];
+        for band in 0..=sh_degree as usize {
+            let (values, of_band) = (take(SH_0 + band)?, 3 * (2 * band + 1));
+            for (row, values) in made.sh.chunks_exact_mut(width).zip(values.chunks_exact(of_band)) {
+                row[3 * band * band..][..of_band].copy_from_slice(values);
+            }
+        }
+        for parameter in optional.iter() {
+            made.optional.set(parameter, take(parameter)?);
+        }
+        Ok(made)
+    }
+
+    /// Whether they have this parameter: SH bands up to the degree, optional ones where they are given.
+    pub fn has(&self, parameter: usize) -> bool {
+        in_degree(parameter, self.sh_degree) && (parameter < REQUIRED || self.optional.get(parameter).is_some())
+    }
+
+    /// `[N,width]` of a parameter; empty where they do not have it.
+    pub fn values(&self, parameter: usize) -> Cow<'_, [f32]> {
+        match parameter {
+            MEAN => self.mean.as_flattened().into(),
+            LOG_SCALE => self.log_scale.as_flattened().into(),
+            ROTATION => self.rotation.as_flattened().into(),
+            OPACITY_LOGIT => self.opacity_logit.as_slice().into(),
+            parameter if parameter >= REQUIRED => self.optional.get(parameter).unwrap_or_default().into(),
+            band if self.has(band) => {
+                let band = band - SH_0;
+                let of_band = 3 * band * band..3 * (band + 1) * (band + 1);
+                let rows = self.sh.chunks_exact(3 * self.sh_coefficients());
+                rows.flat_map(|row| &row[of_band.clone()]).copied().collect::<Vec<_>>().into()
+            }
+            _ => Cow::default(),
         }
     }
 
@@ -96,7 +209,9 @@ impl Gaussians {
     pub fn is_valid(&self, i: usize, rejected: &mut Rejected) -> bool {
         let k3 = self.sh_coefficients() * 3;
         let sh = &self.sh[i * k3..(i + 1) * k3];
+        let optional = self.optional.present().iter().flat_map(|parameter| self.optional.row(parameter, i));
         let finite = self.mean[i].iter().chain(&self.log_scale[i]).chain(&self.rotation[i]).chain(sh);
+        let finite = finite.chain(optional.flatten());
         // Infinite opacity logits are legal limits (0 and 1); only NaN is refused.
         if !finite.copied().all(f32::is_finite) || self.opacity_logit[i].is_nan() {
             rejected.not_finite += 1;
@@ -124,6 +239,7 @@ impl Gaussians {
         self.mean.extend_from_slice(&other.mean[range.clone()]);
         self.log_scale.extend_from_slice(&other.log_scale[range.clone()]);
         self.rotation.extend_from_slice(&other.rotation[range.clone()]);
+        self.optional.append(self.opacity_logit.len(), &other.optional, range.clone());
         self.opacity_logit.extend_from_slice(&other.opacity_logit[range.clone()]);
         let (k3, width) = (other.sh_coefficients() * 3, self.sh_coefficients() * 3);
         for sh in other.sh[range.start * k3..range.end * k3].chunks_exact(k3) {
@@ -156,6 +272,7 @@ impl Gaussians {
         retain_chunks(&mut self.rotation, 1, keep);
         retain_chunks(&mut self.opacity_logit, 1, keep);
         retain_chunks(&mut self.sh, k3, keep);
+        self.optional.retain(keep);
     }
 }
 

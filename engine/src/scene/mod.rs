@@ -6,6 +6,7 @@ pub mod field;
 pub mod gaussians;
 pub mod motion;
 pub mod network;
+pub mod parameter;
 pub mod path;
 pub mod synthetic;
 
@@ -42,8 +43,13 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Whether anything moves.
+    /// Whether anything moves, comes or goes.
     pub fn is_dynamic(&self) -> bool {
-        self.deformation.moves()
+        self.deformation.moves() || !self.gaussians.optional.is_empty()
+    }
+
+    /// First and last time: of what moves; 0 and 1 where Gaussians only come and go; both 0 in a scene that stands still.
+    pub fn time_range(&self) -> [f64; 2] {
+        if self.is_dynamic() && !self.deformation.moves() { [0.0, 1.0] } else { self.deformation.time_range() }
     }
 }

@@ -1,12 +1,12 @@
 //! Density control in the trainer: what a pass needs and what it replaces.
 
 use super::blend_backward::ROW_WORDS;
-use super::deform_project_backward::parameter_planes;
 use super::density::{Density, DensityBuffers, DensityChange, DensityOptions, NewRows, RowArray, reset_opacity};
 use super::trainer::Trainer;
 use crate::data::dataset::View;
 use crate::error::{Error, Result};
-use crate::gpu::Memory;
+use crate::gpu::{Buffer, Memory};
+use crate::scene::parameter::{OPACITY_LOGIT, PARAMETERS, in_degree};
 
 /// Opacity that a reset leaves at most (3DGS).
 const RESET_OPACITY: f64 = 0.01;
@@ -31,7 +31,7 @@ impl Trainer {
         if self.schedule.resets_opacity(iteration) {
             let p = &self.parameters;
             let moments = [&p.moment_1, &p.moment_2];
-            reset_opacity(&self.gpu, &p.scene.opacity_logit, moments, p.count(), RESET_OPACITY)?;
+            reset_opacity(&self.gpu, &p.scene.parameter[OPACITY_LOGIT], moments, p.count(), RESET_OPACITY)?;
             change.opacity_reset = true;
         }
         if change.opacity_reset || grows || prunes {
@@ -80,7 +80,7 @@ impl Trainer {
         let n = u64::from(self.parameters.count());
         let (rows, work) = self.deformation.as_ref().map_or((0, 0), |m| (m.row_bytes(), m.bytes_per_gaussian()));
         // Parameters and moments exist twice while they are moved.
-        let kept = 2 * (3 * 4 * u64::from(parameter_planes(self.parameters.sh_degree)) + rows + 16);
+        let kept = 2 * (3 * 4 * u64::from(self.parameters.planes()) + rows + 16);
         let each = kept + WORK_BYTES + work + INSTANCES * INSTANCE_BYTES;
         let pixels = |v: &View| u64::from(v.camera.width) * u64::from(v.camera.height);
         let images = PIXEL_BYTES * self.views.iter().map(pixels).max().unwrap_or(0);
@@ -92,24 +92,23 @@ impl Trainer {
 
     fn density_buffers(&self) -> DensityBuffers {
         let (p, s) = (&self.parameters, &self.parameters.scene);
-        let row = |buffer: &crate::gpu::Buffer, planes: u32, width: u32, new_rows: NewRows| RowArray {
+        let row = |buffer: &Buffer, [planes, width]: [u32; 2], new_rows: NewRows| RowArray {
             buffer: buffer.clone(),
             planes,
             width,
             new_rows,
         };
-        let band = |b: u32| if b <= p.sh_degree { 3 * (2 * b + 1) } else { 0 };
-        let planes = parameter_planes(p.sh_degree);
-        let mut rows: Vec<RowArray> = (0..4).map(|b| row(&s.sh[b as usize], band(b), 1, NewRows::Copy)).collect();
-        rows.push(row(&p.moment_1, planes, 1, NewRows::Zero));
-        rows.push(row(&p.moment_2, planes, 1, NewRows::Zero));
-        rows.push(row(&s.deformation.superpoint_of_gaussian, 1, 1, NewRows::Copy));
+        let parameters = PARAMETERS.iter().zip(&s.parameter).enumerate().map(|(i, (parameter, buffer))| {
+            let shape = if in_degree(i, p.sh_degree) { parameter.planes_and_width() } else { [0, 0] };
+            row(buffer, shape, parameter.new_rows)
+        });
+        let moments = [&p.moment_1, &p.moment_2].map(|moment| row(moment, [p.planes(), 1], NewRows::Zero));
+        let mut rows = moments.to_vec();
+        rows.push(row(&s.deformation.superpoint_of_gaussian, [1, 1], NewRows::Copy));
+        rows.extend(s.optional.iter().map(|buffer| row(buffer, [s.present.planes(), 1], NewRows::Copy)));
         rows.extend(self.deformation.iter().flat_map(|m| m.density_rows()));
         DensityBuffers {
-            mean: s.mean.clone(),
-            log_scale: s.log_scale.clone(),
-            rotation: s.rotation.clone(),
-            opacity_logit: s.opacity_logit.clone(),
+            parameters: parameters.collect(),
             density: p.density.clone(),
             max_radius: p.max_radius.clone(),
             rows,
@@ -120,13 +119,15 @@ impl Trainer {
     fn take(&mut self, n: u32, b: DensityBuffers) -> Result<()> {
         let mut rows = b.rows.into_iter().map(|r| r.buffer);
         let mut next = || rows.next().ok_or_else(|| Error::usage("density control", "too few arrays", "all of them"));
-        let (p, s) = (&mut self.parameters, n);
-        p.scene.gaussians = s;
-        (p.scene.mean, p.scene.log_scale, p.scene.rotation) = (b.mean, b.log_scale, b.rotation);
-        (p.scene.opacity_logit, p.density, p.max_radius) = (b.opacity_logit, b.density, b.max_radius);
-        p.scene.sh = [next()?, next()?, next()?, next()?];
+        let p = &mut self.parameters;
+        p.scene.gaussians = n;
+        p.scene.parameter = b.parameters.into_iter().map(|row| row.buffer).collect();
+        (p.density, p.max_radius) = (b.density, b.max_radius);
         (p.moment_1, p.moment_2) = (next()?, next()?);
         p.scene.deformation.superpoint_of_gaussian = next()?;
+        if p.scene.optional.is_some() {
+            p.scene.optional = Some(next()?);
+        }
         p.scene.deformation.rest();
         if let Some(model) = self.deformation.take() {
             self.deformation = model.resized(&self.gpu, n, &mut rows)?;

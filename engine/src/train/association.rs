@@ -58,11 +58,6 @@ pub const NEW_LOGIT: f32 = 0.1;
 /// A pair's value is `slot << PAIR_SHIFT | gaussian`; slot K is the Gaussian's own superpoint.
 pub const PAIR_SHIFT: u32 = 28;
 
-/// Group of `status` for reports about the association.
-pub const ASSOCIATION_GROUP: usize = 6;
-/// Group of `status` for reports about poses.
-pub const POSE_GROUP: usize = 9;
-
 /// Logits of a superpoint initialisation.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub enum AssociationInit {

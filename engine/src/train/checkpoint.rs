@@ -7,11 +7,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::config::{Config, Preset};
-use super::deform_project_backward::parameter_planes;
 use super::parameters::ParameterState;
 use super::schedule::Stage;
 use crate::error::{Error, Result};
 use crate::file::tensors::{self, NamedTensor, StoredTensor, floats, indices};
+use crate::scene::parameter::planes;
 use crate::scene::{
     Association, DeformNetwork, DeformSize, Deformation, Gaussians, NonrigidNetwork, Scene, SuperpointDeformation,
     Superpoints,
@@ -94,19 +94,15 @@ impl Checkpoint {
 
     fn tensors(&self) -> Vec<NamedTensor<'_>> {
         let (p, g) = (&self.parameters, &self.parameters.gaussians);
-        let (n, planes) = (g.len(), parameter_planes(g.sh_degree) as usize);
-        let mut out = vec![
-            floats("mean", vec![n, 3], g.mean.as_flattened()),
-            floats("log_scale", vec![n, 3], g.log_scale.as_flattened()),
-            floats("rotation", vec![n, 4], g.rotation.as_flattened()),
-            floats("opacity_logit", vec![n], &g.opacity_logit),
-            floats("sh", vec![n, g.sh_coefficients(), 3], &g.sh),
+        let (n, planes) = (g.len(), planes(g.sh_degree, g.optional.present()) as usize);
+        let mut out: Vec<_> = g.arrays().into_iter().map(|(name, shape, values)| floats(name, shape, values)).collect();
+        out.extend([
             floats("moment_1", vec![planes, n], &p.moment_1),
             floats("moment_2", vec![planes, n], &p.moment_2),
             floats("density", vec![2, n], &p.density),
             floats("max_radius", vec![n], &p.max_radius),
             indices("superpoint_of_gaussian", vec![n], &p.superpoint_of_gaussian),
-        ];
+        ]);
         if let Some(m) = &self.motion {
             let shape = vec![n, m.association.neighbors];
             out.push(floats("superpoint_position", vec![m.position.len(), 3], m.position.as_flattened()));
@@ -142,17 +138,10 @@ impl Checkpoint {
         if sh_degree > 3 {
             return Err(wrong("sh_degree", sh_degree.to_string()));
         }
-        let opacity_logit = r.floats("opacity_logit", None)?;
-        let n = opacity_logit.len();
-        let (k, planes) = (((sh_degree + 1) * (sh_degree + 1)) as usize, parameter_planes(sh_degree) as usize);
-        let gaussians = Gaussians {
-            mean: r.floats("mean", Some(3 * n))?.as_chunks().0.to_vec(),
-            log_scale: r.floats("log_scale", Some(3 * n))?.as_chunks().0.to_vec(),
-            rotation: r.floats("rotation", Some(4 * n))?.as_chunks().0.to_vec(),
-            opacity_logit,
-            sh_degree,
-            sh: r.floats("sh", Some(n * k * 3))?,
-        };
+        let gaussians = Gaussians::from_arrays(sh_degree, |name, shape, required| {
+            if !required && !r.has(name) { Ok(None) } else { r.shaped(name, shape).map(Some) }
+        })?;
+        let (n, planes) = (gaussians.len(), planes(sh_degree, gaussians.optional.present()) as usize);
         let parameters = ParameterState {
             gaussians,
             moment_1: r.floats("moment_1", Some(planes * n))?,
@@ -257,6 +246,17 @@ struct Reader<'a> {
 impl Reader<'_> {
     fn has(&self, name: &str) -> bool {
         self.tensors.contains_key(name)
+    }
+
+    /// Floats of this shape, where sides are known.
+    fn shaped(&mut self, name: &str, shape: &[Option<usize>]) -> Result<Vec<f32>> {
+        let fits = |f: &[usize]| f.len() == shape.len() && f.iter().zip(shape).all(|(f, s)| s.is_none_or(|s| s == *f));
+        if let Some(found) = self.tensors.get(name).map(|t| &t.shape).filter(|found| !fits(found)) {
+            let sides: Vec<String> = shape.iter().map(|s| s.map_or("any".into(), |n| n.to_string())).collect();
+            let expected = format!("F32 [{}]", sides.join(", "));
+            return Err(Error::corrupt(self.path, format!("tensor `{name}`"), format!("{found:?}"), expected));
+        }
+        self.floats(name, None)
     }
 
     fn bytes(&mut self, name: &str, dtype: &str, count: Option<usize>) -> Result<Vec<u8>> {

@@ -8,6 +8,7 @@ mod preset;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -15,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use crate::data::dataset::DatasetOptions;
 use crate::error::{Error, Result};
 use crate::scene::DeformSize;
+use crate::scene::parameter::{PARAMETERS, Present, REQUIRED};
 pub use preset::Preset;
 
 /// Which form of a formula is used where paper and code disagree.
@@ -101,6 +103,8 @@ pub struct GaussiansConfig {
     pub random_points: u32,
     /// Half the edge of that cube, world units (code: 1.3).
     pub random_extent: f32,
+    /// Optional parameters that are trained, by name; none by default.
+    pub optional: Vec<String>,
     /// At most this many of the data's points are used (evenly thinned).
     pub max_points: u32,
     /// Opacity of the first Gaussians (3DGS: 0.1).
@@ -215,6 +219,8 @@ pub struct LearningRates {
     pub sh_0: f64,
     /// SH degrees 1–3 (2.5e-3 / 20).
     pub sh_rest: f64,
+    /// Those of optional parameters, by name; the table of parameters has one for each that is not here.
+    pub optional: BTreeMap<String, f64>,
     /// Network F at the start (1e-3).
     pub deform: f64,
     /// Network F at the end. Paper: 1e-5; code: 1.6e-6. Default 1e-5, as the paper: the code's value is that of the centres,
@@ -226,6 +232,24 @@ pub struct LearningRates {
     pub association: f64,
     /// Whether the association's rate decays as F's. Paper: silent; code: means to, but never does. Default no, as the code.
     pub association_decay: bool,
+}
+
+impl LearningRates {
+    /// First and last rate of a key of the table of parameters; `None` for a key that is none of theirs.
+    pub fn of(&self, key: &str) -> Option<[f64; 2]> {
+        Some(match key {
+            "mean" => [self.mean, self.mean_final],
+            "log_scale" => [self.log_scale; 2],
+            "rotation" => [self.rotation; 2],
+            "opacity_logit" => [self.opacity_logit; 2],
+            "sh_0" => [self.sh_0; 2],
+            "sh_rest" => [self.sh_rest; 2],
+            optional => {
+                let of_table = PARAMETERS[REQUIRED..].iter().find(|p| p.learning_rate == optional)?.rate;
+                [self.optional.get(optional).copied().unwrap_or(of_table); 2]
+            }
+        })
+    }
 }
 
 /// Adam's constants.
@@ -374,6 +398,9 @@ impl Config {
             let found = self.motion.association_slots.to_string();
             return wrong("motion.association_slots", found, "motion.neighbors to 16");
         }
+        Present::of_names(&self.gaussians.optional)?;
+        let rates: Vec<String> = self.learning_rate.optional.keys().cloned().collect();
+        Present::of_names(&rates)?;
         self.motion.network_size().check()?;
         if self.iterations == 0 || self.schedule.reference_iterations == 0 || self.density.interval == 0 {
             return wrong("iterations", "0".into(), "at least 1 (also reference_iterations and density.interval)");
@@ -464,7 +491,7 @@ fn merge(base: &mut toml::Table, over: toml::Table) {
 
 /// Log-linear decay from `first` to `last` over `steps`, held afterwards (Plenoxels' schedule, as 3DGS uses it).
 pub fn decayed(first: f64, last: f64, step: u64, steps: u64) -> f64 {
-    if first <= 0.0 || last <= 0.0 || steps == 0 {
+    if first <= 0.0 || last <= 0.0 || steps == 0 || first == last {
         return first;
     }
     let t = (step as f64 / steps as f64).clamp(0.0, 1.0);

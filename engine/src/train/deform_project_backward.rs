@@ -4,8 +4,8 @@
 //! One Gaussian per thread. Recomputes the projection of [`crate::render::deform_project`] from the parameters and goes
 //! back through it in whitened coordinates; formulas: [`crate::reference::gradient::project`] (EWA splatting as in 3D
 //! Gaussian Splatting, with gsplat's clamp of the Jacobian; motion and non-rigid offsets of SP-GS). The moments, and
-//! `gradient`, are planes `float[P][N]` in the order mean 0–2, log_scale 3–5, rotation 6–9 (w,x,y,z), opacity_logit 10,
-//! sh_0 11–13, sh_1 14–22, sh_2 23–37, sh_3 38–58; planes of bands above `SH_DEGREE` are neither read nor written.
+//! `gradient`, are planes `float[P][N]` in the order of [`PARAMETERS`](crate::scene::parameter::PARAMETERS); planes of bands
+//! above `SH_DEGREE` are neither read nor written.
 //!
 //! A Gaussian with `tile_count` 0 has gradient 0; its moments decay and it moves on, as in PyTorch's Adam. Nothing changes
 //! when the forward failed (`counters`). What is not finite is reported in `status` and not applied; in `gradient`,
@@ -17,7 +17,10 @@
 //! When the step keeps statistics, a visible Gaussian adds ‖dL/d mean2d·(W/2, H/2)‖ to plane 0 and 1 to plane 1 of
 //! `density float[2][N]`, and raises `max_radius float[N]` to ⌈3√λ⌉ px, λ the larger eigenvalue of Σ₂ (3DGS's criteria).
 
+mod record;
 mod twin;
+
+pub(super) use record::{Output, ProjectBackward};
 
 use crate::gpu::kernel::{Kernel, Tolerance, Workload};
 use crate::render::frame::Frame;
@@ -30,14 +33,6 @@ pub const DEFORM_PROJECT_BACKWARD_THREADS: u32 = 128;
 pub const OUTPUT_GRADIENT: u32 = 0;
 /// `OUTPUT`: take an Adam step on the parameters.
 pub const OUTPUT_ADAM: u32 = 1;
-
-/// Planes of `gradient`, `moment_1` and `moment_2` for SH of a degree: 11 + 3(degree + 1)².
-pub const fn parameter_planes(sh_degree: u32) -> u32 {
-    11 + 3 * (sh_degree + 1) * (sh_degree + 1)
-}
-
-/// First plane of each band of SH coefficients.
-pub const PLANE_SH: [usize; 4] = [11, 14, 23, 38];
 
 crate::gpu_constants! {
     /// Specialisation constants of [`DEFORM_PROJECT_BACKWARD`].
@@ -53,6 +48,8 @@ crate::gpu_constants! {
         output,
         /// 1: `mean_gradient` is added.
         mean_gradient,
+        /// Which optional parameters the scene has ([`Present`](crate::scene::parameter::Present)).
+        optional,
     }
 }
 
@@ -109,6 +106,8 @@ crate::gpu_buffers! {
         max_radius: optional Update F32,
         /// `float[3][N]`.
         mean_gradient: optional Read F32,
+        /// `[planes][N]` of the optional parameters.
+        optional: optional Update F32,
     }
 }
 
@@ -131,7 +130,7 @@ crate::kernel! {
 /// Parameters and both moments read and written (with `gradient_planes`: parameters read, gradients written), tile counts;
 /// rows and colours of the visible; poses, superpoints and their gradients when moving, offsets and theirs when non-rigid.
 fn deform_project_backward_bytes(work: &Workload) -> u64 {
-    let planes = 11 + 3 * work.get("sh_coefficients").max(1);
+    let planes = 11 + 3 * work.get("sh_coefficients").max(1) + work.get("optional_bytes") / 4;
     let words_per_plane = if work.get("gradient_planes") > 0 { 2 } else { 6 };
     let moving = if work.get("superpoints") > 0 { 4 + 24 } else { 0 };
     let nonrigid = if work.get("nonrigid") > 0 { 80 } else { 0 };

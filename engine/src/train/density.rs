@@ -26,8 +26,9 @@ pub mod reset_opacity;
 mod run;
 pub mod split_children;
 
+pub use crate::scene::parameter::NewRows;
 pub use reset_opacity::reset_opacity;
-pub use run::{Density, DensityBuffers, DensityOptions, DensityOutcome, NewRows, RowArray};
+pub use run::{Density, DensityBuffers, DensityOptions, DensityOutcome, RowArray};
 
 use crate::gpu::kernel::Kernel;
 

@@ -2,16 +2,13 @@
 //! the Gaussians left as they are.
 
 use super::blend_backward::{self, BackwardInput, BackwardTarget, ROW_WORDS};
-use super::deform_project_backward::{
-    DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, DeformProjectBackwardBuffers,
-    DeformProjectBackwardConstants, OUTPUT_GRADIENT, parameter_planes,
-};
+use super::deform_project_backward::{Output, ProjectBackward};
+use super::deformation::ProjectInputs;
 use super::status;
 use super::step::Step;
 use crate::error::{Error, Result};
-use crate::gpu::{Buffer, Gpu, Groups, Memory, Slice};
+use crate::gpu::{Buffer, Gpu, Memory, Slice};
 use crate::reference::gradient::splats::TWO_LN_2;
-use crate::render::deform_project::{MOTION_STATIC, MOTION_TABLE};
 use crate::render::deformation::{Offsets, Poses};
 use crate::render::frame::{Frame, FrameOptions};
 use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, TILE_SIZE};
@@ -20,7 +17,8 @@ use crate::render::quality::Quality;
 use crate::render::scene_buffers::SceneBuffers;
 use crate::render::tiles::SlotBuffers;
 use crate::render::work_buffers::{COUNTER_WORDS, WorkBuffers};
-use crate::scene::{Camera, MotionSource, Scene};
+use crate::scene::parameter::{Optional, PARAMETERS, first_plane, planes};
+use crate::scene::{Camera, Gaussians, MotionSource, Scene};
 
 /// What the image depends on besides scene, camera and time.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,6 +42,8 @@ pub struct SceneGradients {
     pub opacity_logit: Vec<f32>,
     /// `[N,K,3]`.
     pub sh: Vec<f32>,
+    /// `[N,width]` of what only some scenes have.
+    pub optional: Optional,
     /// `[N,2]` of the projected centre, px; 0 for what is not drawn.
     pub mean2d: Vec<[f32; 2]>,
     /// `[N,6]` by a left tangent of the rotation of each Gaussian's superpoint, and of its translation; empty when nothing
@@ -136,7 +136,7 @@ impl Run<'_> {
         let shape = Shape { tiles, slots: Some(slots.clone()), ..Shape::default() };
         let rows = device("instance_gradient", u64::from(capacity) * u64::from(ROW_WORDS))?;
         let splat_gradient = device("splat_gradient", n * u64::from(ROW_WORDS))?;
-        let planes = parameter_planes(scene.sh_degree);
+        let planes = planes(scene.sh_degree, scene.present);
         let gradient = device("gradient", n * u64::from(planes))?;
         let pose_gradient = device("pose_gradient", 6 * n)?;
 
@@ -158,45 +158,18 @@ impl Run<'_> {
         blend_backward::record(gpu, &mut r, &input, &target, &Slice::from(&splat_gradient))?;
         let step = gpu.buffer_with("step", bytemuck::bytes_of(&Step::default()))?;
         let status = gpu.buffer_with("status", bytemuck::cast_slice(&status::clear()))?;
-        let [sh_0, sh_1, sh_2, sh_3] = &scene.sh;
-        let band = |degree: u32, sh: &Buffer| (scene.sh_degree >= degree).then(|| sh.whole());
-        let moves = scene.deformation.moves();
-        let buffers = DeformProjectBackwardBuffers {
-            frame: frame.frame.whole(),
-            step: step.whole(),
-            counters: work.counters.clone(),
-            status: status.whole(),
-            splats: work.splats.whole(),
-            tile_count: work.tile_count.whole(),
-            splat_gradient: splat_gradient.whole(),
-            mean: scene.mean.whole(),
-            log_scale: scene.log_scale.whole(),
-            rotation: scene.rotation.whole(),
-            opacity_logit: scene.opacity_logit.whole(),
-            superpoint_of_gaussian: moves.then(|| scene.deformation.superpoint_of_gaussian.whole()),
-            pose: moves.then(|| scene.deformation.pose.whole()),
-            sh_0: sh_0.whole(),
-            sh_1: band(1, sh_1),
-            sh_2: band(2, sh_2),
-            sh_3: band(3, sh_3),
-            moment_1: None,
-            moment_2: None,
-            gradient: Some(gradient.whole()),
-            pose_gradient: moves.then(|| pose_gradient.whole()),
-            nonrigid_offset: None,
-            nonrigid_gradient: None,
-            density: None,
-            max_radius: None,
-            mean_gradient: None,
+        let pass = ProjectBackward {
+            scene,
+            frame: &frame.frame,
+            work: &work,
+            step: &step,
+            status: &status,
+            splat_gradient: &splat_gradient,
+            pose_gradient: &pose_gradient,
+            model: ProjectInputs::default(),
+            output: Output::Gradient(&gradient),
         };
-        let constants = DeformProjectBackwardConstants {
-            sh_degree: scene.sh_degree,
-            motion: if moves { MOTION_TABLE } else { MOTION_STATIC },
-            output: OUTPUT_GRADIENT,
-            ..DeformProjectBackwardConstants::default()
-        };
-        let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
-        r.dispatch(&DEFORM_PROJECT_BACKWARD, constants, (), buffers, Groups::Direct(groups))?;
+        pass.record(&mut r)?;
         gpu.run(r)?;
 
         let counters = words(gpu, &work.counters)?;
@@ -205,12 +178,12 @@ impl Run<'_> {
             return Ok(Attempt::Needs(u64::from(low) | u64::from(high) << 32));
         }
         let part = |buffer: &Buffer, count: u64| Ok::<_, Error>(floats(words(gpu, &buffer.slice(0, 4 * count))?));
-        let planes = part(&gradient, n * u64::from(planes))?;
+        let gradient = part(&gradient, n * u64::from(planes))?;
         let pose = if scene.deformation.moves() { part(&pose_gradient, 6 * n)? } else { Vec::new() };
         let splats = part(&work.splats, 12 * n)?;
         let tile_count = words(gpu, &work.tile_count.slice(0, 4 * n))?;
         let rows = part(&splat_gradient, n * u64::from(ROW_WORDS))?;
-        let mut gradients = unpack(&planes, &pose, n as usize, scene.sh_degree);
+        let mut gradients = unpack(&gradient, &pose, n as usize, scene)?;
         gradients.mean2d = (0..n as usize)
             .map(|g| if tile_count[g] > 0 { mean2d(&splats[12 * g..], &rows[12 * g..]) } else { [0.0; 2] })
             .collect();
@@ -234,18 +207,14 @@ fn mean2d(splat: &[f32], row: &[f32]) -> [f32; 2] {
 }
 
 /// Planes to arrays per Gaussian.
-fn unpack(planes: &[f32], pose: &[f32], n: usize, sh_degree: u32) -> SceneGradients {
-    let value = |plane: usize, g: usize| planes[plane * n + g];
-    let three = |first: usize, g: usize| [0, 1, 2].map(|k| value(first + k, g));
-    let sh_values = parameter_planes(sh_degree) as usize - 11;
+fn unpack(planes: &[f32], pose: &[f32], n: usize, scene: &SceneBuffers) -> Result<SceneGradients> {
+    let of_parameters = Gaussians::from_parameters(scene.sh_degree, scene.present, |parameter| {
+        let [first, width] =
+            [first_plane(parameter, scene.present), PARAMETERS[parameter].width].map(|plane| plane as usize);
+        Ok::<_, Error>((0..n).flat_map(|g| (first..first + width).map(move |p| planes[p * n + g])).collect())
+    })?;
     let pose_rows = if pose.is_empty() { 0 } else { n };
-    SceneGradients {
-        mean: (0..n).map(|g| three(0, g)).collect(),
-        log_scale: (0..n).map(|g| three(3, g)).collect(),
-        rotation: (0..n).map(|g| [6, 7, 8, 9].map(|k| value(k, g))).collect(),
-        opacity_logit: (0..n).map(|g| value(10, g)).collect(),
-        sh: (0..n * sh_values).map(|i| value(11 + i % sh_values, i / sh_values)).collect(),
-        mean2d: Vec::new(),
-        pose: (0..pose_rows).map(|g| std::array::from_fn(|k| pose[k * n + g])).collect(),
-    }
+    let Gaussians { mean, log_scale, rotation, opacity_logit, sh, optional, .. } = of_parameters;
+    let pose = (0..pose_rows).map(|g| std::array::from_fn(|k| pose[k * n + g])).collect();
+    Ok(SceneGradients { mean, rotation, log_scale, opacity_logit, sh, optional, mean2d: Vec::new(), pose })
 }

@@ -49,9 +49,6 @@ pub fn groups(width: u32, height: u32) -> u32 {
     3 * width.div_ceil(LOSS_TILE[0]) * height.div_ceil(LOSS_TILE[1])
 }
 
-/// Place of `image_gradient` in [`status::GROUPS`].
-const STATUS_IMAGE_GRADIENT: usize = 8;
-
 crate::gpu_constants! {
     /// Specialisation constants of [`IMAGE_LOSS`].
     pub struct ImageLossConstants {
@@ -127,7 +124,7 @@ fn image_loss_twin(call: Call<'_, ImageLoss>) {
                 && usable(target_value(&frame, b.target, kind, i, channel))
                 && gradient.is_finite();
             if !good {
-                status::report(b.status, STATUS_IMAGE_GRADIENT, i as u32);
+                status::report(b.status, status::IMAGE_GRADIENT, i as u32);
             }
             set_f32(b.image_gradient, 4 * i + channel, if good { gradient } else { 0.0 });
             set_f32(b.image_gradient, 4 * i + 3, 0.0);

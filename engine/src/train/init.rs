@@ -46,6 +46,7 @@ pub fn from_points(points: &[Point], sh_degree: u32) -> Gaussians {
         sh_degree,
         sh,
         mean: positions,
+        ..Gaussians::default()
     }
 }
 

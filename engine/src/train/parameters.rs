@@ -3,13 +3,13 @@
 
 use glam::DVec3;
 
-use super::deform_project_backward::parameter_planes;
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu};
 use crate::render::bounds::Bounds;
 use crate::render::deformation::DeformationBuffers;
 use crate::render::quality::Storage;
-use crate::render::scene_buffers::{SceneBuffers, planes, sh_band};
+use crate::render::scene_buffers::{SceneBuffers, optional_buffer};
+use crate::scene::parameter::{PARAMETERS, Parameter, REQUIRED, planes};
 use crate::scene::{Gaussians, Rejected};
 
 /// Gaussians on the device.
@@ -50,7 +50,7 @@ impl ParameterState {
     /// Gaussians without a history. SH coefficients are padded or cut to `sh_degree`.
     pub fn new(gaussians: &Gaussians, sh_degree: u32) -> Self {
         let n = gaussians.len();
-        let planes = n * parameter_planes(sh_degree) as usize;
+        let planes = n * planes(sh_degree, gaussians.optional.present()) as usize;
         Self {
             gaussians: with_sh_degree(gaussians, sh_degree),
             moment_1: vec![0.0; planes],
@@ -76,7 +76,7 @@ impl Parameters {
     /// `Usage` when lengths differ; `OutOfMemory`.
     pub(crate) fn upload(gpu: &Gpu, s: &ParameterState) -> Result<Self> {
         let g = &s.gaussians;
-        let (n, p) = (g.len(), parameter_planes(g.sh_degree) as usize);
+        let (n, p) = (g.len(), planes(g.sh_degree, g.optional.present()) as usize);
         for (name, found, expected) in [
             ("moment_1", s.moment_1.len(), n * p),
             ("moment_2", s.moment_2.len(), n * p),
@@ -89,7 +89,7 @@ impl Parameters {
             }
         }
         let floats = |name: &str, data: &[f32]| gpu.buffer_with(name, bytemuck::cast_slice(data));
-        let band = |b: u32| floats(&format!("sh_{b}"), &sh_band(g, b));
+        let parameter = |(i, p): (usize, &Parameter)| floats(p.name, &p.to_device(g.values(i)));
         let scene = SceneBuffers {
             gaussians: n as u32,
             sh_degree: g.sh_degree,
@@ -98,11 +98,9 @@ impl Parameters {
             sh_storage: Storage::F32,
             bounds: Bounds::EVERYWHERE,
             rejected: Rejected::default(),
-            mean: floats("mean", &planes(&g.mean))?,
-            log_scale: floats("log_scale", &planes(&g.log_scale))?,
-            rotation: floats("rotation", g.rotation.as_flattened())?,
-            opacity_logit: floats("opacity_logit", &g.opacity_logit)?,
-            sh: [band(0)?, band(1)?, band(2)?, band(3)?],
+            parameter: PARAMETERS.iter().enumerate().take(REQUIRED).map(parameter).collect::<Result<_>>()?,
+            present: g.optional.present(),
+            optional: optional_buffer(gpu, &g.optional)?,
         };
         Ok(Self {
             scene,
@@ -114,6 +112,11 @@ impl Parameters {
         })
     }
 
+    /// P: numbers of a Gaussian.
+    pub(crate) fn planes(&self) -> u32 {
+        planes(self.sh_degree, self.scene.present)
+    }
+
     /// N.
     pub(crate) fn count(&self) -> u32 {
         self.scene.gaussians
@@ -122,7 +125,7 @@ impl Parameters {
     /// Downloads everything.
     pub(crate) fn download(&self, gpu: &Gpu) -> Result<ParameterState> {
         let n = self.count() as usize;
-        let p = parameter_planes(self.sh_degree) as usize;
+        let p = self.planes() as usize;
         Ok(ParameterState {
             gaussians: self.download_gaussians(gpu)?,
             moment_1: words(gpu, &self.moment_1, n * p)?,
@@ -136,21 +139,18 @@ impl Parameters {
     /// Downloads the Gaussians.
     pub(crate) fn download_gaussians(&self, gpu: &Gpu) -> Result<Gaussians> {
         let (n, s) = (self.count() as usize, &self.scene);
-        let mut sh_planes: Vec<f32> = Vec::new();
-        for band in 0..=self.sh_degree {
-            sh_planes.extend(words::<f32>(gpu, &s.sh[band as usize], n * 3 * (2 * band as usize + 1))?);
-        }
-        let planes_of_sh = sh_planes.len() / n.max(1);
-        Ok(Gaussians {
-            mean: rows(&words(gpu, &s.mean, 3 * n)?, n),
-            log_scale: rows(&words(gpu, &s.log_scale, 3 * n)?, n),
-            rotation: words(gpu, &s.rotation, 4 * n)?.as_chunks().0.to_vec(),
-            opacity_logit: words(gpu, &s.opacity_logit, n)?,
-            sh_degree: self.sh_degree,
-            sh: (0..n)
-                .flat_map(|i| (0..planes_of_sh).map(move |k| (i, k)))
-                .map(|(i, k)| sh_planes[k * n + i])
-                .collect(),
+        let optional = match &s.optional {
+            Some(buffer) => words::<f32>(gpu, buffer, n * s.present.planes() as usize)?,
+            None => Vec::new(),
+        };
+        Gaussians::from_parameters(self.sh_degree, s.present, |i| {
+            let (p, count) = (&PARAMETERS[i], n * PARAMETERS[i].width as usize);
+            let first = n * s.present.planes_before(i) as usize;
+            let words = match s.parameter.get(i) {
+                Some(buffer) => words(gpu, buffer, count)?,
+                None => optional.get(first..first + count).unwrap_or_default().to_vec(),
+            };
+            Ok(p.from_device(words))
         })
     }
 }
@@ -162,9 +162,4 @@ pub(crate) fn words<T: bytemuck::AnyBitPattern>(gpu: &Gpu, buffer: &Buffer, coun
     }
     let bytes = gpu.download(buffer.slice(0, 4 * count as u64))?;
     Ok(bytes.chunks_exact(4).map(bytemuck::pod_read_unaligned).collect())
-}
-
-/// Three planes of N → `[N,3]`.
-fn rows(planes: &[f32], n: usize) -> Vec<[f32; 3]> {
-    (0..n).map(|i| [planes[i], planes[n + i], planes[2 * n + i]]).collect()
 }

@@ -16,7 +16,6 @@ use crate::gpu::kernel::Kernel;
 use crate::render::{quaternion, twin};
 pub use crate::scene::motion::PropertyLoss;
 use crate::train::adam;
-use crate::train::association::ASSOCIATION_GROUP;
 use crate::train::association::superpoint_sum::FIRST_PAIR_VALUE;
 use crate::train::status;
 use crate::train::step::Step;
@@ -83,6 +82,6 @@ pub(crate) fn update_logit(
         twin::set_f32(m1, at, moments[0]);
         twin::set_f32(m2, at, moments[1]);
     } else {
-        status::report(words, ASSOCIATION_GROUP, gaussian as u32);
+        status::report(words, status::ASSOCIATION, gaussian as u32);
     }
 }

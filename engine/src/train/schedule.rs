@@ -2,7 +2,8 @@
 //! code counts). Resuming needs nothing but that number.
 
 use super::config::{Config, decayed};
-use super::step::{Step, bias_corrections};
+use super::step::{RATES, Step, bias_corrections};
+use crate::scene::parameter::PARAMETERS;
 
 /// The part of the method that a run is in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -151,9 +152,7 @@ impl Schedule {
     /// The step's data for the kernels. `time`: given to the networks, and exact.
     pub fn step(&self, iteration: u64, counts: Counts, time: [f64; 2]) -> Step {
         let (c, r) = (&self.config, &self.config.learning_rate);
-        let scale = self.spatial_scale();
         let before = iteration - 1;
-        let mean = decayed(r.mean * scale, r.mean_final * scale, before, self.mean_iterations());
         let deform = decayed(r.deform, r.deform_final, before, r.deform_iterations);
         let association =
             if r.association_decay { r.association * deform / r.deform.max(1e-30) } else { r.association };
@@ -167,12 +166,7 @@ impl Schedule {
             superpoints: counts.superpoints,
             neighbors: counts.slots,
             iteration: iteration as u32,
-            rate_mean: mean as f32,
-            rate_log_scale: (r.log_scale * scale) as f32,
-            rate_rotation: r.rotation as f32,
-            rate_opacity_logit: r.opacity_logit as f32,
-            rate_sh_0: r.sh_0 as f32,
-            rate_sh_rest: r.sh_rest as f32,
+            rate: self.rates(before),
             rate_network_f: deform as f32,
             rate_association: association as f32,
             rate_network_g: nonrigid as f32,
@@ -194,6 +188,17 @@ impl Schedule {
         }
     }
 
+    /// Learning rates of the Gaussians' parameters.
+    fn rates(&self, before: u64) -> [f32; RATES] {
+        let mut rates = [0.0; RATES];
+        for (rate, parameter) in rates.iter_mut().zip(&PARAMETERS) {
+            let [first, last] = self.config.learning_rate.of(parameter.learning_rate).unwrap_or_default();
+            let scale = if parameter.spatial { self.spatial_scale() } else { 1.0 };
+            *rate = decayed(first * scale, last * scale, before, self.mean_iterations()) as f32;
+        }
+        rates
+    }
+
     fn mean_iterations(&self) -> u64 {
         match self.stage {
             Stage::Nonrigid => self.config.nonrigid.iterations,
@@ -206,6 +211,7 @@ impl Schedule {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
     use super::*;
+    use crate::scene::parameter::{LOG_SCALE, MEAN};
 
     fn schedule(stage: Stage) -> Schedule {
         Schedule::new(&Config::default(), stage, 4.0)
@@ -227,13 +233,20 @@ mod tests {
         let s = schedule(Stage::Rigid);
         let at = |i: u64| s.step(i, Counts::default(), [0.0; 2]);
         let near = |a: f32, b: f64| assert!((f64::from(a) / b - 1.0).abs() < 1e-3, "{a} {b}");
-        near(at(1).rate_mean, 8e-4);
-        near(at(30_001).rate_mean, 8e-6);
-        near(at(1).rate_log_scale, 5e-3);
+        near(at(1).rate[MEAN], 8e-4);
+        near(at(30_001).rate[MEAN], 8e-6);
+        near(at(1).rate[LOG_SCALE], 5e-3);
         near(at(1).rate_network_f, 1e-3);
         near(at(40_001).rate_network_f, 1e-5);
         near(at(1).bias_gaussians[0], 10.0);
         near(at(3000).bias_network_f[0], 10.0);
+    }
+
+    #[test]
+    fn every_parameter_has_a_rate() {
+        let rates = &Config::default().learning_rate;
+        let without = PARAMETERS.iter().find(|p| rates.of(p.learning_rate).is_none());
+        assert_eq!(without, None);
     }
 
     #[test]

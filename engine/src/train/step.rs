@@ -1,9 +1,22 @@
 //! What a training step is, as the kernels see it: the Rust mirror of `glsl/lib/step.glsl`.
 
+use crate::scene::parameter::PARAMETERS;
+
+/// Length of [`Step::rate`]: as many as there are parameters, to a multiple of 8 bytes.
+pub(super) const RATES: usize = PARAMETERS.len().next_multiple_of(2);
+
 crate::gpu_struct! {
     /// Counts, learning rates, Adam's corrections and loss weights of one step; written by the host before it. Corrections:
     /// 1/(1−β₁ᵗ), 1/√(1−β₂ᵗ).
     pub struct Step {
+        /// Corrections of the Gaussians.
+        pub bias_gaussians: [f32; 2],
+        /// Corrections of network F.
+        pub bias_network_f: [f32; 2],
+        /// Corrections of the association.
+        pub bias_association: [f32; 2],
+        /// Corrections of network G.
+        pub bias_network_g: [f32; 2],
         /// Gaussians.
         pub gaussians: u32,
         /// Superpoints.
@@ -12,18 +25,6 @@ crate::gpu_struct! {
         pub neighbors: u32,
         /// Number of the step, from 1.
         pub iteration: u32,
-        /// Learning rate of the centres.
-        pub rate_mean: f32,
-        /// Learning rate of the log scales.
-        pub rate_log_scale: f32,
-        /// Learning rate of the rotations.
-        pub rate_rotation: f32,
-        /// Learning rate of the opacity logits.
-        pub rate_opacity_logit: f32,
-        /// Learning rate of SH band 0.
-        pub rate_sh_0: f32,
-        /// Learning rate of SH bands 1 to 3.
-        pub rate_sh_rest: f32,
         /// Learning rate of network F.
         pub rate_network_f: f32,
         /// Learning rate of the association logits.
@@ -50,16 +51,10 @@ crate::gpu_struct! {
         pub beta_2: f32,
         /// Adam's ε, added to the root of the second moment.
         pub epsilon: f32,
-        /// To a multiple of 16 bytes.
+        /// To a multiple of 8 bytes.
         pub unused: f32,
-        /// Corrections of the Gaussians.
-        pub bias_gaussians: [f32; 2],
-        /// Corrections of network F.
-        pub bias_network_f: [f32; 2],
-        /// Corrections of the association.
-        pub bias_association: [f32; 2],
-        /// Corrections of network G.
-        pub bias_network_g: [f32; 2],
+        /// Learning rates of the Gaussians' [`PARAMETERS`].
+        pub rate: [f32; RATES],
     }
 }
 

@@ -24,6 +24,7 @@ use crate::gpu::{Buffer, Gpu, Memory, Suite, Timing};
 use crate::render::frame::{Frame, FrameOptions};
 use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE};
 use crate::scene::Gaussians;
+use crate::scene::parameter::Present;
 use std::sync::Arc;
 
 /// Random stream of the noise on time.
@@ -111,7 +112,8 @@ impl Trainer {
     pub fn new(gpu: &Gpu, config: &Config, data: &TrainingData, first: &Gaussians) -> Result<Self> {
         let stage = if data.is_static || !config.motion.enabled { Stage::Static } else { Stage::Rigid };
         let most = config.budget.max_gaussians as usize;
-        let first = if first.len() > most { thinned(first, most) } else { first.clone() };
+        let mut first = if first.len() > most { thinned(first, most) } else { first.clone() };
+        first.optional.add(Present::of_names(&config.gaussians.optional)?, first.mean.len());
         let state = ParameterState::new(&first, config.gaussians.sh_degree);
         Self::assemble(gpu, config, data, stage, 0, &state)
     }

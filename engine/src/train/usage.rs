@@ -58,6 +58,7 @@ impl Trainer {
                 ("sh_coefficients", (degree + 1) * (degree + 1)),
                 ("sh_bytes", 12 * (degree + 1) * (degree + 1)),
                 ("mean_bytes", 12),
+                ("optional_bytes", 4 * u64::from(self.parameters.scene.present.planes())),
                 ("splat_bytes", 48),
                 ("moving", u64::from(self.parameters.scene.deformation.moves())),
                 ("nonrigid", u64::from(has_offsets)),

@@ -29,7 +29,7 @@ fn check(scene: &Scene, t: f64, expected: &[Expected]) {
     let device = FieldEvaluator::new(&gpu, scene).unwrap().offsets(t).unwrap();
     let both = [
         ("reference", freeze(scene, t, MotionSource::Auto).unwrap(), 2e-5),
-        ("kernels", freeze_with(&scene.gaussians, &device).unwrap(), 2e-4),
+        ("kernels", freeze_with(&scene.gaussians, &device, t).unwrap(), 2e-4),
     ];
     for (which, placed, tolerance) in both {
         for (i, e) in expected.iter().enumerate() {

@@ -5,7 +5,6 @@ use engine::train::association::nearest_superpoints::{NEAREST_SUPERPOINTS, Neare
 use engine::train::association::superpoint_commit::{SUPERPOINT_COMMIT, SuperpointCommitBuffers};
 use engine::train::association::superpoint_gradient::*;
 use engine::train::association::superpoint_sum::*;
-use engine::train::association::*;
 use engine::train::property_loss::PropertyLoss;
 use engine::train::property_loss::property_backward::{PROPERTY_BACKWARD, PropertyBackwardBuffers};
 use engine::train::property_loss::property_residual::*;
@@ -106,7 +105,7 @@ impl<'a> Chain<'a> {
         let push = SuperpointSumPush {
             neighbors: self.case.neighbors,
             pairs: rows.pair_key.len() as u32,
-            status_group: ASSOCIATION_GROUP as u32,
+            status_group: status::ASSOCIATION as u32,
         };
         let buffers = SuperpointSumBuffers {
             step: rows.step.clone(),

@@ -3,9 +3,10 @@
 use engine::render::deform_project::DEFORM_PROJECT;
 use engine::render::frame::Frame;
 use engine::scene::Camera;
+use engine::scene::parameter::{PARAMETERS, REQUIRED, first_plane, in_degree, planes};
 use engine::train::deform_project_backward::{
     DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, DeformProjectBackward, DeformProjectBackwardBuffers,
-    DeformProjectBackwardConstants, OUTPUT_GRADIENT, parameter_planes,
+    DeformProjectBackwardConstants, OUTPUT_GRADIENT,
 };
 use engine::train::status;
 use engine::train::step::{Step, bias_corrections};
@@ -15,9 +16,13 @@ use tests_harness::render_case::{Random, RenderInput};
 pub(super) type Buffers = DeformProjectBackwardBuffers<Vec<u32>>;
 
 /// Kinds of parameters: name, first plane, planes.
-pub(super) fn kinds(degree: u32) -> Vec<(&'static str, usize, usize)> {
-    let sh = parameter_planes(degree) as usize - 11;
-    vec![("mean", 0, 3), ("log_scale", 3, 3), ("rotation", 6, 4), ("opacity_logit", 10, 1), ("sh", 11, sh)]
+pub(super) fn kinds(input: &RenderInput) -> Vec<(&'static str, usize, usize)> {
+    let present = input.optional.present();
+    let given = PARAMETERS
+        .iter()
+        .enumerate()
+        .filter(|(i, _)| if *i < REQUIRED { in_degree(*i, input.degree) } else { present.has(*i) });
+    given.map(|(i, p)| (p.name, first_plane(i, present) as usize, p.width as usize)).collect()
 }
 
 pub(super) fn words(v: &[f32]) -> Vec<u32> {
@@ -31,17 +36,15 @@ pub(super) fn floats(v: &[u32]) -> Vec<f32> {
 pub(super) fn step(statistics: bool) -> Step {
     let bias = bias_corrections(0.9, 0.999, 7);
     Step {
-        rate_mean: 1.6e-3,
-        rate_log_scale: 5e-3,
-        rate_rotation: 1e-3,
-        rate_opacity_logit: 5e-2,
-        rate_sh_0: 2.5e-3,
-        rate_sh_rest: 1.25e-4,
+        rate: std::array::from_fn(|i| RATES[i % RATES.len()]),
         bias_gaussians: bias,
         density_statistics: f32::from(u8::from(statistics)),
         ..Step::with_usual_adam()
     }
 }
+
+/// Learning rates, by parameter.
+const RATES: [f32; 9] = [1.6e-3, 5e-3, 1e-3, 5e-2, 2.5e-3, 1.25e-4, 1.5e-4, 2e-4, 1e-3];
 
 /// Rows as a handful of pixels would leave them.
 fn rows(n: usize, r: &mut Random) -> Vec<f32> {
@@ -72,7 +75,7 @@ pub(super) fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64)
     let frame: Frame = input.frame(camera);
     let [splats, tile_count] = forward(input, &frame);
     let (n, mut r) = (input.count, Random(seed));
-    let planes = parameter_planes(input.degree) as usize;
+    let planes = planes(input.degree, input.optional.present()) as usize;
     let splat_gradient = words(&rows(n, &mut r));
     let mut random =
         |count: usize, low: f32, high: f32| words(&(0..count).map(|_| r.range(low, high)).collect::<Vec<_>>());
@@ -88,6 +91,7 @@ pub(super) fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64)
             nonrigid: nonrigid.into(),
             output,
             mean_gradient: (seed % 2) as u32,
+            optional: input.optional.present().0,
         },
         push: (),
         buffers: Buffers {
@@ -117,6 +121,7 @@ pub(super) fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64)
             density: Some(vec![0; 2 * n]),
             max_radius: Some(vec![0; n]),
             mean_gradient: (seed % 2 == 1).then_some(mean_gradient),
+            optional: (!input.optional.is_empty()).then(|| words(&input.optional.to_device())),
         },
         groups: (n as u32).div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1),
     }

@@ -8,8 +8,9 @@ use engine::gpu::interface::Buffers as _;
 use engine::gpu::kernel::Access;
 use engine::render::limits::COUNT_FAILED;
 use engine::scene::Camera;
+use engine::scene::parameter::{PARAMETERS, Present, REQUIRED, first_plane, planes};
 use engine::train::deform_project_backward::{
-    DEFORM_PROJECT_BACKWARD, DeformProjectBackward, OUTPUT_ADAM, OUTPUT_GRADIENT, parameter_planes,
+    DEFORM_PROJECT_BACKWARD, DeformProjectBackward, OUTPUT_ADAM, OUTPUT_GRADIENT,
 };
 use glam::DVec3;
 use tests_harness::KernelResult;
@@ -43,7 +44,7 @@ fn assert_gradients(result: &KernelResult<DeformProjectBackward>, input: &Render
         let part = |side: &Buffers| floats(&given(buffer(side))[first * n..(first + count) * n]);
         line += &format!(" {what} {:.0e}", assert_agrees(what, &part(&result.gpu), &part(&result.twin), context));
     };
-    for (what, first, count) in kinds(input.degree) {
+    for (what, first, count) in kinds(input) {
         check(what, |b| &b.gradient, first, count);
     }
     if !input.pose.is_empty() {
@@ -67,12 +68,19 @@ fn assert_gradients(result: &KernelResult<DeformProjectBackward>, input: &Render
     println!("{context}: {visible} of {n} visible;{line}");
 }
 
-/// Static, moving, non-rigid, and both.
-fn variants(n: usize, degree: u32, seed: u64) -> [(&'static str, RenderInput); 4] {
+/// Static, moving, non-rigid, both, and moving with all optional parameters.
+fn variants(n: usize, degree: u32, seed: u64) -> [(&'static str, RenderInput); 5] {
     let input = RenderInput::random(n, degree, seed);
     let moving = input.clone().moving(5, seed + 1);
     let both = moving.clone().nonrigid(seed + 2);
-    [("static", input.clone()), ("moving", moving), ("non-rigid", input.nonrigid(seed + 3)), ("both", both)]
+    let optional = moving.clone().with_optional(seed + 4);
+    [
+        ("static", input.clone()),
+        ("moving", moving),
+        ("non-rigid", input.nonrigid(seed + 3)),
+        ("both", both),
+        ("optional parameters", optional),
+    ]
 }
 
 #[test]
@@ -135,7 +143,7 @@ fn hard_shapes_keep_their_accuracy_one_by_one() {
         let input = hard(3000, seed);
         let n = input.count;
         let result = case(&input, &camera, OUTPUT_GRADIENT, seed).run(&gpu);
-        for (what, first, count) in kinds(3) {
+        for (what, first, count) in kinds(&input) {
             let of = |side: &[u32], g: usize| {
                 (first..first + count).map(|p| f32::from_bits(side[p * n + g])).collect::<Vec<_>>()
             };
@@ -162,7 +170,7 @@ fn hard_shapes_keep_their_accuracy_one_by_one() {
 
 fn assert_gradients_of_kinds(result: &KernelResult<DeformProjectBackward>, input: &RenderInput, context: &str) {
     let n = input.count;
-    for (what, first, count) in kinds(input.degree) {
+    for (what, first, count) in kinds(input) {
         let part = |side: &Buffers| floats(&given(&side.gradient)[first * n..(first + count) * n]);
         assert_agrees(what, &part(&result.gpu), &part(&result.twin), context);
     }
@@ -182,19 +190,30 @@ fn far_from_the_origin() {
     assert_gradients(&result, &input, "a hundred thousand units from the origin");
 }
 
+/// The parameter that plane `p` belongs to.
+fn parameter_of_plane(p: usize, present: Present) -> usize {
+    let given = (0..PARAMETERS.len()).filter(|&i| i < REQUIRED || present.has(i));
+    given.filter(|&i| first_plane(i, present) as usize <= p).last().expect("planes begin at 0")
+}
+
 /// Value of parameter plane `p` of Gaussian `g`.
-fn parameter(b: &Buffers, p: usize, n: usize, g: usize) -> f32 {
-    let (words, k): (&[u32], usize) = match p {
-        0..3 => (&b.mean, p),
-        3..6 => (&b.log_scale, p - 3),
-        6..10 => return f32::from_bits(b.rotation[4 * g + p - 6]),
-        10 => (&b.opacity_logit, 0),
-        11..14 => (&b.sh_0, p - 11),
-        14..23 => (given(&b.sh_1), p - 14),
-        23..38 => (given(&b.sh_2), p - 23),
-        _ => (given(&b.sh_3), p - 38),
-    };
-    f32::from_bits(words[k * n + g])
+fn parameter(b: &Buffers, present: Present, p: usize, n: usize, g: usize) -> f32 {
+    let required: [&[u32]; REQUIRED] = [
+        &b.mean,
+        &b.log_scale,
+        &b.rotation,
+        &b.opacity_logit,
+        &b.sh_0,
+        b.sh_1.as_deref().unwrap_or_default(),
+        b.sh_2.as_deref().unwrap_or_default(),
+        b.sh_3.as_deref().unwrap_or_default(),
+    ];
+    let i = parameter_of_plane(p, present);
+    let k = p - first_plane(i, present) as usize;
+    f32::from_bits(match required.get(i) {
+        Some(words) => words[PARAMETERS[i].word(k, g, n)],
+        None => given(&b.optional)[(present.planes_before(i) as usize + k) * n + g],
+    })
 }
 
 #[test]
@@ -210,25 +229,20 @@ fn adam_takes_the_step_of_the_gradient() {
             let before = case(&input, &camera, OUTPUT_ADAM, 9).buffers;
             let result = case(&input, &camera, OUTPUT_ADAM, 9).run(&gpu);
             let step = step(true);
-            let planes = parameter_planes(degree) as usize;
+            let present = input.optional.present();
             let mut culled_moved = 0;
-            for p in 0..planes {
-                let rate = match p {
-                    0..3 => step.rate_mean,
-                    3..6 => step.rate_log_scale,
-                    6..10 => step.rate_rotation,
-                    10 => step.rate_opacity_logit,
-                    11..14 => step.rate_sh_0,
-                    _ => step.rate_sh_rest,
-                };
+            let of_kind = |(_, first, count): (_, usize, usize)| first..first + count;
+            let planes: Vec<usize> = kinds(&input).into_iter().flat_map(of_kind).collect();
+            for &p in &planes {
+                let rate = step.rate[parameter_of_plane(p, present)];
                 for g in 0..n {
                     let word = |buffer: &Option<Vec<u32>>| f32::from_bits(given(buffer)[p * n + g]);
                     let mut moments = [word(&before.moment_1), word(&before.moment_2)];
-                    let old = parameter(&before, p, n, g);
+                    let old = parameter(&before, present, p, n, g);
                     let slope = word(&gradients.gradient);
                     let bias = step.bias_gaussians;
                     let new = engine::train::adam::update(&step, old, slope, &mut moments, rate, bias);
-                    let found = parameter(&result.gpu, p, n, g);
+                    let found = parameter(&result.gpu, present, p, n, g);
                     assert!(
                         (found - new).abs() <= 1e-6 * (rate + new.abs()),
                         "{what}: plane {p} of {g}: {found} {new}"
@@ -241,12 +255,13 @@ fn adam_takes_the_step_of_the_gradient() {
                 }
             }
             if n > 100 {
-                assert!(culled_moved > planes, "{what}: culled Gaussians move on");
+                assert!(culled_moved > planes.len(), "{what}: culled Gaussians move on");
             }
             // The step itself, not the value that hides it.
-            for (what, first, count) in kinds(degree) {
+            for (what, first, count) in kinds(&input) {
                 let steps = |after: &Buffers| -> Vec<f32> {
-                    let one = |p: usize, g: usize| parameter(after, p, n, g) - parameter(&before, p, n, g);
+                    let one =
+                        |p: usize, g: usize| parameter(after, present, p, n, g) - parameter(&before, present, p, n, g);
                     (first..first + count).flat_map(|p| (0..n).map(move |g| (p, g))).map(|(p, g)| one(p, g)).collect()
                 };
                 let (error, cosine) = agreement(&steps(&result.gpu), &steps(&result.twin));
@@ -292,7 +307,7 @@ fn inactive_bands_are_left_alone() {
         for (band, same) in same.into_iter().enumerate() {
             assert_eq!(same, band as u32 > degree, "band {band} at degree {degree}");
         }
-        let first = parameter_planes(degree) as usize * 300;
+        let first = planes(degree, Present::default()) as usize * 300;
         assert!(given(&after.moment_1)[first..] == given(&before.moment_1)[first..], "moments of inactive bands");
     }
 }

@@ -1,7 +1,8 @@
 //! Numbers that are not finite, absurd or tiny, in every buffer.
 
 use engine::gpu::Gpu;
-use engine::train::deform_project_backward::{OUTPUT_ADAM, OUTPUT_GRADIENT, parameter_planes};
+use engine::scene::parameter::{Present, planes};
+use engine::train::deform_project_backward::{OUTPUT_ADAM, OUTPUT_GRADIENT};
 use engine::train::status;
 use tests_harness::render_case::{RenderInput, test_camera};
 
@@ -39,7 +40,7 @@ fn poison_slots(b: &mut Buffers) -> Vec<(&mut [u32], usize, bool)> {
     fn given(buffer: &mut Option<Vec<u32>>) -> &mut [u32] {
         buffer.as_deref_mut().expect("the case has this buffer")
     }
-    let planes = parameter_planes(3) as usize;
+    let planes = planes(3, Present(u32::MAX)) as usize;
     vec![
         (&mut b.splats, 12, false),
         (&mut b.splat_gradient, 12, false),
@@ -56,6 +57,7 @@ fn poison_slots(b: &mut Buffers) -> Vec<(&mut [u32], usize, bool)> {
         (given(&mut b.nonrigid_offset), 10, true),
         (given(&mut b.density), 2, true),
         (given(&mut b.max_radius), 1, true),
+        (given(&mut b.optional), Present(u32::MAX).planes() as usize, true),
     ]
 }
 
@@ -95,6 +97,7 @@ fn kept(b: &Buffers) -> Vec<(&'static str, &[u32])> {
         ("moment_2", given(&b.moment_2)),
         ("density", given(&b.density)),
         ("max_radius", given(&b.max_radius)),
+        ("optional", given(&b.optional)),
     ]
 }
 
@@ -125,7 +128,7 @@ fn run_poisoned(gpu: &Gpu, input: &RenderInput, value: f32, output: u32) {
 fn poison_never_spreads() {
     let gpu = tests_harness::gpu();
     // Half of the superpoints keep clean poses.
-    let input = RenderInput::random(700, 3, 21).moving(12, 5).nonrigid(6);
+    let input = RenderInput::random(700, 3, 21).moving(12, 5).nonrigid(6).with_optional(7);
     for value in POISON {
         for output in [OUTPUT_GRADIENT, OUTPUT_ADAM] {
             run_poisoned(&gpu, &input, value, output);

@@ -8,6 +8,7 @@ mod export;
 mod files;
 #[cfg(unix)] // It sends signals.
 mod interrupted;
+mod lifespan;
 mod limits;
 mod nonrigid;
 mod numbers;

@@ -1,18 +1,22 @@
 //! What training is for.
 
-use engine::scene::Deformation;
+use engine::scene::{Deformation, Gaussians};
 use engine::train::evaluate;
 use engine::train::trainer::Trainer;
 
 use crate::common::{Posed, PosedOptions, advance, config, config_file, gpu, load, log, newest, posed, succeed, train};
 
-/// PSNR over the training views after a run.
+/// PSNR over the training views after a run from the scene's own Gaussians, so that what is left to learn is how they move.
 fn psnr(posed: &Posed, over: &str) -> f64 {
+    psnr_from(posed, over, &posed.scene.gaussians)
+}
+
+/// PSNR over the training views after a run from these Gaussians.
+pub fn psnr_from(posed: &Posed, over: &str, first: &Gaussians) -> f64 {
     let (dataset, data) = load(posed);
     let gpu = gpu();
     let config = config(over);
-    // From the scene's own Gaussians, so that what is left to learn is how they move.
-    let mut trainer = Trainer::new(&gpu, &config, &data, &posed.scene.gaussians).unwrap();
+    let mut trainer = Trainer::new(&gpu, &config, &data, first).unwrap();
     advance(&mut trainer, config.iterations).unwrap();
     let loader = engine::data::loader::ImageLoader::new(dataset.train.into(), 1 << 30, 0).unwrap();
     let indices: Vec<usize> = (0..loader.views().len()).collect();

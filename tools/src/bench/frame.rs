@@ -22,7 +22,7 @@ pub fn run(args: &FrameArgs, global: &Global) -> Result<()> {
     let (scene, name) = scene::load(&args.scene, args.look.motion.is_some())?;
     let view = choose_camera(args, &scene)?;
     let gpu = gpu_session::open_to_measure(global)?;
-    let times = args.path.time.map_or_else(|| scene.deformation.time_range(), |t| [t, t]);
+    let times = args.path.time.map_or_else(|| scene.time_range(), |t| [t, t]);
     let options = RenderOptions {
         background: args.look.background,
         motion: args.look.motion_source(),

@@ -43,7 +43,7 @@ pub fn run(args: &PaperArgs, global: &Global) -> Result<()> {
     let rates = protocol::measure(&gpu, &scene, &options, &path, args.frame.min(path.len() - 1), budget / 3)?;
     let plan = Plan {
         camera: path[0].0.clone(),
-        times: scene.deformation.time_range(),
+        times: scene.time_range(),
         frames: args.frames.min(protocol::affordable(rates.path.p50, budget / 12)),
         warmup: args.warmup,
         paper_protocol: false,

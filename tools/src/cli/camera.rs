@@ -22,7 +22,7 @@ pub fn default_camera(scene: &Scene, size: [u32; 2]) -> Camera {
 pub fn orbit(scene: &Scene, size: [u32; 2], count: usize) -> Vec<Camera> {
     let first = default_camera(scene, size);
     let (center, _) = extent(scene);
-    let [start, end] = scene.deformation.time_range();
+    let [start, end] = scene.time_range();
     let view = |i: usize| {
         let turn = DMat3::from_axis_angle(DVec3::Y, std::f64::consts::TAU * i as f64 / count as f64);
         let eye = center + turn * (first.position - center);
@@ -96,7 +96,7 @@ fn positions(scene: &Scene) -> Vec<DVec3> {
     let visible: Vec<usize> = all().filter(|&i| g.opacity_logit[i] >= FAINT_LOGIT).collect();
     let used = if visible.len() * 10 >= all().count() { visible } else { all().collect() };
     let at = |i: usize| DVec3::from_array(g.mean[i].map(f64::from));
-    let [start, end] = scene.deformation.time_range();
+    let [start, end] = scene.time_range();
     let Some(superpoints) = scene.deformation.superpoints().filter(|_| end > start) else {
         return used.into_iter().map(at).collect();
     };

@@ -171,7 +171,7 @@ fn times(args: &ConvertArgs, scene: &Scene) -> Vec<Option<f64>> {
     match (args.time, args.times) {
         (Some(time), _) => vec![Some(time)],
         (None, Some(count)) => {
-            let [start, end] = scene.deformation.time_range();
+            let [start, end] = scene.time_range();
             let step = (end - start) / f64::from(count.max(2) - 1);
             (0..count).map(|i| Some(start + step * f64::from(i))).collect()
         }

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use engine::error::{Error, Result};
+use engine::scene::parameter;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
@@ -18,6 +19,8 @@ use crate::dev::uniform_flow;
 
 /// Flags of the compiler, as recorded in the manifest.
 pub const FLAGS: &[&str] = &["--target-env=vulkan1.2", "--target-spv=spv1.5", "-O0", "-Werror", "-Iglsl"];
+/// Constants of the kernels that the table of parameters gives.
+const PARAMETERS: &str = "glsl/lib/parameters.glsl";
 const MANIFEST: &str = "manifest.json";
 const MAX_INCLUDE_DEPTH: usize = 16;
 
@@ -56,6 +59,11 @@ pub struct Outcome {
 pub fn write(root: &Path) -> Result<Outcome> {
     let compiler = Compiler::find_or_say("spgs-dev spirv")?;
     let mut outcome = Outcome::default();
+    let constants = root.join(PARAMETERS);
+    if std::fs::read_to_string(&constants).ok().as_deref() != Some(&parameter::glsl()) {
+        std::fs::write(&constants, parameter::glsl()).map_err(|e| Error::io(&constants, "write", e))?;
+        outcome.lines.push(format!("{PARAMETERS}: written"));
+    }
     let mut kernels = BTreeMap::new();
     let cache = root.join("spirv_cache");
     for (name, path) in sources(root)? {
@@ -90,6 +98,10 @@ pub fn check(root: &Path) -> Result<Outcome> {
     let mut outcome = Outcome::default();
     if manifest.flags != flags() {
         outcome.stale(format!("manifest: compiled with {:?}, expected {FLAGS:?}", manifest.flags));
+    }
+    let constants = root.join(PARAMETERS);
+    if std::fs::read_to_string(&constants).map_err(|e| Error::io(&constants, "read", e))? != parameter::glsl() {
+        outcome.stale(format!("{PARAMETERS}: not what the table of parameters says"));
     }
     let compiler = Compiler::find();
     let recompile = compiler.as_ref().filter(|c| c.version == manifest.compiler);
@@ -312,6 +324,7 @@ mod tests {
         for sub in ["glsl/lib", "glsl/render", "spirv_cache"] {
             std::fs::create_dir_all(folder.path().join(sub)).unwrap();
         }
+        std::fs::write(folder.path().join(PARAMETERS), parameter::glsl()).unwrap();
         std::fs::write(folder.path().join("glsl/lib/b.glsl"), "const uint B = 2u;\n").unwrap();
         std::fs::write(folder.path().join("glsl/lib/a.glsl"), "#include \"b.glsl\"\n").unwrap();
         std::fs::write(
@@ -340,7 +353,8 @@ mod tests {
 
     #[test]
     fn every_kind_of_staleness_is_seen() {
-        let touch: [(&str, &str); 5] = [
+        let touch: [(&str, &str); 6] = [
+            (PARAMETERS, "const uint PLANE_MEAN = 1u;\n"),
             ("glsl/lib/b.glsl", "const uint B = 3u;\n"),
             ("glsl/render/k.comp", "#version 460\nvoid main() {}\n"),
             ("spirv_cache/k.spv", "other"),

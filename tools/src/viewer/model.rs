@@ -58,7 +58,7 @@ impl Model {
             path,
             center,
             radius,
-            time_range: scene.deformation.time_range(),
+            time_range: scene.time_range(),
             centers: Vec::new(),
             posed_at: None,
             paths: Vec::new(),

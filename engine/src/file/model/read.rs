@@ -128,15 +128,17 @@ fn words(bytes: &[u8]) -> impl Iterator<Item = u32> {
 }
 
 fn gaussians(tensors: &mut Tensors<'_>) -> Result<Gaussians> {
-    let (shape, mean) = tensors.rows::<3>("gaussians.mean", &[None])?;
-    let n = Some(shape[0]);
-    let (_, log_scale) = tensors.rows::<3>("gaussians.log_scale", &[n])?;
-    let (_, rotation) = tensors.rows::<4>("gaussians.rotation", &[n])?;
-    let (_, opacity_logit) = tensors.f32s("gaussians.opacity_logit", &[n])?;
-    let (shape, sh) = tensors.f32s("gaussians.sh", &[n, None, Some(3)])?;
-    let Some(sh_degree) = (0..=3).find(|d| (d + 1) * (d + 1) == shape[1]) else {
-        let expected = "K = 1, 4, 9 or 16 (SH degree 0 to 3)";
-        return Err(Error::corrupt(tensors.path, "tensor `gaussians.sh`", format!("K = {}", shape[1]), expected));
+    let k = match tensors.map.get("gaussians.sh").map(TensorView::shape) {
+        Some([_, k, _]) => *k,
+        // Says what is wrong with it.
+        _ => tensors.f32s("gaussians.sh", &[None, None, Some(3)])?.0[1],
     };
-    Ok(Gaussians { mean, log_scale, rotation, opacity_logit, sh_degree: sh_degree as u32, sh })
+    let Some(sh_degree) = (0..=3).find(|d| (d + 1) * (d + 1) == k) else {
+        let expected = "K = 1, 4, 9 or 16 (SH degree 0 to 3)";
+        return Err(Error::corrupt(tensors.path, "tensor `gaussians.sh`", format!("K = {k}"), expected));
+    };
+    Gaussians::from_arrays(sh_degree as u32, |name, shape, required| {
+        let name = format!("gaussians.{name}");
+        if !required && !tensors.has(&name) { Ok(None) } else { Ok(Some(tensors.f32s(&name, shape)?.1)) }
+    })
 }

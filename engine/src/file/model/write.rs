@@ -28,6 +28,7 @@ use crate::scene::Scene;
 ///         opacity_logit: vec![2.0],
 ///         sh_degree: 0,
 ///         sh: vec![1.0; 3],
+///         ..Gaussians::default()
 ///     },
 ///     deformation: SuperpointDeformation::of_table(superpoints, table).into(),
 ///     ..Scene::default()
@@ -49,13 +50,8 @@ pub fn write(path: &Path, scene: &Scene) -> Result<()> {
 fn tensors(scene: &Scene) -> Vec<NamedTensor<'_>> {
     let g = &scene.gaussians;
     let n = g.len();
-    let mut out = vec![
-        floats("gaussians.mean", vec![n, 3], g.mean.as_flattened()),
-        floats("gaussians.log_scale", vec![n, 3], g.log_scale.as_flattened()),
-        floats("gaussians.rotation", vec![n, 4], g.rotation.as_flattened()),
-        floats("gaussians.opacity_logit", vec![n], &g.opacity_logit),
-        floats("gaussians.sh", vec![n, g.sh_coefficients(), 3], &g.sh),
-    ];
+    let array = |(name, shape, values)| floats(format!("gaussians.{name}"), shape, values);
+    let mut out: Vec<_> = g.arrays().into_iter().map(array).collect();
     out.extend(deformation::tensors(&scene.deformation, n));
     out.extend(scene.extra.iter().map(|(name, tensor)| floats(name.as_str(), tensor.shape.clone(), &tensor.data)));
     out

@@ -107,6 +107,7 @@ fn allocate(count: usize, degree: u32) -> Gaussians {
         opacity_logit: vec![0.0; count],
         sh_degree: degree,
         sh: vec![0.0; count * k3],
+        ..Gaussians::default()
     }
 }
 

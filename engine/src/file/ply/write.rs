@@ -21,6 +21,7 @@ use crate::scene::Gaussians;
 ///     opacity_logit: vec![2.0],                 // opacity = sigmoid(2) = 0.88
 ///     sh_degree: 0,
 ///     sh: vec![1.7725, -1.7725, -1.7725],       // (colour − 0.5) / 0.28209479
+///     ..Gaussians::default()
 /// };
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("red.ply");

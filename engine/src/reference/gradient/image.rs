@@ -11,6 +11,7 @@ use crate::reference::{
     DeformationAt, Gaussians64, Offset, Parameters, Pose, ReferenceOptions, Splat, place_deformed, sorted_splats,
 };
 use crate::scene::Camera;
+use crate::scene::parameter::{Optional, PARAMETERS};
 
 /// dL/d of every input of the image.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -25,6 +26,8 @@ pub struct Gradients {
     pub opacity_logit: Vec<f64>,
     /// `[N,K,3]`.
     pub sh: Vec<f64>,
+    /// `[N,width]` of what only some scenes have.
+    pub optional: Optional<f64>,
     /// `[N,2]` of the projected centre, px; 0 for what is not drawn.
     pub mean2d: Vec<[f64; 2]>,
     /// `[M]` of the poses' so(3) vectors and translations.
@@ -63,6 +66,7 @@ fn one(gaussians: &Gaussians64, deformation: &DeformationAt<'_>, i: usize) -> On
         sh_degree,
         pose: deformation.poses.map(|poses| poses[deformation.group[i] as usize]),
         offset: deformation.offsets.map(|offsets| offsets[i]),
+        optional: gaussians.optional.selected(&[i]),
     }
 }
 
@@ -84,7 +88,7 @@ pub fn image_gradients(
     }
     let splats = visible_splats(gaussians, deformation, camera, options)?;
     let rows = splat_gradients(&splats, camera, options.background, upstream);
-    let view = View::from(camera);
+    let view = View { time: deformation.time, ..View::from(camera) };
     let count = gaussians.mean.len();
     let sh_values = gaussians.sh.len().checked_div(count).unwrap_or(0);
     let mut gradients = Gradients {
@@ -105,6 +109,11 @@ pub fn image_gradients(
         gradients.splats[i] = row;
     }
     gather(&mut gradients, deformation);
+    for parameter in gaussians.optional.present().iter() {
+        let zeros = vec![0.0; PARAMETERS[parameter].width as usize];
+        let row = |g: &OneGradient| g.optional.get(parameter).map_or(zeros.clone(), <[f64]>::to_vec);
+        gradients.optional.set(parameter, gradients.each.iter().flat_map(row).collect());
+    }
     Ok(gradients)
 }
 

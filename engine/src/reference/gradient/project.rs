@@ -21,6 +21,7 @@ use crate::reference::motion::rigid_quaternion;
 use crate::reference::project::tangent_limit;
 use crate::reference::{DILATION, Offset, Pose, SCALE_MIN, exp_quaternion};
 use crate::scene::Camera;
+use crate::scene::parameter::{LIFESPAN, Optional};
 
 /// A camera as the projection sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,6 +34,8 @@ pub struct View {
     pub focal: DVec2,
     /// Ranges in which x/z and y/z enter J: x min, x max, y min, y max.
     pub tangent: [f64; 4],
+    /// Of the image.
+    pub time: f64,
 }
 
 impl From<&Camera> for View {
@@ -44,6 +47,7 @@ impl From<&Camera> for View {
             position: camera.position,
             focal: DVec2::new(camera.fx, camera.fy),
             tangent: [x_min, x_max, y_min, y_max],
+            time: camera.time,
         }
     }
 }
@@ -67,6 +71,8 @@ pub struct OneGaussian {
     pub pose: Option<Pose>,
     /// Its non-rigid offset.
     pub offset: Option<Offset>,
+    /// Its optional parameters.
+    pub optional: Optional<f64>,
 }
 
 /// Gradients of one Gaussian.
@@ -90,6 +96,8 @@ pub struct OneGradient {
     pub translation: DVec3,
     /// Of the non-rigid offset.
     pub offset: Offset,
+    /// Of its optional parameters.
+    pub optional: Optional<f64>,
     /// Larger eigenvalue of Σ₂, px².
     pub variance: f64,
 }
@@ -180,8 +188,20 @@ pub fn backward(g: &OneGaussian, view: &View, splat: &SplatGradient, color: [f64
         omega: rotation.world + turned_mean.cross(moved),
         translation: moved,
         offset: Offset { mean: moved.to_array(), rotation: rotation.offset, scale: free },
+        optional: optional_gradient(g, view.time, splat.h),
         variance: w.variance,
     }
+}
+
+/// Gradients of the optional parameters; `h`: of the log of the opacity.
+fn optional_gradient(g: &OneGaussian, time: f64, h: f64) -> Optional<f64> {
+    let mut gradient = Optional::default();
+    if let Some(&[middle, log_length]) = g.optional.get(LIFESPAN) {
+        let inverse = (-log_length).exp();
+        let x = (time - middle) * inverse;
+        gradient.set(LIFESPAN, vec![h * x * inverse, h * x * x]);
+    }
+    gradient
 }
 
 fn dq(offset: Offset) -> DQuat {

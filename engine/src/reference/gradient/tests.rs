@@ -10,7 +10,8 @@ use crate::reference::{
     DeformationAt, Gaussians64, Offset, Pose, ReferenceOptions, exp, exp_quaternion, render_deformed,
 };
 use crate::scene::Camera;
-use crate::scene::synthetic::Random;
+use crate::scene::parameter::Optional;
+use crate::scene::synthetic::{Random, random_optional};
 
 const GAUSSIANS: usize = 10;
 const SUPERPOINTS: usize = 3;
@@ -47,6 +48,7 @@ impl Case {
             opacity_logit: (0..n).map(|_| r.range(-2.0, 5.5)).collect(),
             sh_degree,
             sh: (0..n * sh).map(|_| r.range(-0.7, 0.7)).collect(),
+            optional: if moving { random_optional(n, seed).map(f64::from) } else { Optional::default() },
         };
         let pose = |r: &mut Random| {
             let scale = [1.0e-9, 1.0e-3, 0.3, 2.0][r.below(4)];
@@ -74,7 +76,7 @@ impl Case {
     }
 
     fn deformation(&self) -> DeformationAt<'_> {
-        DeformationAt { group: &self.group, poses: self.poses.as_deref(), offsets: self.offsets.as_deref() }
+        DeformationAt { group: &self.group, poses: self.poses.as_deref(), offsets: self.offsets.as_deref(), time: 0.4 }
     }
 
     fn loss(&self) -> f64 {
@@ -218,6 +220,13 @@ fn opacity_logit_agrees_with_differences() {
 fn sh_agrees_with_differences() {
     let choose = |r: &mut Random, c: &Case| any(r, c.gaussians.sh.len());
     check("sh", true, false, choose, |c, i| &mut c.gaussians.sh[i], |g, i| g.sh[i]);
+}
+
+#[test]
+fn optional_parameters_agree_with_differences() {
+    let choose = |r: &mut Random, c: &Case| any(r, c.gaussians.optional.numbers().count());
+    let value: fn(&mut Case, usize) -> &mut f64 = |c, i| c.gaussians.optional.numbers_mut().nth(i).unwrap();
+    check("optional", true, false, choose, value, |g, i| g.optional.numbers().nth(i).unwrap());
 }
 
 #[test]

@@ -12,9 +12,11 @@ use super::{
     DEFORM_PROJECT_THREADS, DeformProject, DeformProjectBuffers, DeformProjectConstants, MOTION_TABLE, SH_0, sh_basis,
 };
 use crate::gpu::interface::Call;
+use crate::scene::parameter::{LIFESPAN, Present};
 
 const DILATION_PX2: f32 = 0.3;
 const ROOT_HALF_LOG2_E: f32 = 0.849_321_8;
+const HALF_LOG2_E: f32 = 0.721_347_5;
 const MAX_ABS_MEAN: f32 = 1e15;
 const MAX_ABS_LOG_SCALE: f32 = 30.0;
 const MAX_ABS_TRANSLATION: f32 = 1e15;
@@ -123,6 +125,18 @@ fn pose_of(b: &Inputs<'_>, frame: &Frame, g: usize) -> Option<([f32; 4], [f32; 3
     Some((quaternion::exp(r), translation))
 }
 
+/// Log2 of the share of the opacity that the optional parameters leave at the frame's time.
+fn log2_share(b: &Inputs<'_>, constants: &DeformProjectConstants, frame: &Frame, n: usize, g: usize) -> f32 {
+    let (present, Some(optional)) = (Present(constants.optional), b.optional.as_deref()) else { return 0.0 };
+    let value = |parameter: usize, k: u32| f32_at(optional, (present.planes_before(parameter) + k) as usize * n + g);
+    let mut share = 0.0;
+    if present.has(LIFESPAN) {
+        let x = (frame.time - value(LIFESPAN, 0)) * (-value(LIFESPAN, 1)).exp();
+        share -= HALF_LOG2_E * x * x;
+    }
+    share
+}
+
 /// Unit quaternion and standard deviations of Gaussian `g`; `turn` is its superpoint's rotation.
 fn shape_of(
     b: &Inputs<'_>,
@@ -183,7 +197,7 @@ fn project(b: &Inputs<'_>, frame: &Frame, constants: &DeformProjectConstants, g:
         return Outcome::Rejected;
     }
     let in_front = p[2] > frame.near;
-    let log2_opacity = -(1.0 + (-logit).exp()).log2();
+    let log2_opacity = -(1.0 + (-logit).exp()).log2() + log2_share(b, constants, frame, n, g);
     let mut e = Ellipse { log2_opacity, ..Ellipse::NONE }.with_constants(constants.alpha_cut, constants.tile_cull);
     let bright = e.threshold() > 0.0;
     if !in_front || !bright {

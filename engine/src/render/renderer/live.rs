@@ -9,6 +9,7 @@ use crate::render::ellipse::log2_cut;
 use crate::render::limits::TILE_SIZE;
 use crate::render::sh_storage;
 use crate::render::splat::{Splat, splat_words, unpack_splat};
+use crate::scene::parameter;
 
 /// SH basis of degree 0.
 const SH_0: f32 = 0.282_094_8;
@@ -72,7 +73,7 @@ impl Renderer {
         }
         let planes: Vec<f32> = (0..3).flat_map(|c| colors.iter().map(move |v| (v[c] - 0.5) / SH_0)).collect();
         let words = sh_storage::encode(self.scene.sh_storage, 0, &planes, colors.len());
-        self.gpu.upload(&self.scene.sh[0], bytemuck::cast_slice(&words))
+        self.gpu.upload(&self.scene.parameter[parameter::SH_0], bytemuck::cast_slice(&words))
     }
 
     /// Size of the images that are rendered; smaller than asked for by the resolution.

@@ -4,6 +4,7 @@ use glam::{DQuat, DVec3};
 
 use super::Random;
 use crate::scene::network::DeformSize;
+use crate::scene::parameter::{Optional, PARAMETERS, REQUIRED};
 use crate::scene::{DeformNetwork, Gaussians, Linear, Motion, Scene, SuperpointDeformation, Superpoints};
 
 /// Number of Gaussians at which the standard deviations below cover the shells as a trained model would.
@@ -32,6 +33,16 @@ pub fn random_gaussians(n: usize, seed: u64, sh_degree: u32) -> Gaussians {
         gaussians.sh.extend((3..3 * coefficients).map(|_| (0.05 * random.normal()) as f32));
     }
     gaussians
+}
+
+/// Every optional parameter of `n` Gaussians, around what it starts with.
+pub fn random_optional(n: usize, seed: u64) -> Optional {
+    let (mut random, mut made) = (Random::new(seed), Optional::default());
+    for (parameter, p) in PARAMETERS.iter().enumerate().skip(REQUIRED) {
+        let start = p.start.repeat(n).into_iter();
+        made.set(parameter, start.map(|start| start + random.range(-1.0, 0.5) as f32).collect());
+    }
+    made
 }
 
 /// [`random_gaussians`] as a scene that stands still.

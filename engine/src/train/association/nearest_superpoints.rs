@@ -1,6 +1,6 @@
 //! Kernel `nearest_superpoints`.
 
-use super::{ASSOCIATION_GROUP, AssociationConstants, MAX_NEIGHBORS, NEW_LOGIT, NO_SUPERPOINT, PAIR_SHIFT};
+use super::{AssociationConstants, MAX_NEIGHBORS, NEW_LOGIT, NO_SUPERPOINT, PAIR_SHIFT};
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 use crate::render::limits::COUNT_FAILED;
@@ -135,7 +135,7 @@ fn nearest_superpoints_twin(call: Call<'_, NearestSuperpoints>) {
         let best = (1..k).fold(0, |b, s| if logits[s] > logits[b] { s } else { b });
         b.next_superpoint[i] = if a.is_some() { near[best] } else { near[0] };
         if a.is_none() {
-            status::report(b.status, ASSOCIATION_GROUP, i as u32);
+            status::report(b.status, status::ASSOCIATION, i as u32);
         }
         for s in 0..k {
             twin::set_f32(b.weight, s * n + i, a.as_ref().map_or(0.0, |a| a[s]));

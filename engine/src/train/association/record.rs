@@ -1,11 +1,11 @@
 //! What a training step records between Gaussians and superpoints.
 
+use super::AssociationConstants;
 use super::nearest_superpoints::{NEAREST_SUPERPOINTS, NearestSuperpointsBuffers};
 use super::state::{StepBuffers, SuperpointState};
 use super::superpoint_commit::{SUPERPOINT_COMMIT, SuperpointCommitBuffers};
 use super::superpoint_gradient::{SUPERPOINT_GRADIENT, SuperpointGradientBuffers, SuperpointGradientConstants};
 use super::superpoint_sum::{SUPERPOINT_SUM, SuperpointSumBuffers, SuperpointSumConstants, SuperpointSumPush};
-use super::{ASSOCIATION_GROUP, AssociationConstants, POSE_GROUP};
 use crate::error::Result;
 use crate::gpu::{Buffer, Groups, Recorder, Slice};
 use crate::render::radix_sort::rank_by_ballot;
@@ -19,6 +19,7 @@ use crate::train::property_loss::property_residual::{
 };
 use crate::train::property_loss::property_total::{PROPERTY_TOTAL, PropertyTotalBuffers};
 use crate::train::property_loss::property_values::{PROPERTY_VALUES, PropertyValuesBuffers};
+use crate::train::status;
 
 /// Sums of the weights and of the weighted means only.
 const MOMENTS: SuperpointSumConstants =
@@ -31,7 +32,7 @@ impl SuperpointState {
         self.record_nearest(r, b)?;
         self.record_sort(r)?;
         match self.options.property_loss {
-            PropertyLoss::Off => self.record_sum(r, b, &self.first_sum, MOMENTS, [None, None], ASSOCIATION_GROUP),
+            PropertyLoss::Off => self.record_sum(r, b, &self.first_sum, MOMENTS, [None, None], status::ASSOCIATION),
             PropertyLoss::Code => self.record_code(r, b),
             PropertyLoss::Paper => self.record_paper(r, b),
         }
@@ -39,7 +40,7 @@ impl SuperpointState {
 
     /// The part after `deform_project_backward`: `pose_gradient` `float[6][N]` → [`SuperpointState::gradient`].
     pub fn record_reduce_pose(&self, r: &mut Recorder, b: &StepBuffers, pose_gradient: &Slice) -> Result<()> {
-        self.record_own_sum(r, b, &self.pose_sum, 6, pose_gradient, POSE_GROUP)?;
+        self.record_own_sum(r, b, &self.pose_sum, 6, pose_gradient, status::POSE)?;
         let (properties, property_sum) = match self.options.property_loss {
             PropertyLoss::Off => (0, None),
             PropertyLoss::Code => (1, Some(self.first_sum.whole())),
@@ -146,7 +147,7 @@ impl SuperpointState {
         let residual = self.work.residual.whole();
         // Position (planes 0-2) is a constant of each Gaussian: only rotation and translation pull at its own superpoint.
         let constants = SuperpointSumConstants { pair_planes: 9, own_first: 3, own_planes: 6, ..MOMENTS };
-        self.record_sum(r, b, &self.first_sum, constants, [Some(&residual), Some(&residual)], ASSOCIATION_GROUP)?;
+        self.record_sum(r, b, &self.first_sum, constants, [Some(&residual), Some(&residual)], status::ASSOCIATION)?;
         self.record_total(r, b)
     }
 
@@ -161,12 +162,12 @@ impl SuperpointState {
         };
         r.dispatch(&PROPERTY_VALUES, (), (), buffers, self.per_gaussian())?;
         let constants = SuperpointSumConstants { pair_planes: 9, ..MOMENTS };
-        self.record_sum(r, b, &self.first_sum, constants, [Some(&own), None], ASSOCIATION_GROUP)?;
+        self.record_sum(r, b, &self.first_sum, constants, [Some(&own), None], status::ASSOCIATION)?;
         self.record_residual(r, b, Some(&self.first_sum))?;
         let constants = SuperpointSumConstants { pair_planes: 9, ..SuperpointSumConstants::default() };
-        self.record_sum(r, b, &self.residual_sum, constants, [Some(&residual), None], ASSOCIATION_GROUP)?;
+        self.record_sum(r, b, &self.residual_sum, constants, [Some(&residual), None], status::ASSOCIATION)?;
         self.record_property_backward(r, b)?;
-        self.record_own_sum(r, b, &self.own_sum, 9, &own, ASSOCIATION_GROUP)?;
+        self.record_own_sum(r, b, &self.own_sum, 9, &own, status::ASSOCIATION)?;
         self.record_total(r, b)
     }
 

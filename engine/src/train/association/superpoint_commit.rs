@@ -1,6 +1,5 @@
 //! Kernel `superpoint_commit`.
 
-use super::POSE_GROUP;
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 use crate::render::limits::COUNT_FAILED;
@@ -60,7 +59,7 @@ fn superpoint_commit_twin(call: Call<'_, SuperpointCommit>) {
         if total > 0.0 && finite {
             center.into_iter().enumerate().for_each(|(c, v)| twin::set_f32(b.superpoint_position, 3 * j + c, v));
         } else if !finite {
-            status::report(b.status, POSE_GROUP, j as u32);
+            status::report(b.status, status::POSE, j as u32);
         }
     }
 }

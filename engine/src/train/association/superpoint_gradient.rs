@@ -1,6 +1,5 @@
 //! Kernel `superpoint_gradient`.
 
-use super::POSE_GROUP;
 use super::superpoint_sum::{FIRST_OWN_VALUE, FIRST_PAIR_VALUE};
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
@@ -105,7 +104,7 @@ fn superpoint_gradient_twin(call: Call<'_, SuperpointGradient>) {
         let mut result: [f32; 6] =
             std::array::from_fn(|c| if c < 3 { vector[c] + turned[c] } else { translation[c - 3] });
         if !result.iter().map(|v| v.abs()).sum::<f32>().is_finite() {
-            status::report(b.status, POSE_GROUP, j as u32);
+            status::report(b.status, status::POSE, j as u32);
             result = [0.0; 6];
         }
         result.into_iter().enumerate().for_each(|(c, v)| twin::set_f32(b.superpoint_gradient, c * m + j, v));

@@ -1,5 +1,7 @@
 //! The paper's settings by data set.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::data::dataset::DatasetOptions;
@@ -105,7 +107,14 @@ impl Default for Schedule {
 
 impl Default for GaussiansConfig {
     fn default() -> Self {
-        Self { sh_degree: 3, random_points: 10_000, random_extent: 1.3, max_points: 200_000, initial_opacity: 0.1 }
+        Self {
+            sh_degree: 3,
+            random_points: 10_000,
+            random_extent: 1.3,
+            optional: Vec::new(),
+            max_points: 200_000,
+            initial_opacity: 0.1,
+        }
     }
 }
 
@@ -157,6 +166,7 @@ impl Default for LearningRates {
             opacity_logit: 0.05,
             sh_0: 2.5e-3,
             sh_rest: 1.25e-4,
+            optional: BTreeMap::new(),
             deform: 1e-3,
             deform_final: 1e-5,
             deform_iterations: 40_000,

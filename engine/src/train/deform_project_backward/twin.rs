@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec2, DVec3};
 
-use super::{DeformProjectBackward, DeformProjectBackwardBuffers, OUTPUT_ADAM, PLANE_SH};
+use super::{DeformProjectBackward, DeformProjectBackwardBuffers, OUTPUT_ADAM};
 use crate::gpu::interface::Call;
 use crate::reference::gradient::project::{OneGaussian, OneGradient, View, backward};
 use crate::reference::gradient::splats::SplatGradient;
@@ -11,6 +11,9 @@ use crate::render::deform_project::MOTION_TABLE;
 use crate::render::frame::Frame;
 use crate::render::limits::COUNT_FAILED;
 use crate::render::twin::{f32_at, set_f32, struct_at, vec4_at};
+use crate::scene::parameter::{
+    LOG_SCALE, MEAN, OPACITY_LOGIT, Optional, PARAMETERS, Present, ROTATION, SH_0, first_plane,
+};
 use crate::train::adam;
 use crate::train::deform_project_backward::DEFORM_PROJECT_BACKWARD_THREADS;
 use crate::train::status;
@@ -28,6 +31,7 @@ struct Job {
     nonrigid: bool,
     adam: bool,
     with_mean_gradient: bool,
+    optional: Present,
 }
 
 pub(super) fn deform_project_backward_twin(call: Call<'_, DeformProjectBackward>) {
@@ -43,6 +47,7 @@ pub(super) fn deform_project_backward_twin(call: Call<'_, DeformProjectBackward>
         nonrigid: constants.nonrigid == 1,
         adam: constants.output == OUTPUT_ADAM,
         with_mean_gradient: constants.mean_gradient == 1,
+        optional: Present(constants.optional),
     };
     if b.counters[COUNT_FAILED as usize] != 0 {
         return;
@@ -50,17 +55,6 @@ pub(super) fn deform_project_backward_twin(call: Call<'_, DeformProjectBackward>
     for g in 0..job.n.min(threads) {
         job.one(&mut b, g);
     }
-}
-
-/// A parameter that a gradient is applied to.
-struct Parameter<'a> {
-    values: &'a mut [u32],
-    /// Words between its numbers, and between Gaussians.
-    stride: [usize; 2],
-    /// First plane of its gradient and moments.
-    first: usize,
-    /// Learning rate.
-    rate: f32,
 }
 
 /// Planes that gradients are written to or applied with.
@@ -85,12 +79,12 @@ impl Job {
         self.parameters(b, g, &gradient);
         if let Some(pose_gradient) = b.pose_gradient.as_mut().filter(|_| self.moving) {
             let values = [gradient.omega.to_array(), gradient.translation.to_array()].concat();
-            self.write(pose_gradient, b.status, 9, &values, g);
+            self.write(pose_gradient, b.status, status::POSE, &values, g);
         }
         if let Some(nonrigid_gradient) = b.nonrigid_gradient.as_mut().filter(|_| self.nonrigid) {
             let Offset { mean, rotation, scale } = gradient.offset;
             let values = [&mean[..], &rotation, &scale].concat();
-            self.write(nonrigid_gradient, b.status, 7, &values, g);
+            self.write(nonrigid_gradient, b.status, status::NETWORK_G, &values, g);
         }
     }
 
@@ -101,36 +95,37 @@ impl Job {
             moment_2: b.moment_2.as_deref_mut().unwrap_or_default(),
             gradient: b.gradient.as_deref_mut().unwrap_or_default(),
         };
-        let by_plane = [self.n, 1];
+        let (mean, slopes_of_sh) = (gradient.mean.to_array(), &gradient.sh);
+        let band = |band: usize| &slopes_of_sh[3 * band * band..][..3 * (2 * band + 1)];
         let sh = [Some(&mut *b.sh_0), b.sh_1.as_deref_mut(), b.sh_2.as_deref_mut(), b.sh_3.as_deref_mut()];
-        let mut good = true;
-        for (band, values) in sh.into_iter().flatten().enumerate().take(self.degree + 1) {
-            let rate = if band == 0 { self.step.rate_sh_0 } else { self.step.rate_sh_rest };
-            let slopes = &gradient.sh[3 * band * band..][..3 * (2 * band + 1)];
-            let parameter = Parameter { values, stride: by_plane, first: PLANE_SH[band], rate };
-            good &= self.apply(parameter, &mut planes, slopes, g);
+        let bands = sh.into_iter().flatten().enumerate().take(self.degree + 1);
+        let mut all: Vec<(usize, &mut [u32], &[f64])> = bands.map(|(i, v)| (SH_0 + i, v, band(i))).collect();
+        all.extend([
+            (MEAN, &mut *b.mean, &mean[..]),
+            (LOG_SCALE, &mut *b.log_scale, &gradient.log_scale),
+            (ROTATION, &mut *b.rotation, &gradient.rotation),
+            (OPACITY_LOGIT, &mut *b.opacity_logit, std::slice::from_ref(&gradient.opacity_logit)),
+        ]);
+        // A culled Gaussian has no gradient of its optional parameters.
+        let optional = self.optional_slopes(gradient);
+        let n = self.n;
+        let mut rest = b.optional.as_deref_mut().unwrap_or_default();
+        for (parameter, slopes) in &optional {
+            let (values, others) = rest.split_at_mut(slopes.len() * n);
+            all.push((*parameter, values, slopes));
+            rest = others;
         }
-        report(b.status, good, 4, g);
-        let Step {
-            rate_mean: mean,
-            rate_log_scale: log_scale,
-            rate_rotation: rotation,
-            rate_opacity_logit: opacity,
-            ..
-        } = self.step;
-        let geometry: [(Parameter<'_>, &[f64]); 4] = [
-            (Parameter { values: b.mean, stride: by_plane, first: 0, rate: mean }, &gradient.mean.to_array()),
-            (Parameter { values: b.log_scale, stride: by_plane, first: 3, rate: log_scale }, &gradient.log_scale),
-            (Parameter { values: b.rotation, stride: [1, 4], first: 6, rate: rotation }, &gradient.rotation),
-            (
-                Parameter { values: b.opacity_logit, stride: by_plane, first: 10, rate: opacity },
-                &[gradient.opacity_logit],
-            ),
-        ];
-        for (group, (parameter, slopes)) in geometry.into_iter().enumerate() {
-            let good = self.apply(parameter, &mut planes, slopes, g);
-            report(b.status, good, group, g);
+        for (parameter, values, slopes) in all {
+            let good = self.apply(parameter, values, &mut planes, slopes, g);
+            report(b.status, good, parameter, g);
         }
+    }
+
+    /// Gradients of the optional parameters, zero where there are none.
+    fn optional_slopes(&self, gradient: &OneGradient) -> Vec<(usize, Vec<f64>)> {
+        let zeros = |parameter: usize| vec![0.0; PARAMETERS[parameter].width as usize];
+        let of = |parameter: usize| gradient.optional.get(parameter).map_or(zeros(parameter), <[f64]>::to_vec);
+        self.optional.iter().map(|parameter| (parameter, of(parameter))).collect()
     }
 
     /// Numbers `first` and the following of Gaussian `g` in a buffer of planes.
@@ -148,6 +143,13 @@ impl Job {
             rotation: self.planes(words, 3, g),
             scale: self.planes(words, 7, g),
         });
+        let mut optional = Optional::default();
+        for parameter in self.optional.iter() {
+            let (first, width) = (self.optional.planes_before(parameter), PARAMETERS[parameter].width);
+            let words = b.optional.as_deref()?;
+            let value = |p: u32| self.planes::<1>(words, p as usize, g)[0];
+            optional.set(parameter, (first..first + width).map(value).collect());
+        }
         let pose = if self.moving { Some(self.pose(b, g)?) } else { None };
         let one = OneGaussian {
             mean: DVec3::from_array(self.planes(b.mean, 0, g)),
@@ -158,6 +160,7 @@ impl Job {
             sh_degree: self.degree as u32,
             pose,
             offset,
+            optional,
         };
         let long = one.rotation.iter().map(|x| x * x).sum::<f64>() > 1e-24;
         let sane = one.mean.is_finite() && one.log_scale.iter().all(|s| s.abs() <= 30.0) && long;
@@ -197,6 +200,7 @@ impl Job {
             position: v(&f.camera_position_high) + v(&f.camera_position_low),
             focal: DVec2::new(f.intrinsics[0].into(), f.intrinsics[1].into()),
             tangent: f.tan_limit.map(f64::from),
+            time: f.time.into(),
         }
     }
 
@@ -214,11 +218,11 @@ impl Job {
     }
 
     /// Hands over the gradients of one parameter; whether all was finite.
-    fn apply(&self, parameter: Parameter<'_>, planes: &mut Planes<'_>, slopes: &[f64], g: usize) -> bool {
-        let Parameter { values, stride, first, rate } = parameter;
+    fn apply(&self, parameter: usize, values: &mut [u32], planes: &mut Planes<'_>, slopes: &[f64], g: usize) -> bool {
+        let (first, rate) = (first_plane(parameter, self.optional) as usize, self.step.rate[parameter]);
         let mut good = true;
         for (k, &slope) in slopes.iter().enumerate() {
-            let (word, plane) = (k * stride[0] + g * stride[1], (first + k) * self.n + g);
+            let (word, plane) = (PARAMETERS[parameter].word(k, g, self.n), (first + k) * self.n + g);
             let slope = slope as f32;
             if !self.adam {
                 good &= slope.is_finite();

@@ -13,6 +13,7 @@ use crate::error::Result;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
 use crate::render::deformation::{DeformationBuffers, Offsets};
 use crate::render::scene_buffers::SceneBuffers;
+use crate::scene::parameter::MEAN;
 use crate::scene::{Deformation, Motion, NonrigidNetwork};
 
 /// Bytes of network G per Gaussian: offset and its gradient, activations of the chunk it is in.
@@ -41,7 +42,7 @@ struct OwnedInputs([Slice; 4], bool);
 impl OwnedInputs {
     fn of(inputs: &StepInputs<'_>) -> Self {
         let (scene, moved) = (inputs.scene, &inputs.scene.deformation);
-        let buffers = [inputs.frame, &scene.mean, &moved.superpoint_of_gaussian, &moved.pose];
+        let buffers = [inputs.frame, &scene.parameter[MEAN], &moved.superpoint_of_gaussian, &moved.pose];
         Self(buffers.map(Slice::from), moved.moves())
     }
 

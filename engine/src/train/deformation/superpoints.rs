@@ -16,6 +16,7 @@ use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
 use crate::render::deformation::{DeformationBuffers, Poses};
 use crate::render::scene_buffers::SceneBuffers;
+use crate::scene::parameter::MEAN;
 use crate::scene::{DeformNetwork, Deformation, Motion, SuperpointDeformation};
 
 /// The model on the device.
@@ -49,7 +50,7 @@ impl SuperpointTraining {
     pub(super) fn begin(gpu: &Gpu, config: &Config, scene: &SceneBuffers) -> Result<Self> {
         let superpoints = SuperpointState::init(
             gpu,
-            &Slice::from(&scene.mean),
+            &Slice::from(&scene.parameter[MEAN]),
             &Slice::from(&scene.deformation.superpoint_of_gaussian),
             scene.gaussians,
             association_options(config),
@@ -87,7 +88,7 @@ impl SuperpointTraining {
             step: Slice::from(inputs.step),
             counters: inputs.counters.clone(),
             status: Slice::from(inputs.status),
-            mean: Slice::from(&inputs.scene.mean),
+            mean: Slice::from(&inputs.scene.parameter[MEAN]),
             superpoint_of_gaussian: Slice::from(&inputs.scene.deformation.superpoint_of_gaussian),
             pose: Slice::from(&inputs.scene.deformation.pose),
         }

@@ -6,9 +6,7 @@ use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 use crate::gpu::{Buffer, Gpu, Groups};
 use crate::render::twin::{f32_at, set_f32};
-
-/// Plane of the opacity in `moment_1` and `moment_2`.
-const OPACITY_PLANE: u32 = 10;
+use crate::scene::parameter::{OPACITY_LOGIT, Present, first_plane};
 
 crate::gpu_struct! {
     /// Push constants of `reset_opacity`.
@@ -60,12 +58,16 @@ fn reset_opacity_twin(call: Call<'_, ResetOpacity>) {
     }
 }
 
-/// The opacity reset: opacity ← min(opacity, `max_opacity`), its moments (plane 10) ← 0. 3DGS: 0.01 every 3,000 iterations.
+/// The opacity reset: opacity ← min(opacity, `max_opacity`), its moments ← 0. 3DGS: 0.01 every 3,000 iterations.
 pub fn reset_opacity(gpu: &Gpu, opacity_logit: &Buffer, moments: [&Buffer; 2], n: u32, max_opacity: f64) -> Result<()> {
     if n == 0 {
         return Ok(());
     }
-    let push = ResetOpacityPush { gaussians: n, limit: logit(max_opacity), plane: OPACITY_PLANE };
+    let push = ResetOpacityPush {
+        gaussians: n,
+        limit: logit(max_opacity),
+        plane: first_plane(OPACITY_LOGIT, Present::default()),
+    };
     let [moment_1, moment_2] = moments.map(Buffer::whole);
     let buffers = ResetOpacityBuffers { opacity_logit: opacity_logit.whole(), moment_1, moment_2 };
     let mut r = gpu.recorder("reset opacity");

@@ -9,6 +9,7 @@ use super::split_children::{SPLIT_CHILDREN, SplitChildrenBuffers, SplitChildrenP
 use super::{DENSITY_BLOCK, SOURCE_ROW, logit};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Groups, Memory};
+use crate::scene::parameter::{LOG_SCALE, MEAN, NewRows, OPACITY_LOGIT, ROTATION};
 
 /// Limits of one pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,15 +51,6 @@ impl Default for DensityOptions {
     }
 }
 
-/// What rows of clones and children hold.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum NewRows {
-    /// The parent's row.
-    Copy,
-    /// Zeros (Adam moments).
-    Zero,
-}
-
 /// An array with a row per Gaussian: word plane·N·width + row·width + component.
 #[derive(Debug, Clone)]
 pub struct RowArray {
@@ -76,19 +68,13 @@ pub struct RowArray {
 /// if the caller keeps no other handles (recorded commands hold handles too).
 #[derive(Debug, Clone)]
 pub struct DensityBuffers {
-    /// `float[3][N]`.
-    pub mean: Buffer,
-    /// `float[3][N]`.
-    pub log_scale: Buffer,
-    /// `vec4[N]`, w,x,y,z.
-    pub rotation: Buffer,
-    /// `float[N]`.
-    pub opacity_logit: Buffer,
+    /// Those of [`PARAMETERS`](crate::scene::parameter::PARAMETERS), in that order.
+    pub parameters: Vec<RowArray>,
     /// `float[2][N]`: sum of screen-gradient norms, number of views. New buffer of zeros afterwards.
     pub density: Buffer,
     /// `float[N]` largest screen radius, px. New buffer of zeros afterwards.
     pub max_radius: Buffer,
-    /// Every other array, in any order, given back in the same order: SH bands, moments, superpoints, association.
+    /// Every other array, in any order, given back in the same order: moments, superpoints, association.
     pub rows: Vec<RowArray>,
 }
 
@@ -171,8 +157,8 @@ impl Density {
         let mut r = self.gpu.recorder("density decide");
         r.fill(&totals, 0)?;
         let bound = DensityDecideBuffers {
-            log_scale: buffers.log_scale.whole(),
-            opacity_logit: buffers.opacity_logit.whole(),
+            log_scale: buffers.parameters[LOG_SCALE].buffer.whole(),
+            opacity_logit: buffers.parameters[OPACITY_LOGIT].buffer.whole(),
             density: buffers.density.whole(),
             max_radius: buffers.max_radius.whole(),
             action: action.whole(),
@@ -315,17 +301,11 @@ impl Density {
         new_count: u32,
         options: &DensityOptions,
     ) -> Result<DensityBuffers> {
-        let DensityBuffers { mean, log_scale, rotation, opacity_logit, density, max_radius, rows } = buffers;
+        let DensityBuffers { parameters, density, max_radius, rows } = buffers;
         let names = [density.name().to_owned(), max_radius.name().to_owned()];
         drop((density, max_radius));
-        let parameter = |buffer: Buffer, planes: u32, width: u32| {
-            let old = RowArray { buffer, planes, width, new_rows: NewRows::Copy };
-            Ok::<_, Error>(self.gather(old, source, old_count, new_count)?.buffer)
-        };
-        let mean = parameter(mean, 3, 1)?;
-        let log_scale = parameter(log_scale, 3, 1)?;
-        let rotation = parameter(rotation, 1, 4)?;
-        let opacity_logit = parameter(opacity_logit, 1, 1)?;
+        let gather = |old| self.gather(old, source, old_count, new_count);
+        let parameters = parameters.into_iter().map(gather).collect::<Result<Vec<_>>>()?;
         if new_count > 0 {
             let push = SplitChildrenPush {
                 rows: new_count,
@@ -336,19 +316,18 @@ impl Density {
             let mut r = self.gpu.recorder("density children");
             let bound = SplitChildrenBuffers {
                 source: source.whole(),
-                rotation: rotation.whole(),
-                mean: mean.whole(),
-                log_scale: log_scale.whole(),
+                rotation: parameters[ROTATION].buffer.whole(),
+                mean: parameters[MEAN].buffer.whole(),
+                log_scale: parameters[LOG_SCALE].buffer.whole(),
             };
             let groups = Groups::Direct(blocks(new_count).into());
             r.dispatch(&SPLIT_CHILDREN, (), push, bound, groups)?;
             self.gpu.run(r)?;
         }
-        let gather = |old| self.gather(old, source, old_count, new_count);
         let rows = rows.into_iter().map(gather).collect::<Result<Vec<_>>>()?;
         let density = self.zeros(&names[0], 2 * u64::from(new_count))?;
         let max_radius = self.zeros(&names[1], new_count.into())?;
-        Ok(DensityBuffers { mean, log_scale, rotation, opacity_logit, density, max_radius, rows })
+        Ok(DensityBuffers { parameters, density, max_radius, rows })
     }
 }
 

@@ -65,7 +65,7 @@ fn gather_gradient_twin(call: Call<'_, GatherGradient>) {
         };
         let value = plane.map_or(0.0, |plane| f32_at(b.plane, (plane * p.plane_stride + row) as usize));
         if !value.is_finite() {
-            status::report(b.status, if network == 0 { 9 } else { 7 }, row);
+            status::report(b.status, if network == 0 { status::POSE } else { status::NETWORK_G }, row);
         }
         set_f32(b.row_gradient, item as usize, if value.is_finite() { value } else { 0.0 });
     }

@@ -90,8 +90,8 @@ fn update_weight(b: &mut LinearUpdateBuffers<&mut [u32]>, network: u32, at: u32,
     let step: Step = struct_at(b.step, 0);
     let at = at as usize;
     let (rate, bias, group) = match network {
-        0 => (step.rate_network_f, step.bias_network_f, 5),
-        _ => (step.rate_network_g, step.bias_network_g, 7),
+        0 => (step.rate_network_f, step.bias_network_f, status::NETWORK_F),
+        _ => (step.rate_network_g, step.bias_network_g, status::NETWORK_G),
     };
     let mut moments = [f32_at(b.moment_1, at), f32_at(b.moment_2, at)];
     let value = adam::update(&step, f32_at(b.parameter, at), gradient, &mut moments, rate, bias);

@@ -2,14 +2,10 @@
 
 use super::{READBACK, Trainer};
 use crate::error::Result;
-use crate::gpu::{Buffer, Commands, Groups, Recorder, Slice};
-use crate::render::deform_project::{MOTION_STATIC, MOTION_TABLE};
+use crate::gpu::{Commands, Recorder, Slice};
 use crate::render::pipeline::record_forward;
 use crate::train::blend_backward::{self, BackwardInput, BackwardTarget};
-use crate::train::deform_project_backward::{
-    DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, DeformProjectBackwardBuffers,
-    DeformProjectBackwardConstants, OUTPUT_ADAM,
-};
+use crate::train::deform_project_backward::{Output, ProjectBackward};
 use crate::train::deformation::{ProjectInputs, StepInputs};
 use crate::train::image_loss::{LOSS_WORDS, LossPassBuffers, TargetFormat};
 use crate::train::status;
@@ -81,49 +77,18 @@ impl Trainer {
     }
 
     fn record_project_backward(&self, r: &mut Recorder, t: &Target) -> Result<()> {
-        let (p, s) = (&self.parameters, &self.parameters.scene);
-        let [sh_0, sh_1, sh_2, sh_3] = &s.sh;
-        let band = |degree: u32, sh: &Buffer| (s.sh_degree >= degree).then(|| sh.whole());
-        let ProjectInputs { offset, mean_gradient } =
-            self.deformation.as_ref().map_or_else(ProjectInputs::default, |m| m.project_inputs());
-        let moves = s.deformation.moves();
-        let constants = DeformProjectBackwardConstants {
-            sh_degree: s.sh_degree,
-            motion: if moves { MOTION_TABLE } else { MOTION_STATIC },
-            nonrigid: u32::from(offset.is_some()),
-            output: OUTPUT_ADAM,
-            mean_gradient: u32::from(mean_gradient.is_some()),
+        let pass = ProjectBackward {
+            scene: &self.parameters.scene,
+            frame: &t.frame.frame,
+            work: &t.work,
+            step: &self.step,
+            status: &self.status,
+            splat_gradient: &self.splat_gradient,
+            pose_gradient: &self.pose_gradient,
+            model: self.deformation.as_ref().map_or_else(ProjectInputs::default, |m| m.project_inputs()),
+            output: Output::Adam(&self.parameters),
         };
-        let buffers = DeformProjectBackwardBuffers {
-            frame: t.frame.frame.whole(),
-            step: self.step.whole(),
-            counters: t.work.counters.clone(),
-            status: self.status.whole(),
-            splats: t.work.splats.whole(),
-            tile_count: t.work.tile_count.whole(),
-            splat_gradient: self.splat_gradient.whole(),
-            mean: s.mean.whole(),
-            log_scale: s.log_scale.whole(),
-            rotation: s.rotation.whole(),
-            opacity_logit: s.opacity_logit.whole(),
-            superpoint_of_gaussian: moves.then(|| s.deformation.superpoint_of_gaussian.whole()),
-            pose: moves.then(|| s.deformation.pose.whole()),
-            sh_0: sh_0.whole(),
-            sh_1: band(1, sh_1),
-            sh_2: band(2, sh_2),
-            sh_3: band(3, sh_3),
-            moment_1: Some(p.moment_1.whole()),
-            moment_2: Some(p.moment_2.whole()),
-            gradient: None,
-            pose_gradient: moves.then(|| self.pose_gradient.whole()),
-            nonrigid_offset: offset.map(|(value, _)| value.whole()),
-            nonrigid_gradient: offset.map(|(_, gradient)| gradient.whole()),
-            density: Some(p.density.whole()),
-            max_radius: Some(p.max_radius.whole()),
-            mean_gradient: mean_gradient.map(Buffer::whole),
-        };
-        let groups = u64::from(p.count().div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
-        r.dispatch(&DEFORM_PROJECT_BACKWARD, constants, (), buffers, Groups::Direct(groups))
+        pass.record(r)
     }
 
     fn record_readback(&self, r: &mut Recorder, t: &Target) -> Result<()> {

@@ -7,7 +7,8 @@ use engine::gpu::Gpu;
 use engine::reference::gradient::image::{Gradients, image_gradients};
 use engine::reference::gradient::splats::Upstream;
 use engine::reference::{DeformationAt, Gaussians64, ReferenceOptions, table_poses};
-use engine::scene::synthetic::{HardCase, Random, moving_scene, random_scene};
+use engine::scene::parameter::PARAMETERS;
+use engine::scene::synthetic::{HardCase, Random, moving_scene, random_optional, random_scene};
 use engine::scene::{Camera, Scene};
 use engine::train::gradient::{GradientOptions, SceneGradients, scene_gradients};
 
@@ -48,6 +49,12 @@ pub(super) fn cases() -> Vec<Case> {
     all.push(Case::new(15, "gradients_moving", moving, |c| {
         judge(c, &View::usual(moving_scene(600, 12, 2, 155, false)))
     }));
+    let optional = "600 Gaussians of SH degree 1 with every optional parameter, on 12 superpoints between two keys.";
+    all.push(Case::new(15, "gradients_optional", optional, |c| {
+        let mut scene = moving_scene(600, 12, 2, 156, false);
+        scene.gaussians.optional = random_optional(scene.gaussians.len(), 157);
+        judge(c, &View::usual(scene))
+    }));
     for name in HARD {
         let input = format!("The Gaussians of `{name}`; dL/d pixel is random.");
         all.push(Case::new(15, format!("gradients_{name}"), input, move |c| {
@@ -67,6 +74,7 @@ pub(crate) fn in_f64(scene: &Scene) -> Gaussians64 {
         opacity_logit: g.opacity_logit.iter().map(|&x| x.into()).collect(),
         sh_degree: g.sh_degree,
         sh: g.sh.iter().map(|&x| x.into()).collect(),
+        optional: g.optional.map(f64::from),
     }
 }
 
@@ -105,7 +113,7 @@ impl View {
     fn truth(&self) -> Result<Gradients> {
         let poses = self.scene.deformation.table().map(|motion| table_poses(motion, self.time));
         let group = self.scene.deformation.superpoint_of_gaussian();
-        let deformation = DeformationAt { group, poses: poses.as_deref(), offsets: None };
+        let deformation = DeformationAt { group, poses: poses.as_deref(), offsets: None, time: self.time };
         let color: Vec<f64> = self.upstream.chunks_exact(4).flat_map(|g| [g[0], g[1], g[2]]).map(f64::from).collect();
         let alpha: Vec<f64> = self.upstream.iter().skip(3).step_by(4).map(|&a| f64::from(a)).collect();
         let options = ReferenceOptions {
@@ -128,6 +136,10 @@ fn kinds<'a>(found: &'a SceneGradients, truth: &Gradients) -> Vec<(&'static str,
         ("sh", &found.sh[..], truth.sh.clone()),
         ("mean2d", found.mean2d.as_flattened(), truth.mean2d.as_flattened().to_vec()),
     ];
+    for (parameter, device) in found.optional.iter() {
+        let exact = truth.optional.get(parameter).unwrap_or_default();
+        all.push((PARAMETERS[parameter].name, device, exact.to_vec()));
+    }
     if !found.pose.is_empty() {
         let each = truth.each.iter().flat_map(|g| g.omega.to_array().into_iter().chain(g.translation.to_array()));
         all.push(("pose", found.pose.as_flattened(), each.collect()));

@@ -68,7 +68,7 @@ pub(super) struct Roofline {
 pub(super) fn pairs(scene: &Scene, camera: &Camera, time: f64, options: &RenderOptions) -> Result<f64> {
     let poses = reference::poses(scene, time, options.motion)?;
     let group = scene.deformation.superpoint_of_gaussian();
-    let deformation = DeformationAt { group, poses: poses.as_deref(), offsets: None };
+    let deformation = DeformationAt { group, poses: poses.as_deref(), offsets: None, time };
     let near = ReferenceOptions { near: options.near.into(), ..ReferenceOptions::default() };
     let splats = visible_splats(&in_f64(scene), &deformation, camera, &near)?;
     let pixels = f64::from(camera.width) * f64::from(camera.height);

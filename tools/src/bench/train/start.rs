@@ -56,7 +56,7 @@ pub(super) fn photos(
     let folder = tempfile::tempdir().map_err(|e| Error::io(&temp, "create a folder in", e))?;
     let mut renderer = Renderer::new(gpu, scene, &RenderOptions { background, ..RenderOptions::default() })?;
     let first = camera::default_camera(scene, size);
-    let [begin, end] = scene.deformation.time_range();
+    let [begin, end] = scene.time_range();
     let radius = first.position.length();
     let mut views = Vec::with_capacity(PHOTOS);
     for i in 0..PHOTOS {

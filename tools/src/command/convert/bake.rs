@@ -177,7 +177,7 @@ fn candidates(scene: &Scene, source: MotionSource) -> Vec<f64> {
         all.dedup();
         return all;
     }
-    let [start, end] = scene.deformation.time_range();
+    let [start, end] = scene.time_range();
     let step = (end - start) / (NETWORK_TIMES - 1) as f64;
     (0..NETWORK_TIMES).map(|i| f64::from((start + step * i as f64) as f32)).collect()
 }

@@ -46,7 +46,7 @@ impl<'a> Moments<'a> {
     /// The Gaussians at a time.
     pub(super) fn at(&self, time: f64) -> Result<Gaussians> {
         match self.scene.deformation.field() {
-            Some(_) => freeze_with(&self.scene.gaussians, &self.offsets(time)?),
+            Some(_) => freeze_with(&self.scene.gaussians, &self.offsets(time)?, time),
             None => freeze(self.scene, time, self.source),
         }
     }

@@ -78,7 +78,7 @@ struct Route {
 impl Route {
     fn new(args: &RenderArgs, kind: &PathArg, set: Option<&CameraSet>, scene: &Scene) -> Result<Self> {
         let swept = args.time.map(|t| [t, t]).or(args.times);
-        let range = swept.or(Some(scene.deformation.time_range()));
+        let range = swept.or(Some(scene.time_range()));
         let start = || start(args, set, scene);
         Ok(match kind {
             PathArg::Time => Self { path: CameraPath::Still(start()?), times: range },

@@ -10,7 +10,8 @@ use engine::render::quality::KNOBS;
 use engine::render::{
     PixelFormat, Quality, RenderOptions, Renderer, SceneHandle, SceneOptions, View as EmbeddedView, ViewOptions,
 };
-use engine::scene::synthetic::{moving_scene, random_scene};
+use engine::scene::parameter::{PARAMETERS, REQUIRED};
+use engine::scene::synthetic::{moving_scene, random_optional, random_scene};
 use engine::scene::{Camera, MotionSource, NonrigidNetwork, Scene};
 use engine::train::config::{Config, Form};
 use engine::train::gradient::{GradientOptions, scene_gradients};
@@ -79,6 +80,9 @@ fn frames(gpu: &Gpu) -> Result<()> {
                 draw(gpu, scene, &RenderOptions { motion, ..options.clone() })?;
             }
         }
+        let mut optional = moving.clone();
+        optional.gaussians.optional = random_optional(optional.gaussians.len(), 1);
+        draw(gpu, &optional, &options)?;
         draw(gpu, &moving, &RenderOptions { depth: true, ..options })?;
     }
     Ok(())
@@ -154,6 +158,7 @@ fn variants(base: &Config) -> Vec<Config> {
         with(|c| c.loss.prop_loss = Form::Paper),
         with(|c| c.motion.association_init = Form::Paper),
         with(|c| c.loss.lambda_dssim = 0.0),
+        with(|c| c.gaussians.optional = PARAMETERS[REQUIRED..].iter().map(|p| p.name.to_owned()).collect()),
         with(|c| (c.motion.neighbors, c.motion.association_slots) = (1, 1)),
         with(|c| (c.motion.network_layers, c.motion.network_width) = (2, 32)),
     ];

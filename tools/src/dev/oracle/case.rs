@@ -18,6 +18,7 @@ use engine::reference::{
     DeformationAt, Gaussians64, Parameters, Pose, ReferenceOptions, network_poses, place, render_gaussians,
 };
 use engine::scene::network::DeformSize;
+use engine::scene::parameter::Optional;
 use engine::scene::{
     Camera, DeformNetwork, Gaussians, Linear, MotionSource, Scene, SuperpointDeformation, Superpoints,
 };
@@ -179,6 +180,7 @@ pub fn load(path: &Path) -> Result<OracleCase> {
         opacity_logit: file.floats("logit_opac", &[n])?,
         sh_degree,
         sh: file.floats("sh", &[n, Some(sh_count), Some(3)])?,
+        optional: Optional::default(),
         mean,
     };
     let view = file.floats("viewmat", &[Some(4), Some(4)])?;
@@ -263,6 +265,7 @@ pub fn load_superpoint(path: &Path) -> Result<SuperpointCase> {
         sh_degree: 0,
         sh: vec![0.0; 3 * mean.len()],
         mean,
+        ..Gaussians::default()
     };
     let deformation = SuperpointDeformation {
         superpoints: Superpoints { of_gaussian, position },

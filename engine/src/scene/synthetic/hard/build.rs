@@ -56,6 +56,7 @@ pub(super) fn stack(depths: &[f32], opacity: f64, size: f64) -> Gaussians {
         opacity_logit: vec![(opacity / (1.0 - opacity)).ln() as f32; n],
         sh_degree: 0,
         sh: (0..n).flat_map(|i| (0..3).map(move |c| color(i, c))).collect(),
+        ..Gaussians::default()
     }
 }
 

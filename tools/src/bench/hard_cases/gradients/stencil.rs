@@ -5,7 +5,7 @@ use engine::reference::gradient::image::{Gradients, image_gradients, visible_spl
 use engine::reference::gradient::splats::{Upstream, contributions};
 use engine::reference::{DeformationAt, Gaussians64, Offset, Pose, ReferenceOptions, render_deformed};
 use engine::scene::Camera;
-use engine::scene::synthetic::Random;
+use engine::scene::synthetic::{Random, random_optional};
 use glam::{DVec2, DVec3};
 
 use crate::bench::hard_cases::case::{Check, Outcome};
@@ -48,6 +48,7 @@ impl Scene64 {
             opacity_logit: (0..n).map(|_| r.range(-2.0, 5.5)).collect(),
             sh_degree,
             sh: (0..n * sh).map(|_| r.range(-0.7, 0.7)).collect(),
+            optional: random_optional(n, seed).map(f64::from),
         };
         let pose = |r: &mut Random| {
             let size = [1.0e-9, 1.0e-3, 0.3, 2.0][r.below(4)];
@@ -72,7 +73,7 @@ impl Scene64 {
     }
 
     fn deformation(&self) -> DeformationAt<'_> {
-        DeformationAt { group: &self.group, poses: Some(&self.poses), offsets: Some(&self.offsets) }
+        DeformationAt { group: &self.group, poses: Some(&self.poses), offsets: Some(&self.offsets), time: 0.0 }
     }
 
     fn options() -> ReferenceOptions {
@@ -120,7 +121,9 @@ impl Scene64 {
         let mut values = [0.0; 4];
         for (value, factor) in values.iter_mut().zip([-2.0, -1.0, 1.0, 2.0]) {
             let mut moved = self.clone();
-            *(kind.value)(&mut moved, index) += factor * step;
+            if let Some(number) = (kind.value)(&mut moved, index) {
+                *number += factor * step;
+            }
             if moved.piece()? != here {
                 return Ok(None);
             }
@@ -134,7 +137,7 @@ impl Scene64 {
 struct Kind {
     name: &'static str,
     count: fn(&Scene64) -> usize,
-    value: fn(&mut Scene64, usize) -> &mut f64,
+    value: fn(&mut Scene64, usize) -> Option<&mut f64>,
     gradient: fn(&Gradients, usize) -> f64,
 }
 
@@ -144,13 +147,13 @@ macro_rules! rows {
         Kind {
             name: $name,
             count: |_| $w * $count,
-            value: |$scene, i| &mut $scene.$($at).+[i / $w]$(.$part)?[i % $w],
+            value: |$scene, i| Some(&mut $scene.$($at).+[i / $w]$(.$part)?[i % $w]),
             gradient: |g, i| g.$($of).+[i / $w]$(.$part)?[i % $w],
         }
     };
 }
 
-fn kinds() -> [Kind; 10] {
+fn kinds() -> [Kind; 11] {
     [
         rows!("mean", 3, GAUSSIANS, s.gaussians.mean, mean[]),
         rows!("rotation", 4, GAUSSIANS, s.gaussians.rotation, rotation[]),
@@ -158,14 +161,20 @@ fn kinds() -> [Kind; 10] {
         Kind {
             name: "opacity_logit",
             count: |_| GAUSSIANS,
-            value: |s, i| &mut s.gaussians.opacity_logit[i],
+            value: |s, i| s.gaussians.opacity_logit.get_mut(i),
             gradient: |g, i| g.opacity_logit[i],
         },
         Kind {
             name: "sh",
             count: |s| s.gaussians.sh.len(),
-            value: |s, i| &mut s.gaussians.sh[i],
+            value: |s, i| s.gaussians.sh.get_mut(i),
             gradient: |g, i| g.sh[i],
+        },
+        Kind {
+            name: "optional parameters",
+            count: |s| s.gaussians.optional.numbers().count(),
+            value: |s, i| s.gaussians.optional.numbers_mut().nth(i),
+            gradient: |g, i| g.optional.numbers().nth(i).unwrap_or(f64::NAN),
         },
         rows!("pose rotation", 3, SUPERPOINTS, s.poses, poses[rotation]),
         rows!("pose translation", 3, SUPERPOINTS, s.poses, poses[translation]),
