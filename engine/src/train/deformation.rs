@@ -5,9 +5,9 @@ mod nonrigid;
 mod superpoints;
 
 use super::association::AssociationOptions;
-use super::checkpoint::Checkpoint;
 use super::config::Config;
 use super::density::RowArray;
+use super::saved::{Saved, Stored};
 use super::usage::TrainingMemory;
 use crate::error::Result;
 use crate::gpu::{Buffer, Gpu, Recorder, Slice};
@@ -113,7 +113,7 @@ pub(super) trait TrainedDeformation: std::fmt::Debug + Send + Sync {
     fn download(&self, gpu: &Gpu, scene: &SceneBuffers) -> Result<Deformation>;
 
     /// Writes its state into a checkpoint.
-    fn save(&self, gpu: &Gpu, scene: &SceneBuffers, checkpoint: &mut Checkpoint) -> Result<()>;
+    fn save(&self, gpu: &Gpu, scene: &SceneBuffers, saved: &mut Saved) -> Result<()>;
 
     /// Poses of superpoints at `times`, through the buffer `step`; `None` where the model has none.
     fn table_at(&self, _: &Gpu, _: &Buffer, _: &[f32]) -> Result<Option<Motion>> {
@@ -133,37 +133,31 @@ pub(super) fn begin(gpu: &Gpu, config: &Config, scene: &SceneBuffers) -> Result<
 ///
 /// # Errors
 /// `Usage` when lengths do not fit; `OutOfMemory`.
-pub(super) fn restore(gpu: &Gpu, config: &Config, saved: &Checkpoint) -> Result<Option<Trained>> {
-    let Some(state) = &saved.nonrigid else {
-        let rigid = saved.motion.as_ref().map(|m| SuperpointTraining::restore(gpu, config, m)).transpose()?;
-        return Ok(rigid.map(|rigid| Box::new(rigid) as Trained));
-    };
-    let mut model = nonrigid_model(gpu, config, saved, &state.nonrigid()?)?;
-    model.restore_moments(state)?;
-    Ok(Some(Box::new(model)))
+pub(super) fn restore(gpu: &Gpu, config: &Config, stored: &Stored<'_>) -> Result<Option<Trained>> {
+    if let Some(model) = NonrigidTraining::restore(gpu, config, stored)? {
+        return Ok(Some(Box::new(model)));
+    }
+    Ok(SuperpointTraining::restore(gpu, config, stored)?.map(|model| Box::new(model) as Trained))
+}
+
+/// The model that a checkpoint holds, as a scene has it.
+///
+/// # Errors
+/// `Usage` naming an array that is not there, or of another length than the configuration says.
+pub(super) fn of_checkpoint(stored: &Stored<'_>) -> Result<Deformation> {
+    nonrigid::of_checkpoint(stored, superpoints::of_checkpoint(stored)?)
 }
 
 /// The non-rigid stage on a trained model: network G after what moved it before, which does not learn any more.
 ///
 /// # Errors
 /// As [`restore`].
-pub(super) fn nonrigid(gpu: &Gpu, config: &Config, trained: &Checkpoint) -> Result<Trained> {
+pub(super) fn nonrigid(gpu: &Gpu, config: &Config, stored: &Stored<'_>) -> Result<Trained> {
     let mut network = NonrigidNetwork::init(config.seed);
     if !config.nonrigid.scale {
         network.scaling.weight.fill(0.0);
     }
-    Ok(Box::new(nonrigid_model(gpu, config, trained, &network)?))
-}
-
-fn nonrigid_model(
-    gpu: &Gpu,
-    config: &Config,
-    saved: &Checkpoint,
-    network: &NonrigidNetwork,
-) -> Result<NonrigidTraining> {
-    let frozen = saved.motion.as_ref().map(|m| SuperpointTraining::restore(gpu, config, m)).transpose()?;
-    let gaussians = saved.parameters.gaussians.len() as u32;
-    NonrigidTraining::new(gpu, config, frozen, network, gaussians)
+    Ok(Box::new(NonrigidTraining::begin(gpu, config, stored, &network)?))
 }
 
 /// Weights and moments of a network as [`Numbers`].

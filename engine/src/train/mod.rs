@@ -58,6 +58,7 @@ pub mod property_loss;
 #[doc(hidden)]
 pub mod rng;
 pub mod sampler;
+pub mod saved;
 pub mod schedule;
 pub mod start;
 #[doc(hidden)]

@@ -192,8 +192,9 @@ fn far_from_the_origin() {
 
 /// The parameter that plane `p` belongs to.
 fn parameter_of_plane(p: usize, present: Present) -> usize {
-    let given = (0..PARAMETERS.len()).filter(|&i| i < REQUIRED || present.has(i));
-    given.filter(|&i| first_plane(i, present) as usize <= p).last().expect("planes begin at 0")
+    let given = |i: usize| i < REQUIRED || present.has(i);
+    let begun = |i: usize| first_plane(i, present) as usize <= p;
+    (0..PARAMETERS.len()).rfind(|&i| given(i) && begun(i)).expect("planes begin at 0")
 }
 
 /// Value of parameter plane `p` of Gaussian `g`.

@@ -1,7 +1,7 @@
 //! Numbers that went bad end the run, by name.
 
 use engine::error::Error;
-use engine::scene::{DeformNetwork, Linear, NonrigidNetwork};
+use engine::scene::Linear;
 use engine::train::checkpoint::Checkpoint;
 use engine::train::trainer::Trainer;
 
@@ -10,29 +10,37 @@ use crate::common::{
 };
 
 /// Puts a value somewhere and says what the error must name: buffer and index.
-type Spoil = (&'static str, usize, fn(&mut Checkpoint) -> &mut f32);
+type Spoil = (&'static str, usize, fn(&mut Checkpoint, f32));
+
+/// Puts a value into an array of the model of motion.
+fn put(checkpoint: &mut Checkpoint, array: &str, at: usize, value: f32) {
+    let mut values = checkpoint.deformation.floats(array, None).unwrap();
+    values[at] = value;
+    checkpoint.deformation.put_floats(array, vec![values.len()], &values);
+}
 
 fn spoils() -> Vec<Spoil> {
     vec![
-        ("mean", 0, |c| &mut c.parameters.gaussians.mean[0][0]),
-        ("log_scale", 3, |c| &mut c.parameters.gaussians.log_scale[3][0]),
-        ("rotation", 4 * 2 + 1, |c| &mut c.parameters.gaussians.rotation[2][1]),
-        ("opacity_logit", 5, |c| &mut c.parameters.gaussians.opacity_logit[5]),
-        ("sh_0", 0, |c| &mut c.parameters.gaussians.sh[0]),
-        ("moment_1", 7, |c| &mut c.parameters.moment_1[7]),
-        ("moment_2", 8, |c| &mut c.parameters.moment_2[8]),
-        ("density", 2, |c| &mut c.parameters.density[2]),
-        ("max_radius", 1, |c| &mut c.parameters.max_radius[1]),
-        ("association logit", 6, |c| &mut c.motion.as_mut().unwrap().association.logit[6]),
-        ("association moment_1", 6, |c| &mut c.motion.as_mut().unwrap().association_moments[0][6]),
-        ("association moment_2", 9, |c| &mut c.motion.as_mut().unwrap().association_moments[1][9]),
-        ("superpoint position", 3, |c| &mut c.motion.as_mut().unwrap().position[1][0]),
-        ("network F weight", 0, |c| &mut c.motion.as_mut().unwrap().network.weights[0]),
-        ("network F moment_1", 0, |c| &mut c.motion.as_mut().unwrap().network.moment_1[0]),
-        ("network F moment_2", 0, |c| &mut c.motion.as_mut().unwrap().network.moment_2[0]),
-        ("network G weight", 0, |c| &mut c.nonrigid.as_mut().unwrap().weights[0]),
-        ("network G moment_1", 0, |c| &mut c.nonrigid.as_mut().unwrap().moment_1[0]),
-        ("network G moment_2", 0, |c| &mut c.nonrigid.as_mut().unwrap().moment_2[0]),
+        ("mean", 0, |c, v| c.parameters.gaussians.mean[0][0] = v),
+        ("log_scale", 3, |c, v| c.parameters.gaussians.log_scale[3][0] = v),
+        ("rotation", 4 * 2 + 1, |c, v| c.parameters.gaussians.rotation[2][1] = v),
+        ("opacity_logit", 5, |c, v| c.parameters.gaussians.opacity_logit[5] = v),
+        ("sh_0", 0, |c, v| c.parameters.gaussians.sh[0] = v),
+        ("optional", 0, |c, v| *c.parameters.gaussians.optional.numbers_mut().next().unwrap() = v),
+        ("moment_1", 7, |c, v| c.parameters.moment_1[7] = v),
+        ("moment_2", 8, |c, v| c.parameters.moment_2[8] = v),
+        ("density", 2, |c, v| c.parameters.density[2] = v),
+        ("max_radius", 1, |c, v| c.parameters.max_radius[1] = v),
+        ("association logit", 6, |c, v| put(c, "logit", 6, v)),
+        ("association moment_1", 6, |c, v| put(c, "logit_moment_1", 6, v)),
+        ("association moment_2", 9, |c, v| put(c, "logit_moment_2", 9, v)),
+        ("superpoint position", 3, |c, v| put(c, "superpoint_position", 3, v)),
+        ("network F weight", 0, |c, v| put(c, "network_f.weights", 0, v)),
+        ("network F moment_1", 0, |c, v| put(c, "network_f.moment_1", 0, v)),
+        ("network F moment_2", 0, |c, v| put(c, "network_f.moment_2", 0, v)),
+        ("network G weight", 0, |c, v| put(c, "network_g.weights", 0, v)),
+        ("network G moment_1", 0, |c, v| put(c, "network_g.moment_1", 0, v)),
+        ("network G moment_2", 0, |c, v| put(c, "network_g.moment_2", 0, v)),
     ]
 }
 
@@ -41,7 +49,9 @@ fn a_bad_number_anywhere_is_named() {
     let posed = posed(&PosedOptions::default());
     let (_, data) = load(&posed);
     let gpu = gpu();
-    let config = config("[schedule]\nwarm_up = 2\n[density]\nenabled = false\n[log]\nfinite_interval = 1");
+    let optional = "[gaussians]\noptional = [\"lifespan\"]";
+    let rest = "[schedule]\nwarm_up = 2\n[density]\nenabled = false\n[log]\nfinite_interval = 1";
+    let config = config(&format!("{optional}\n{rest}"));
     let mut rigid = trainer(&gpu, &config, &data).unwrap();
     advance(&mut rigid, 3).unwrap();
     let rigid = rigid.checkpoint().unwrap();
@@ -51,7 +61,7 @@ fn a_bad_number_anywhere_is_named() {
     for (i, (name, index, place)) in spoils().into_iter().enumerate() {
         let good = if name.starts_with("network G") { &nonrigid } else { &rigid };
         let mut bad = good.clone();
-        *place(&mut bad) = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY][i % 3];
+        place(&mut bad, [f32::NAN, f32::INFINITY, f32::NEG_INFINITY][i % 3]);
         let mut trainer = Trainer::resume(&gpu, &data, &bad).unwrap();
         // It must be no checkpoint, neither before the next step nor after.
         let refused = trainer.checkpoint().unwrap_err();
@@ -95,14 +105,16 @@ fn a_network_that_overflows_ends_the_run() {
     advance(&mut nonrigid, 1).unwrap();
     let mut nonrigid = nonrigid.checkpoint().unwrap();
 
-    let state = &mut rigid.motion.as_mut().unwrap().network.weights;
-    let mut network = DeformNetwork::from_flat(state, config.motion.network_size()).unwrap();
+    let mut state = rigid.deformation.network("network_f").unwrap();
+    let mut network = state.deform(config.motion.network_size()).unwrap();
     overflow(&mut network.linear);
-    *state = network.flatten();
-    let state = &mut nonrigid.nonrigid.as_mut().unwrap().weights;
-    let mut network = NonrigidNetwork::from_flat(state).unwrap();
+    state.weights = network.flatten();
+    rigid.deformation.put_network("network_f", &state);
+    let mut state = nonrigid.deformation.network("network_g").unwrap();
+    let mut network = state.nonrigid().unwrap();
     overflow(&mut network.linear);
-    *state = network.flatten();
+    state.weights = network.flatten();
+    nonrigid.deformation.put_network("network_g", &state);
 
     for (name, checkpoint) in [("network F", &rigid), ("network G", &nonrigid)] {
         match Trainer::resume(&gpu, &data, checkpoint).unwrap().step() {

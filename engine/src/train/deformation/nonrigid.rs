@@ -1,11 +1,11 @@
 //! Network G under training, after superpoints that do not learn any more, or alone.
 
 use super::super::association::AssociationOptions;
-use super::super::checkpoint::{Checkpoint, NetworkState};
 use super::super::config::Config;
 use super::super::density::RowArray;
 use super::super::linear::Output;
 use super::super::network_g::{Backward, Inputs, NetworkG};
+use super::super::saved::{NetworkState, Saved, Stored};
 use super::super::usage::TrainingMemory;
 use super::superpoints::SuperpointTraining;
 use super::{Numbers, ProjectInputs, Rows, StepInputs, Trained, TrainedDeformation, network_numbers};
@@ -20,6 +20,8 @@ use crate::scene::{Deformation, Motion, NonrigidNetwork};
 const BYTES_PER_GAUSSIAN: u64 = 256;
 const OFFSET: &str = "nonrigid_offset";
 const GRADIENT: &str = "nonrigid_gradient";
+/// Its arrays in a checkpoint.
+const NETWORK: &str = "network_g";
 
 /// The model on the device.
 #[derive(Debug)]
@@ -52,22 +54,36 @@ impl OwnedInputs {
     }
 }
 
+/// Network G of a checkpoint; `None` where it is of another stage.
+fn saved(stored: &Stored<'_>) -> Result<Option<NetworkState>> {
+    let saved = stored.saved;
+    saved.has(&format!("{NETWORK}.weights")).then(|| saved.network(NETWORK)).transpose()
+}
+
+/// `before`, and network G where a checkpoint holds it.
+pub(super) fn of_checkpoint(stored: &Stored<'_>, before: Deformation) -> Result<Deformation> {
+    match saved(stored)? {
+        Some(network) => before.with_nonrigid(network.nonrigid()?),
+        None => Ok(before),
+    }
+}
+
 impl NonrigidTraining {
-    /// Moments start at zero.
-    pub(super) fn new(
-        gpu: &Gpu,
-        config: &Config,
-        frozen: Option<SuperpointTraining>,
-        network: &NonrigidNetwork,
-        gaussians: u32,
-    ) -> Result<Self> {
+    /// Network G after what a trained model moved before. Moments start at zero.
+    pub(super) fn begin(gpu: &Gpu, config: &Config, stored: &Stored<'_>, network: &NonrigidNetwork) -> Result<Self> {
+        let frozen = SuperpointTraining::restore(gpu, config, stored)?;
+        let gaussians = stored.parameters.gaussians.len() as u32;
         let (offset, gradient) = (planes(gpu, OFFSET, gaussians)?, planes(gpu, GRADIENT, gaussians)?);
         let network = NetworkG::new(gpu, network, gaussians.max(1))?.with_scale(config.nonrigid.scale);
         Ok(Self { frozen: frozen.map(|f| Box::new(f) as Trained), network, offset, gradient })
     }
 
-    pub(super) fn restore_moments(&mut self, saved: &NetworkState) -> Result<()> {
-        self.network.upload_moments([&saved.moment_1, &saved.moment_2])
+    /// Goes on from a checkpoint; `None` where it is of another stage.
+    pub(super) fn restore(gpu: &Gpu, config: &Config, stored: &Stored<'_>) -> Result<Option<Self>> {
+        let Some(saved) = saved(stored)? else { return Ok(None) };
+        let made = Self::begin(gpu, config, stored, &saved.nonrigid()?)?;
+        made.network.upload_moments([&saved.moment_1, &saved.moment_2])?;
+        Ok(Some(made))
     }
 }
 
@@ -147,13 +163,13 @@ impl TrainedDeformation for NonrigidTraining {
         rigid.with_nonrigid(self.network.download()?)
     }
 
-    fn save(&self, gpu: &Gpu, scene: &SceneBuffers, checkpoint: &mut Checkpoint) -> Result<()> {
+    fn save(&self, gpu: &Gpu, scene: &SceneBuffers, saved: &mut Saved) -> Result<()> {
         if let Some(frozen) = &self.frozen {
-            frozen.save(gpu, scene, checkpoint)?;
+            frozen.save(gpu, scene, saved)?;
         }
         let [moment_1, moment_2] = self.network.download_moments()?;
         let weights = self.network.download()?.flatten();
-        checkpoint.nonrigid = Some(NetworkState { weights, moment_1, moment_2 });
+        saved.put_network(NETWORK, &NetworkState { weights, moment_1, moment_2 });
         Ok(())
     }
 

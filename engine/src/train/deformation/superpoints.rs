@@ -3,12 +3,12 @@
 use super::super::association::{
     AssociationInit, AssociationOptions, Rows as AssociationRows, StepBuffers, SuperpointState,
 };
-use super::super::checkpoint::{Checkpoint, MotionState, NetworkState};
 use super::super::config::{Config, Form};
 use super::super::density::{NewRows, RowArray};
 use super::super::linear::Output;
 use super::super::network_f::{Backward, NetworkF};
 use super::super::property_loss::PropertyLoss;
+use super::super::saved::{NetworkState, Saved, Stored};
 use super::super::step::Step;
 use super::super::usage::TrainingMemory;
 use super::{Numbers, ProjectInputs, Rows, StepInputs, Trained, TrainedDeformation, network_numbers};
@@ -17,7 +17,7 @@ use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
 use crate::render::deformation::{DeformationBuffers, Poses};
 use crate::render::scene_buffers::SceneBuffers;
 use crate::scene::parameter::MEAN;
-use crate::scene::{DeformNetwork, Deformation, Motion, SuperpointDeformation};
+use crate::scene::{Association, DeformNetwork, Deformation, Motion, SuperpointDeformation, Superpoints};
 
 /// The model on the device.
 #[derive(Debug)]
@@ -45,6 +45,58 @@ fn association_options(config: &Config) -> AssociationOptions {
     }
 }
 
+/// What a checkpoint holds of it.
+struct State {
+    /// `[M,3]` canonical centres.
+    position: Vec<[f32; 3]>,
+    /// Association rows with K' slots.
+    association: Association,
+    /// Moments of the logits, `[N,K']` each.
+    association_moments: [Vec<f32>; 2],
+    /// Network F.
+    network: NetworkState,
+}
+
+impl State {
+    fn write(&self, saved: &mut Saved) {
+        let shape =
+            || vec![self.association.neighbor.len() / self.association.neighbors.max(1), self.association.neighbors];
+        saved.put_floats("superpoint_position", vec![self.position.len(), 3], self.position.as_flattened());
+        saved.put_indices("neighbor", shape(), &self.association.neighbor);
+        saved.put_floats("logit", shape(), &self.association.logit);
+        saved.put_floats("logit_moment_1", shape(), &self.association_moments[0]);
+        saved.put_floats("logit_moment_2", shape(), &self.association_moments[1]);
+        saved.put_network("network_f", &self.network);
+    }
+
+    /// `None` before motion begins.
+    fn read(stored: &Stored<'_>) -> Result<Option<Self>> {
+        let (saved, n) = (stored.saved, stored.parameters.gaussians.len());
+        if !saved.has("superpoint_position") {
+            return Ok(None);
+        }
+        let neighbor = saved.indices("neighbor", None)?;
+        let count = Some(neighbor.len());
+        let association =
+            Association { neighbors: neighbor.len() / n.max(1), neighbor, logit: saved.floats("logit", count)? };
+        Ok(Some(Self {
+            position: saved.floats("superpoint_position", None)?.as_chunks().0.to_vec(),
+            association,
+            association_moments: [saved.floats("logit_moment_1", count)?, saved.floats("logit_moment_2", count)?],
+            network: saved.network("network_f")?,
+        }))
+    }
+}
+
+/// The model that a checkpoint holds, without the association; `None` before motion begins.
+pub(super) fn of_checkpoint(stored: &Stored<'_>) -> Result<Deformation> {
+    let Some(state) = State::read(stored)? else { return Ok(Deformation::None) };
+    let network = Some(state.network.deform(stored.config.motion.network_size())?);
+    let of_gaussian = stored.parameters.superpoint_of_gaussian.clone();
+    let superpoints = Superpoints { of_gaussian, position: state.position };
+    Ok(SuperpointDeformation { superpoints, network, ..SuperpointDeformation::default() }.into())
+}
+
 impl SuperpointTraining {
     /// Samples superpoints from the Gaussians as they are and starts network F.
     pub(super) fn begin(gpu: &Gpu, config: &Config, scene: &SceneBuffers) -> Result<Self> {
@@ -60,8 +112,9 @@ impl SuperpointTraining {
         Self::new(gpu, superpoints, network)
     }
 
-    /// Goes on from a checkpoint.
-    pub(super) fn restore(gpu: &Gpu, config: &Config, saved: &MotionState) -> Result<Self> {
+    /// Goes on from a checkpoint; `None` before motion begins.
+    pub(super) fn restore(gpu: &Gpu, config: &Config, stored: &Stored<'_>) -> Result<Option<Self>> {
+        let Some(saved) = State::read(stored)? else { return Ok(None) };
         let [first, second] = &saved.association_moments;
         let options = association_options(config);
         let superpoints =
@@ -69,7 +122,7 @@ impl SuperpointTraining {
         let weights = saved.network.deform(config.motion.network_size())?;
         let network = NetworkF::new(gpu, &weights, saved.position.len() as u32)?;
         network.upload_moments([&saved.network.moment_1, &saved.network.moment_2])?;
-        Self::new(gpu, superpoints, network)
+        Self::new(gpu, superpoints, network).map(Some)
     }
 
     fn new(gpu: &Gpu, superpoints: SuperpointState, network: NetworkF) -> Result<Self> {
@@ -199,16 +252,17 @@ impl TrainedDeformation for SuperpointTraining {
         }))
     }
 
-    fn save(&self, gpu: &Gpu, scene: &SceneBuffers, checkpoint: &mut Checkpoint) -> Result<()> {
+    fn save(&self, gpu: &Gpu, scene: &SceneBuffers, saved: &mut Saved) -> Result<()> {
         let of_gaussian = Slice::from(&scene.deformation.superpoint_of_gaussian);
         let (superpoints, association) = self.superpoints.download(gpu, &of_gaussian)?;
         let [moment_1, moment_2] = self.network.download_moments()?;
-        checkpoint.motion = Some(MotionState {
+        let state = State {
             position: superpoints.position,
             association,
             association_moments: self.superpoints.download_moments(gpu)?,
             network: NetworkState { weights: self.network.download()?.flatten(), moment_1, moment_2 },
-        });
+        };
+        state.write(saved);
         Ok(())
     }
 

@@ -8,6 +8,7 @@ use crate::train::checkpoint::Checkpoint;
 use crate::train::config::Config;
 use crate::train::deformation;
 use crate::train::parameters::{ParameterState, with_sh_degree};
+use crate::train::saved::Saved;
 use crate::train::schedule::Stage;
 
 impl Trainer {
@@ -18,7 +19,7 @@ impl Trainer {
     pub fn resume(gpu: &Gpu, data: &TrainingData, checkpoint: &Checkpoint) -> Result<Self> {
         let c = checkpoint;
         let mut trainer = Self::assemble(gpu, &c.config, data, c.stage, c.iteration, &c.parameters)?;
-        if let Some(model) = deformation::restore(gpu, &c.config, c)? {
+        if let Some(model) = deformation::restore(gpu, &c.config, &c.stored())? {
             trainer.set_deformation(model);
         }
         Ok(trainer)
@@ -35,7 +36,7 @@ impl Trainer {
             ..ParameterState::new(&trained.parameters.gaussians, trained.parameters.gaussians.sh_degree)
         };
         let mut trainer = Self::assemble(gpu, config, data, Stage::Nonrigid, 0, &state)?;
-        trainer.set_deformation(deformation::nonrigid(gpu, config, trained)?);
+        trainer.set_deformation(deformation::nonrigid(gpu, config, &trained.stored())?);
         Ok(trainer)
     }
 
@@ -50,11 +51,10 @@ impl Trainer {
             stage: self.schedule.stage(),
             iteration: self.iteration,
             parameters: self.parameters.download(&self.gpu)?,
-            motion: None,
-            nonrigid: None,
+            deformation: Saved::default(),
         };
         if let Some(model) = &self.deformation {
-            model.save(&self.gpu, &self.parameters.scene, &mut checkpoint)?;
+            model.save(&self.gpu, &self.parameters.scene, &mut checkpoint.deformation)?;
         }
         Ok(checkpoint)
     }
