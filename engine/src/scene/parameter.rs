@@ -34,6 +34,20 @@ pub enum Activation {
     Lifespan,
 }
 
+impl Activation {
+    /// The word for it in the manual's table of tensors.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Identity => "centre",
+            Self::Exponential => "log",
+            Self::Sigmoid => "sigmoid",
+            Self::UnitQuaternion => "normalised",
+            Self::SphericalHarmonics => "spherical harmonics",
+            Self::Lifespan => "factor exp",
+        }
+    }
+}
+
 /// What density control leaves in a new row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NewRows {
@@ -411,6 +425,15 @@ mod tests {
         assert_eq!((first_plane(LIFESPAN, lifespan), planes(1, lifespan)), (59, 61));
         assert!(Present::of_names(&["mean".into()]).is_err());
         assert!(in_degree(SH_0, 0) && !in_degree(SH_0 + 1, 0) && in_degree(SH_0 + 3, 3) && in_degree(MEAN, 0));
+    }
+
+    #[test]
+    fn the_manual_says_what_each_is() {
+        let page = include_str!("../../docs/model-file.md");
+        for p in &PARAMETERS {
+            let row = page.lines().find(|line| line.starts_with(&format!("| `gaussians.{}` |", p.export)));
+            assert!(row.is_some_and(|row| row.contains(p.activation.word())), "{}: {row:?}", p.name);
+        }
     }
 
     /// Files, starts and the shared buffer take them so.

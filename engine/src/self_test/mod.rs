@@ -119,6 +119,15 @@ fn check(watch: &Watch) -> Result<()> {
     watch.mismatch()?.map_or(Ok(()), |mismatch| Err(mismatch.into_error()))
 }
 
+/// What came of work on a watched device. A kernel that went wrong says more than what became of it, but nothing can be read
+/// that the device still works on.
+fn outcome<T>(watch: &Watch, done: Result<T>) -> Result<T> {
+    if !matches!(done, Err(Error::TimedOut { .. })) {
+        check(watch)?;
+    }
+    done
+}
+
 /// The verdict, or what is wrong with the device as an error.
 fn judged(verdict: Verdict) -> Result<Verdict> {
     match &verdict.failure {

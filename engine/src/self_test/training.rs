@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::check;
+use super::outcome;
 use crate::data::dataset::View;
 use crate::data::pixels::{ImageSource, Pixels};
 use crate::error::{Error, Result};
@@ -51,8 +51,7 @@ pub(super) fn test_nonrigid(gpu: &Gpu) -> Result<()> {
     drop(trainer);
     let (watched, watch) = gpu.watched();
     let stepped = Trainer::nonrigid(&watched, &config, &data(), &trained)?.step_on(0, &photo);
-    check(&watch)?;
-    stepped.map(|_| ())
+    outcome(&watch, stepped).map(|_| ())
 }
 
 fn camera() -> Camera {
@@ -117,9 +116,7 @@ fn watched_step(gpu: &Gpu, config: &Config, photo: &Pixels, first: &Gaussians) -
     let (watched, watch) = gpu.watched();
     let mut trainer = Trainer::new(&watched, config, &data(), first)?;
     let stepped = trainer.step_on(0, photo);
-    // A kernel that went wrong says more than what became of it.
-    check(&watch)?;
-    stepped.map(|_| ())
+    outcome(&watch, stepped).map(|_| ())
 }
 
 /// Steps as users take them.

@@ -100,7 +100,7 @@ pub struct Trainer {
     pub(super) readback: Buffer,
     pub(super) splat_gradient: Buffer,
     pub(super) pose_gradient: Buffer,
-    /// Stand for buffers that a kernel declares but does not use as specialised.
+    /// Whether device times are taken of every operation.
     pub(super) profile: bool,
 }
 

@@ -1,31 +1,44 @@
 //! What the self-test says of this device, and how long it takes.
 
-use engine::gpu::Gpu;
+use engine::gpu::{Gpu, GpuOptions, SelfTest};
 use engine::self_test::{Suite, runs};
 
 use crate::{open, options};
 
 /// Seconds of a suite once the kernels are compiled; one run of these must be within, because other tests run meanwhile.
 const SECONDS: f64 = 0.3;
-const RUNS: usize = 30;
+const RUNS: usize = 10;
 
 #[test]
 fn this_device_passes() {
     let gpu = open(&options());
+    // The layer takes longer than the kernels; users run without it.
+    let timed = open(&GpuOptions { validation: false, ..options() });
     for suite in Suite::ALL {
-        let cold = gpu.self_test(suite).unwrap();
-        assert!(cold.passed() && cold.suite == suite);
+        let verdict = gpu.self_test(suite).unwrap();
+        assert!(verdict.passed() && verdict.suite == suite);
+        let cold = timed.self_test(suite).unwrap().seconds;
         let mut warm = f64::INFINITY;
         for _ in 0..RUNS {
-            warm = warm.min(gpu.self_test(suite).unwrap().seconds);
+            warm = warm.min(timed.self_test(suite).unwrap().seconds);
             if warm <= SECONDS {
                 break;
             }
         }
-        println!("{}: {:.3} s, then {warm:.3} s with compiled kernels", suite.name(), cold.seconds);
+        println!("{}: {cold:.3} s, then {warm:.3} s with compiled kernels", suite.name());
         assert!(warm <= SECONDS, "{}: {warm} s, at most {SECONDS} expected", suite.name());
     }
     let before = runs();
     Gpu::new(&options()).unwrap();
     assert!(runs() > before, "a device of which nothing is known is tested");
+}
+
+/// A software device compiles for longer than this in the first step; another device may pass.
+#[test]
+fn a_time_out_in_a_step_is_told_as_one() {
+    let gpu = open(&GpuOptions { timeout_s: 0.05, self_test: SelfTest::Skip, ..options() });
+    if let Err(error) = gpu.self_test(Suite::Training) {
+        println!("{error}");
+        assert!(error.to_string().contains("SPGS_TIMEOUT_S"), "{error}");
+    }
 }
