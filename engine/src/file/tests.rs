@@ -112,6 +112,17 @@ fn poisoned() -> (Scene, usize) {
 }
 
 #[test]
+fn formats_without_lifespans_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut scene = Scene { gaussians: gaussians(5, 1), ..Scene::default() };
+    scene.gaussians.optional = crate::scene::synthetic::random_optional(5, 1);
+    let warnings = save(&folder.path().join("a.ply"), &scene).unwrap();
+    assert!(warnings.len() == 1 && warnings[0].contains("lifespans"), "{warnings:?}");
+    assert!(save(&folder.path().join("a.safetensors"), &scene).unwrap().is_empty());
+    assert_eq!(load(&folder.path().join("a.safetensors")).unwrap().scene, scene);
+}
+
+#[test]
 fn poison_values_are_dropped_everywhere_and_counted() {
     let folder = tempfile::tempdir().unwrap();
     let (scene, bad) = poisoned();

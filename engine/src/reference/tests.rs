@@ -50,6 +50,23 @@ fn camera(width: u32, height: u32) -> Camera {
     Camera::look_at(DVec3::new(2.2, 1.4, 0.9), DVec3::ZERO, DVec3::Z, 0.8, [width, height])
 }
 
+/// A scene with lifespans, and the same made to stand still at a time, are one image; at other times they are not.
+#[test]
+fn a_moment_of_lifespans_is_frozen_in_the_opacity() {
+    let mut gaussians = random_gaussians(60, 4, 1);
+    gaussians.optional = crate::scene::synthetic::random_optional(60, 5);
+    let scene = Scene { gaussians, ..Scene::default() };
+    let camera = Camera::look_at(DVec3::new(0.3, -0.4, -3.5), DVec3::ZERO, DVec3::NEG_Y, 0.8, [24, 18]);
+    let image = |scene: &Scene, time: f64| render(scene, &camera, time, &ReferenceOptions::default()).unwrap().rgb;
+    let frozen = freeze(&scene, 0.2, MotionSource::Auto).unwrap();
+    assert!(frozen.optional.is_empty() && scene.is_dynamic());
+    let still = Scene { gaussians: frozen, ..Scene::default() };
+    let largest = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    // The opacity is rounded to f32.
+    assert!(largest(image(&scene, 0.2), image(&still, 0.7)) < 1e-5);
+    assert!(largest(image(&scene, 0.9), image(&still, 0.9)) > 1e-2);
+}
+
 #[test]
 fn intervals_and_bands_change_nothing() {
     for (seed, (width, height)) in [(48, 40), (1, 1), (1, 17), (33, 7), (20, 65)].into_iter().enumerate() {

@@ -71,15 +71,15 @@ impl SceneBuffers {
         let sh_degree = g.sh_degree.min(quality.sh_degree);
         let mut parameter = Vec::with_capacity(PARAMETERS.len());
         for (i, p) in PARAMETERS.iter().enumerate().take(REQUIRED) {
-            let words = match i {
-                MEAN => mean_storage::encode(quality.position, &mean),
+            let upload = |bytes: &[u8]| gpu.buffer_with(p.name, bytes);
+            parameter.push(match i {
+                MEAN => upload(bytemuck::cast_slice(&mean_storage::encode(quality.position, &mean)))?,
                 SH_0..REQUIRED => {
-                    let planes = if in_degree(i, sh_degree) { p.to_device(g.values(i)) } else { Cow::default() };
-                    sh_storage::encode(quality.sh, i - SH_0, &planes, g.len())
+                    let planes = if in_degree(i, sh_degree) { g.on_device(i) } else { Cow::default() };
+                    upload(bytemuck::cast_slice(&sh_storage::encode(quality.sh, i - SH_0, &planes, g.len())))?
                 }
-                _ => bytemuck::cast_slice(&p.to_device(g.values(i))).to_vec(),
-            };
-            parameter.push(gpu.buffer_with(p.name, bytemuck::cast_slice(&words))?);
+                _ => upload(bytemuck::cast_slice(&g.on_device(i)))?,
+            });
         }
         let bounds = if quality.depth_bits < DEPTH_KEY_BITS {
             Bounds::of(&scene.deformation, &mean, &deformation.poses, origin)

@@ -172,27 +172,21 @@ impl Gaussians {
         Ok(made)
     }
 
-    /// Whether they have this parameter: SH bands up to the degree, optional ones where they are given.
-    pub fn has(&self, parameter: usize) -> bool {
-        in_degree(parameter, self.sh_degree) && (parameter < REQUIRED || self.optional.get(parameter).is_some())
-    }
-
-    /// `[N,width]` of a parameter; empty where they do not have it.
-    pub fn values(&self, parameter: usize) -> Cow<'_, [f32]> {
-        match parameter {
-            MEAN => self.mean.as_flattened().into(),
-            LOG_SCALE => self.log_scale.as_flattened().into(),
-            ROTATION => self.rotation.as_flattened().into(),
-            OPACITY_LOGIT => self.opacity_logit.as_slice().into(),
-            parameter if parameter >= REQUIRED => self.optional.get(parameter).unwrap_or_default().into(),
-            band if self.has(band) => {
-                let band = band - SH_0;
-                let of_band = 3 * band * band..3 * (band + 1) * (band + 1);
-                let rows = self.sh.chunks_exact(3 * self.sh_coefficients());
-                rows.flat_map(|row| &row[of_band.clone()]).copied().collect::<Vec<_>>().into()
+    /// A required parameter in the order of the device; empty for an SH band above the degree.
+    pub fn on_device(&self, parameter: usize) -> Cow<'_, [f32]> {
+        let rows = match parameter {
+            MEAN => self.mean.as_flattened(),
+            LOG_SCALE => self.log_scale.as_flattened(),
+            ROTATION => self.rotation.as_flattened(),
+            OPACITY_LOGIT => &self.opacity_logit,
+            band if band < REQUIRED && in_degree(band, self.sh_degree) => {
+                let (band, width) = (band - SH_0, 3 * self.sh_coefficients());
+                let planes = 3 * band * band..3 * (band + 1) * (band + 1);
+                return planes.flat_map(|k| self.sh.iter().skip(k).step_by(width).copied()).collect::<Vec<_>>().into();
             }
-            _ => Cow::default(),
-        }
+            _ => &[],
+        };
+        PARAMETERS[parameter].to_device(rows.into())
     }
 
     /// Whether N = 0.

@@ -38,7 +38,7 @@ impl Activation {
     /// The word for it in the manual's table of tensors.
     pub fn word(self) -> &'static str {
         match self {
-            Self::Identity => "centre",
+            Self::Identity => "",
             Self::Exponential => "log",
             Self::Sigmoid => "sigmoid",
             Self::UnitQuaternion => "normalised",

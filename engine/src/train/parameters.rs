@@ -89,7 +89,7 @@ impl Parameters {
             }
         }
         let floats = |name: &str, data: &[f32]| gpu.buffer_with(name, bytemuck::cast_slice(data));
-        let parameter = |(i, p): (usize, &Parameter)| floats(p.name, &p.to_device(g.values(i)));
+        let parameter = |(i, p): (usize, &Parameter)| floats(p.name, &g.on_device(i));
         let scene = SceneBuffers {
             gaussians: n as u32,
             sh_degree: g.sh_degree,

@@ -11,6 +11,7 @@ use engine::scene::parameter::PARAMETERS;
 use engine::scene::synthetic::{HardCase, Random, moving_scene, random_optional, random_scene};
 use engine::scene::{Camera, Scene};
 use engine::train::gradient::{GradientOptions, SceneGradients, scene_gradients};
+use engine::train::parameters::with_sh_degree;
 
 use super::case::{Case, Check, Context, Outcome};
 use super::{images, views};
@@ -52,6 +53,7 @@ pub(super) fn cases() -> Vec<Case> {
     let optional = "600 Gaussians of SH degree 1 with every optional parameter, on 12 superpoints between two keys.";
     all.push(Case::new(15, "gradients_optional", optional, |c| {
         let mut scene = moving_scene(600, 12, 2, 156, false);
+        scene.gaussians = with_sh_degree(&scene.gaussians, 1);
         scene.gaussians.optional = random_optional(scene.gaussians.len(), 157);
         judge(c, &View::usual(scene))
     }));
