@@ -1,6 +1,9 @@
 // C(a, b) = sum over k of A(a, k) B(k, b), one tile of C at a time, always in the same order. The includer says where the
 // numbers come from and where they go (the prototypes below), and defines
 //   A_ALONG_K, B_ALONG_K  1 when neighbouring k lie side by side in memory, else 0 (neighbouring a or b do);
+//   K_STEP                4, or 1 where the code of an operand is long: k per round of STAGE 0;
+//   VECTORS               K_STEP 4 only: a specialisation constant, 1 when all strides and offsets are multiples of 4, so that
+//                         four neighbours are one load; STAGE 0 is only for these;
 //   ROW_SUMS              1 when the sums of A over k are wanted as well.
 // It enables GL_KHR_shader_subgroup_{basic,shuffle} and has 256 threads per workgroup.
 //
@@ -16,7 +19,13 @@
 // Never called with a, b or k outside the matrices.
 float operand_a(uint a, uint k);
 float operand_b(uint k, uint b);
-void store_element(uint a, uint b, float value);
+#if K_STEP == 4
+// The same for four neighbours in memory, from a multiple of four on; called where VECTORS is 1.
+vec4 operand_a_four(uint a, uint k);
+vec4 operand_b_four(uint k, uint b);
+#endif
+// Four neighbours along b, of which those below `columns` are stored.
+void store_four(uint a, uint b, uint columns, vec4 value);
 #if ROW_SUMS
 void store_row_sum(uint a, float value);
 #endif
@@ -29,6 +38,8 @@ const uint SHARED_TILE = 32u;
 const uint SHARED_GROUPS = 4u; // of 64 threads
 const uint SHARED_DEPTH = 16u; // k per group and round
 const uint SHARED_PITCH = 9u;  // vec4 per k: 8 and one to spread the banks
+const uint STAGED_DEPTH = SHARED_GROUPS * SHARED_DEPTH;
+const uint STAGED_HALF = STAGED_DEPTH * SHARED_PITCH; // where B starts, in vec4
 
 shared vec4 product_stage[2 * 4 * 16 * 9];
 shared vec4 product_row_sums[4 * 8];
@@ -52,25 +63,75 @@ uint product_tile() {
     return stage == 0u ? workgroup_index() * per_group + gl_SubgroupID + unused : workgroup_index();
 }
 
-// Written out, because compilers leave a loop this long as it is and then keep the sums in memory.
+#if K_STEP == 4
+vec4 zero_past_end(vec4 value, bool along_k, uint k, uint k_end) {
+    return mix(vec4(0.0), value, lessThan(along_k ? k + uvec4(0u, 1u, 2u, 3u) : uvec4(k), uvec4(k_end)));
+}
+#endif
+
+// K_STEP 4: what lies side by side from (a, k) on. K_STEP 1: along k one element, else four. 0 past the end of k.
+vec4 load_a(uint a, uint k, uint rows, uint k_end) {
+#if K_STEP == 4
+    return zero_past_end(operand_a_four(a, min(k, k_end - 1u)), A_ALONG_K == 1, k, k_end);
+#else
+    vec4 value = vec4(0.0);
+    for (uint j = 0u; j < (A_ALONG_K == 1 ? 1u : 4u); j++) {
+        value[j] = operand_a(min(a + j, rows - 1u), k);
+    }
+    return value;
+#endif
+}
+
+// The same of B.
+vec4 load_b(uint k, uint b, uint columns, uint k_end) {
+#if K_STEP == 4
+    return zero_past_end(operand_b_four(min(k, k_end - 1u), b), B_ALONG_K == 1, k, k_end);
+#else
+    vec4 value = vec4(0.0);
+    for (uint j = 0u; j < (B_ALONG_K == 1 ? 1u : 4u); j++) {
+        value[j] = operand_b(k, min(b + j, columns - 1u));
+    }
+    return value;
+#endif
+}
+
+// Written out, because compilers leave a loop this long as it is and then keep the sums in memory; row by row, so that eight
+// sums at a time are in registers.
 #define FOUR_ROWS(row, r) row((r)) row((r) + 1u) row((r) + 2u) row((r) + 3u)
 #define SIXTEEN_ROWS(row, r) FOUR_ROWS(row, r) FOUR_ROWS(row, r + 4u) FOUR_ROWS(row, r + 8u) FOUR_ROWS(row, r + 12u)
 #define EACH_ROW(row) SIXTEEN_ROWS(row, 0u) SIXTEEN_ROWS(row, 16u)
 #define CLEAR_ROW(r) sum[2u * (r)] = vec4(0.0); sum[2u * (r) + 1u] = vec4(0.0);
+// The lane that holds row r of A, and where: rows i·size + lane along k, else the four rows from 4·lane (4·(size + lane)) on.
+#if A_ALONG_K
+#define A_OF_ROW(r, j) subgroupShuffle(own[(r) / size][j], (r) % size)
+#else
+#define A_OF_ROW(r, j) subgroupShuffle(own[2u * (j) + (r) / 4u / size][(r) % 4u], (r) / 4u % size)
+#endif
+#if B_ALONG_K
+#define B_OF(j, c) vec4(b[c][j], b[(c) + 1u][j], b[(c) + 2u][j], b[(c) + 3u][j])
+#else
+#define B_OF(j, c) b[2u * (j) + (c) / 4u]
+#endif
+#define ADD_K(r, j) \
+    of_row = A_OF_ROW(r, j); \
+    sum_0 += of_row * B_OF(j, 0u); \
+    sum_1 += of_row * B_OF(j, 4u);
+#if K_STEP == 4
+#define ADD_EACH_K(r) ADD_K(r, 0u) ADD_K(r, 1u) ADD_K(r, 2u) ADD_K(r, 3u)
+#else
+#define ADD_EACH_K(r) ADD_K(r, 0u)
+#endif
 #define ADD_ROW(r) \
-    sum[2u * (r)] += subgroupShuffle(own[(r) / size], (r) % size) * b_0; \
-    sum[2u * (r) + 1u] += subgroupShuffle(own[(r) / size], (r) % size) * b_1;
+    sum_0 = sum[2u * (r)]; \
+    sum_1 = sum[2u * (r) + 1u]; \
+    ADD_EACH_K(r) \
+    sum[2u * (r)] = sum_0; \
+    sum[2u * (r) + 1u] = sum_1;
 #define STORE_ROW(r) \
-    store_elements(used && a_first + (r) < rows, a_first + (r), b_first, columns, sum[2u * (r)]); \
-    store_elements(used && a_first + (r) < rows, a_first + (r), b_first + 4u, columns, sum[2u * (r) + 1u]);
-
-void store_elements(bool used, uint a, uint b, uint columns, vec4 values) {
-    for (uint c = 0u; c < 4u; c++) {
-        if (used && b + c < columns) {
-            store_element(a, b + c, values[c]);
-        }
+    if (used && a_first + (r) < rows) { \
+        store_four(a_first + (r), b_first, columns, sum[2u * (r)]); \
+        store_four(a_first + (r), b_first + 4u, columns, sum[2u * (r) + 1u]); \
     }
-}
 
 void product_by_shuffle(uint tile, uint tiles_b, uint rows, uint columns, uint k_first, uint k_end) {
     uint size = SUBGROUP_SIZE;
@@ -79,38 +140,123 @@ void product_by_shuffle(uint tile, uint tiles_b, uint rows, uint columns, uint k
     uint b_first = (tile % tiles_b * size + lane) * SHUFFLE_COLUMNS;
     vec4 sum[SHUFFLE_ROWS * 2u];
     EACH_ROW(CLEAR_ROW)
-    // Rows i·size + lane of A; subgroups of 32 and more need one, of 4 all eight.
-    float own[8];
-    float row_sum[8];
+    // Subgroups of 32 and more need one row along k per lane, of 4 all eight; of others, two sets of four rows or one.
+    vec4 own[8];
+    vec4 b[8];
+    vec4 row_sum[2];
     for (uint i = 0u; i < 8u; i++) {
-        row_sum[i] = 0.0;
+        own[i] = vec4(0.0);
+        b[i] = vec4(0.0);
     }
-    for (uint k = k_first; k < k_end; k++) {
+    row_sum[0] = vec4(0.0);
+    row_sum[1] = vec4(0.0);
+    vec4 sum_0;
+    vec4 sum_1;
+    float of_row;
+    for (uint k = k_first; k < k_end; k += K_STEP) {
+#if A_ALONG_K
         for (uint i = 0u; i < 8u; i++) {
-            own[i] = 0.0;
             if (i * size < SHUFFLE_ROWS) {
-                own[i] = operand_a(min(a_first + i * size + lane % SHUFFLE_ROWS, rows - 1u), k);
-                row_sum[i] += own[i];
+                own[i] = load_a(min(a_first + i * size + lane % SHUFFLE_ROWS, rows - 1u), k, rows, k_end);
             }
         }
-        vec4 b_0 = vec4(0.0);
-        vec4 b_1 = vec4(0.0);
-        for (uint c = 0u; c < 4u; c++) {
-            b_0[c] = operand_b(k, min(b_first + c, columns - 1u));
-            b_1[c] = operand_b(k, min(b_first + 4u + c, columns - 1u));
+#else
+        for (uint j = 0u; j < K_STEP; j++) {
+            for (uint i = 0u; i < 2u; i++) {
+                if (i * size < SHUFFLE_ROWS / 4u) {
+                    uint a = min(a_first + 4u * (i * size + lane % (SHUFFLE_ROWS / 4u)), (rows - 1u) / 4u * 4u);
+                    own[2u * j + i] = load_a(a, k + j, rows, k_end);
+                    row_sum[i] += own[2u * j + i];
+                }
+            }
         }
+#endif
+#if B_ALONG_K
+        for (uint c = 0u; c < 8u; c++) {
+            b[c] = load_b(k, min(b_first + c, columns - 1u), columns, k_end);
+        }
+#else
+        for (uint j = 0u; j < K_STEP; j++) {
+            for (uint c = 0u; c < 2u; c++) {
+                b[2u * j + c] = load_b(k + j, min(b_first + 4u * c, (columns - 1u) / 4u * 4u), columns, k_end);
+            }
+        }
+#endif
         EACH_ROW(ADD_ROW)
     }
     bool used = k_first < k_end;
     EACH_ROW(STORE_ROW)
 #if ROW_SUMS
-    for (uint i = 0u; i < 8u; i++) {
-        uint r = i * size + lane;
-        if (used && r < SHUFFLE_ROWS && tile % tiles_b == 0u && a_first + r < rows) {
-            store_row_sum(a_first + r, row_sum[i]);
+    for (uint i = 0u; i < 2u; i++) {
+        uint a = a_first + 4u * (i * size + lane);
+        for (uint j = 0u; j < 4u; j++) {
+            if (used && i * size + lane < SHUFFLE_ROWS / 4u && tile % tiles_b == 0u && a + j < rows) {
+                store_row_sum(a + j, row_sum[i][j]);
+            }
         }
     }
 #endif
+}
+
+// Element (k, i) of the staged part of an operand, which starts at `start`.
+void stage_element(uint start, uint k, uint i, float value) {
+    product_stage[start + k * SHARED_PITCH + i / 4u][i % 4u] = value;
+}
+
+#if K_STEP == 4
+// A whole load of an operand: four k of row i, or rows i to i + 3.
+void stage_four(uint start, bool along_k, uint k, uint i, vec4 value) {
+    if (along_k) {
+        for (uint j = 0u; j < 4u; j++) {
+            stage_element(start, k + j, i, value[j]);
+        }
+    } else {
+        product_stage[start + k * SHARED_PITCH + i / 4u] = value;
+    }
+}
+
+// (k, i) of a whole load: along k, neighbouring threads take 64 bytes of eight rows each, else 32 rows of a k.
+uvec2 staged_four(uint item, bool along_k) {
+    return along_k ? uvec2(4u * (item / 8u % (STAGED_DEPTH / 4u)), item % 8u + item / (2u * STAGED_DEPTH) * 8u)
+        : uvec2(item / (SHARED_TILE / 4u), item % (SHARED_TILE / 4u) * 4u);
+}
+
+void stage_operands_by_four(uvec2 first, uint k_0, uvec2 size, uint k_end) {
+    for (uint item = thread_index(); item < STAGED_DEPTH * SHARED_TILE / 4u; item += PRODUCT_THREADS) {
+        uvec2 at = staged_four(item, A_ALONG_K == 1);
+        bool inside = k_0 + at.x < k_end && first.x + at.y < size.x;
+        stage_four(0u, A_ALONG_K == 1, at.x, at.y, inside ? operand_a_four(first.x + at.y, k_0 + at.x) : vec4(0.0));
+        at = staged_four(item, B_ALONG_K == 1);
+        inside = k_0 + at.x < k_end && first.y + at.y < size.y;
+        stage_four(STAGED_HALF, B_ALONG_K == 1, at.x, at.y,
+            inside ? operand_b_four(k_0 + at.x, first.y + at.y) : vec4(0.0));
+    }
+}
+#endif
+
+// (k, i) of a single element: neighbouring threads take what lies side by side.
+uvec2 staged_element(uint item, bool along_k) {
+    return along_k ? uvec2(item % STAGED_DEPTH, item / STAGED_DEPTH) : uvec2(item / SHARED_TILE, item % SHARED_TILE);
+}
+
+// The tile's rows of both operands, k_0 up to k_0 + 63, into shared memory; zeros outside.
+void stage_operands(uvec2 first, uint k_0, uvec2 size, uint k_end) {
+#if K_STEP == 4
+    uint vectors = VECTORS;
+    if (vectors == 1u) {
+        stage_operands_by_four(first, k_0, size, k_end);
+    } else
+#endif
+    {
+        for (uint item = thread_index(); item < STAGED_DEPTH * SHARED_TILE; item += PRODUCT_THREADS) {
+            uvec2 at = staged_element(item, A_ALONG_K == 1);
+            bool inside = k_0 + at.x < k_end && first.x + at.y < size.x;
+            stage_element(0u, at.x, at.y, inside ? operand_a(first.x + at.y, k_0 + at.x) : 0.0);
+            at = staged_element(item, B_ALONG_K == 1);
+            inside = k_0 + at.x < k_end && first.y + at.y < size.y;
+            stage_element(STAGED_HALF, at.x, at.y, inside ? operand_b(k_0 + at.x, first.y + at.y) : 0.0);
+        }
+    }
 }
 
 void product_by_shared(uint tile, uint tiles_b, uint rows, uint columns, uint k_first, uint k_end) {
@@ -120,34 +266,19 @@ void product_by_shared(uint tile, uint tiles_b, uint rows, uint columns, uint k_
     uint b_own = thread % 8u;
     uint a_first = tile / tiles_b * SHARED_TILE;
     uint b_first = tile % tiles_b * SHARED_TILE;
-    const uint DEPTH = SHARED_GROUPS * SHARED_DEPTH;
-    const uint HALF = DEPTH * SHARED_PITCH;
     vec4 sum[4];
     for (uint r = 0u; r < 4u; r++) {
         sum[r] = vec4(0.0);
     }
     vec4 row_sum = vec4(0.0);
-    for (uint k_0 = k_first; k_0 < k_end; k_0 += DEPTH) {
+    for (uint k_0 = k_first; k_0 < k_end; k_0 += STAGED_DEPTH) {
         barrier();
-        for (uint item = thread; item < DEPTH * SHARED_TILE; item += PRODUCT_THREADS) {
-            uint along_k = item % DEPTH;
-            uint across = item / DEPTH;
-            uint across_first = item % SHARED_TILE;
-            uint k_after = item / SHARED_TILE;
-            uint k = A_ALONG_K == 1 ? along_k : k_after;
-            uint i = A_ALONG_K == 1 ? across : across_first;
-            bool inside = k_0 + k < k_end && a_first + i < rows;
-            product_stage[k * SHARED_PITCH + i / 4u][i % 4u] = inside ? operand_a(a_first + i, k_0 + k) : 0.0;
-            k = B_ALONG_K == 1 ? along_k : k_after;
-            i = B_ALONG_K == 1 ? across : across_first;
-            inside = k_0 + k < k_end && b_first + i < columns;
-            product_stage[HALF + k * SHARED_PITCH + i / 4u][i % 4u] = inside ? operand_b(k_0 + k, b_first + i) : 0.0;
-        }
+        stage_operands(uvec2(a_first, b_first), k_0, uvec2(rows, columns), k_end);
         barrier();
         for (uint j = 0u; j < SHARED_DEPTH; j++) {
             uint k = group * SHARED_DEPTH + j;
             vec4 a = product_stage[k * SHARED_PITCH + a_own];
-            vec4 b = product_stage[HALF + k * SHARED_PITCH + b_own];
+            vec4 b = product_stage[STAGED_HALF + k * SHARED_PITCH + b_own];
             sum[0] += a.x * b;
             sum[1] += a.y * b;
             sum[2] += a.z * b;
@@ -169,11 +300,9 @@ void product_by_shared(uint tile, uint tiles_b, uint rows, uint columns, uint k_
         total += product_stage[g * PRODUCT_THREADS + thread];
     }
     uint a = a_first + thread / 8u;
-    for (uint c = 0u; c < 4u; c++) {
-        uint b = b_first + 4u * (thread % 8u) + c;
-        if (a < rows && b < columns) {
-            store_element(a, b, total[c]);
-        }
+    uint b = b_first + 4u * (thread % 8u);
+    if (a < rows && b < columns) {
+        store_four(a, b, columns, total);
     }
 #if ROW_SUMS
     if (thread < SHARED_TILE && b_first == 0u && a_first + thread < rows) {

@@ -14,6 +14,7 @@ layout(constant_id = 4) const uint PAD = 1;
 
 #define A_ALONG_K 1
 #define B_ALONG_K 0
+#define K_STEP 1
 #define ROW_SUMS 0
 #include "lib/dispatch.glsl"
 #include "lib/matrix_product.glsl"
@@ -63,10 +64,14 @@ float operand_b(uint k, uint pixel) {
     return inside ? feature_input[at] : 0.0;
 }
 
-void store_element(uint at, uint pixel, float value) {
+void store_four(uint at, uint pixel, uint columns, vec4 value) {
     uint o = push.first_output + at;
-    float biased = value + parameter[push.outputs * push.inputs * window_size() + o];
-    feature_output[o * push.out_rows * push.out_width + pixel] = relu(biased);
+    float bias = parameter[push.outputs * push.inputs * window_size() + o];
+    for (uint c = 0u; c < 4u; c++) {
+        if (pixel + c < columns) {
+            feature_output[o * push.out_rows * push.out_width + pixel + c] = relu(value[c] + bias);
+        }
+    }
 }
 
 void main() {

@@ -9,18 +9,20 @@
 layout(local_size_x = 256) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 1) const uint STAGE = 1;
+layout(constant_id = 2) const uint VECTORS = 0;
 
 #define A_ALONG_K 0
 #define B_ALONG_K 0
+#define K_STEP 4
 #define ROW_SUMS 1
 #include "lib/dispatch.glsl"
 #include "lib/matrix_product.glsl"
 
-layout(std430, set = 0, binding = 0) readonly buffer OutputGradientBlock { float output_gradient[]; }; // [rows, outputs]
+layout(std430, set = 0, binding = 0) readonly buffer OutputGradientBlock { vec4 output_gradient[]; }; // [rows, outputs]
 // input_0 as [rows, inputs_0] at 0, input_1 as [rows, inputs_1] at push.input_1_at.
-layout(std430, set = 0, binding = 1) readonly buffer LayerInputBlock { float layer_input[]; };
+layout(std430, set = 0, binding = 1) readonly buffer LayerInputBlock { vec4 layer_input[]; };
 // Per slice [outputs, inputs_0 + inputs_1], then the bias.
-layout(std430, set = 0, binding = 2) writeonly buffer GradientBlock { float gradient[]; };
+layout(std430, set = 0, binding = 2) writeonly buffer GradientBlock { vec4 gradient[]; };
 
 layout(push_constant) uniform Push {
     uint rows;
@@ -36,20 +38,43 @@ layout(push_constant) uniform Push {
 uint slice_at = 0u;
 
 float operand_a(uint o, uint row) {
-    return output_gradient[row * push.outputs + o];
+    uint at = row * push.outputs + o;
+    return output_gradient[at / 4u][at % 4u];
+}
+
+vec4 operand_a_four(uint o, uint row) {
+    return output_gradient[(row * push.outputs + o) / 4u];
+}
+
+uint input_at(uint row, uint i) {
+    return i < push.inputs_0 ? row * push.inputs_0 + i : push.input_1_at + row * push.inputs_1 + i - push.inputs_0;
 }
 
 float operand_b(uint row, uint i) {
-    uint at = i < push.inputs_0 ? row * push.inputs_0 + i : push.input_1_at + row * push.inputs_1 + i - push.inputs_0;
-    return layer_input[at];
+    uint at = input_at(row, i);
+    return layer_input[at / 4u][at % 4u];
 }
 
-void store_element(uint o, uint i, float value) {
-    gradient[slice_at + o * (push.inputs_0 + push.inputs_1) + i] = value;
+vec4 operand_b_four(uint row, uint i) {
+    return layer_input[input_at(row, i) / 4u];
+}
+
+void store_four(uint o, uint i, uint columns, vec4 value) {
+    uint at = slice_at + o * (push.inputs_0 + push.inputs_1) + i;
+    uint vectors = VECTORS;
+    if (vectors == 1u && i < columns) {
+        gradient[at / 4u] = value;
+    }
+    for (uint c = 0u; c < 4u; c++) {
+        if (vectors == 0u && i + c < columns) {
+            gradient[(at + c) / 4u][(at + c) % 4u] = value[c];
+        }
+    }
 }
 
 void store_row_sum(uint o, float value) {
-    gradient[slice_at + push.outputs * (push.inputs_0 + push.inputs_1) + o] = value;
+    uint at = slice_at + push.outputs * (push.inputs_0 + push.inputs_1) + o;
+    gradient[at / 4u][at % 4u] = value;
 }
 
 void main() {

@@ -39,6 +39,11 @@ fn step_words() -> Vec<u32> {
     bytemuck::cast_slice(&[step()]).to_vec()
 }
 
+/// A place after the first input that lets shapes of multiples of four be loaded by fours, and others not.
+fn second_input_at(rows: u32, i0: u32, outputs: u32) -> u32 {
+    (rows * i0).next_multiple_of(4) + if outputs.is_multiple_of(4) { 4 } else { 5 }
+}
+
 fn forward_case(
     gpu: &TestGpu,
     (stage, relu): (Stage, u32),
@@ -47,7 +52,8 @@ fn forward_case(
     parameter: Vec<u32>,
 ) -> KernelCase<LinearForward> {
     let kernel = &LINEAR_FORWARD;
-    let constants = LinearForwardConstants { stage: stage as u32, relu };
+    let (stage, vectors) = push.stage(stage);
+    let constants = LinearForwardConstants { stage: stage as u32, relu, vectors: vectors.into() };
     let layer_output = vec![0; (push.rows * push.outputs) as usize];
     let buffers = LinearForwardBuffers { layer_input, parameter, layer_output };
     let groups = linear::product_groups(stage, gpu.subgroup_size_of(kernel), push.rows, push.outputs, 1) as u32;
@@ -58,7 +64,7 @@ fn forward_case(
 fn a_layer_does_not_hide_what_is_no_number() {
     let gpu = tests_harness::gpu();
     let mut r = Random(21);
-    let (rows, inputs, outputs) = (37, 40, 70_u32);
+    let (rows, inputs, outputs) = (37, 40, 72_u32);
     for (stage, relu) in STAGES.into_iter().flat_map(|s| [(s, 0), (s, 1)]) {
         for nan in [f32::NAN, -f32::NAN] {
             let mut parameter = floats(&mut r, (outputs * (inputs + 1)) as usize, 0.2);
@@ -85,15 +91,18 @@ fn a_layer_does_not_hide_what_is_no_number() {
 fn forward_and_backward_input_match_their_twins() {
     let gpu = tests_harness::gpu();
     let mut r = Random(1);
-    for (rows, i0, i1, outputs) in [(1, 1, 0, 1), (16, 32, 0, 32), (33, 76, 256, 65), (7, 84, 0, 12), (130, 64, 0, 257)]
+    for (rows, i0, i1, outputs) in
+        [(1, 1, 0, 1), (16, 32, 0, 32), (33, 76, 256, 65), (33, 76, 64, 36), (7, 84, 0, 12), (130, 64, 0, 257)]
     {
         for stage in STAGES {
             let inputs = i0 + i1;
             let bound = 1.0 / (inputs as f32).sqrt();
             let parameter = floats(&mut r, (outputs * (inputs + 1)) as usize, bound);
-            let input_1_at = rows * i0 + 5;
+            let input_1_at = second_input_at(rows, i0, outputs);
             let input = floats(&mut r, (input_1_at + rows * i1) as usize, 1.0);
-            for relu in [0, 1] {
+            // Each is compiled, and that takes most of the time.
+            let relus = if tests_harness::small() { vec![outputs % 2] } else { vec![0, 1] };
+            for relu in relus {
                 let push = ForwardPush { rows, outputs, inputs_0: i0, inputs_1: i1, input_1_at };
                 let case = forward_case(&gpu, (stage, relu), push, input.clone(), parameter.clone());
                 case.check(&gpu, &format!("{rows} x {inputs} -> {outputs}, {stage:?}"));
@@ -107,8 +116,9 @@ fn forward_and_backward_input_match_their_twins() {
                 layer_input: floats(&mut r, (rows * columns) as usize, 1.0),
                 input_gradient: vec![0; (rows * columns) as usize],
             };
-            let groups = linear::product_groups(stage, gpu.subgroup_size_of(kernel), rows, columns, 1) as u32;
-            let case = KernelCase { kernel, constants: LinearConstants { stage: stage as u32 }, push, buffers, groups };
+            let stage = push.stage(stage);
+            let groups = linear::product_groups(stage.0, gpu.subgroup_size_of(kernel), rows, columns, 1) as u32;
+            let case = KernelCase { kernel, constants: LinearConstants::new(stage), push, buffers, groups };
             case.check(&gpu, &format!("{rows} x {outputs} -> {columns}, {stage:?}"));
         }
     }
@@ -119,12 +129,12 @@ fn weight_gradients_match_their_twins() {
     let gpu = tests_harness::gpu();
     let mut r = Random(7);
     for (rows, [i0, i1], outputs, rows_per_slice) in
-        [(1_u32, [1_u32, 0_u32], 1_u32, 1), (100, [76, 256], 33, 100), (300, [64, 0], 64, 70), (65, [84, 0], 12, 64)]
+        [(1_u32, [1_u32, 0_u32], 1_u32, 1), (100, [76, 256], 33, 100), (300, [64, 20], 64, 70), (65, [84, 0], 12, 64)]
     {
         for stage in STAGES {
             let weights = outputs * (i0 + i1 + 1);
             let slices = rows.div_ceil(rows_per_slice);
-            let input_1_at = rows * i0 + 3;
+            let input_1_at = second_input_at(rows, i0, outputs);
             let push = LinearBackwardWeightPush {
                 rows,
                 outputs,
@@ -141,8 +151,9 @@ fn weight_gradients_match_their_twins() {
                 layer_input: floats(&mut r, (input_1_at + rows * i1) as usize, 1.0),
                 gradient: vec![0; ((slices + 1) * weights) as usize],
             };
-            let groups = linear::product_groups(stage, gpu.subgroup_size_of(kernel), outputs, i0 + i1, slices) as u32;
-            let case = KernelCase { kernel, constants: LinearConstants { stage: stage as u32 }, push, buffers, groups };
+            let stage = push.stage(stage);
+            let groups = linear::product_groups(stage.0, gpu.subgroup_size_of(kernel), outputs, i0 + i1, slices) as u32;
+            let case = KernelCase { kernel, constants: LinearConstants::new(stage), push, buffers, groups };
             case.check(&gpu, &format!("{rows} rows, {} -> {outputs}, {stage:?}", i0 + i1));
         }
     }

@@ -18,6 +18,13 @@ impl Stage {
         let few_lanes = info.capabilities.subgroup_size <= MOST_SHUFFLING_LANES;
         if info.is_cpu() && few_lanes { Self::Shuffle } else { Self::Shared }
     }
+
+    /// This one or, where these strides and offsets in floats are no multiples of 4, the one that does without loads of four;
+    /// and whether there are such loads (specialisation constant `VECTORS`).
+    pub fn for_strides(self, strides: &[u32]) -> (Self, bool) {
+        let vectors = strides.iter().all(|floats| floats.is_multiple_of(4));
+        (if vectors { self } else { Self::Shared }, vectors)
+    }
 }
 
 /// Lanes up to which kernels that shuffle are written for (`nonrigid_network`).

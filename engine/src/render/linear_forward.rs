@@ -25,6 +25,13 @@ crate::gpu_struct! {
     }
 }
 
+impl ForwardPush {
+    /// How it runs on a device of this stage.
+    pub fn stage(&self, stage: Stage) -> (Stage, bool) {
+        stage.for_strides(&[self.outputs, self.inputs_0, self.inputs_1, self.input_1_at])
+    }
+}
+
 /// Sums of up to 512 products of numbers around 1, fused or not, in another order than the twin's.
 pub(crate) const SUMS: Tolerance = Tolerance { absolute: 1e-4, relative: 2e-5, flips: 0.0 };
 
@@ -41,6 +48,8 @@ crate::gpu_constants! {
         stage,
         /// 1: the act is a ReLU, else none.
         relu,
+        /// 1: strides and offsets are multiples of 4, so that four neighbours are one load.
+        vectors,
     }
 }
 
@@ -79,8 +88,9 @@ pub(crate) fn record(
     relu: bool,
     buffers: LinearForwardBuffers<Slice>,
 ) -> Result<()> {
+    let (stage, vectors) = push.stage(stage);
     let groups = Groups::Direct(product_groups(stage, r.subgroup_size_of(&LINEAR_FORWARD), push.rows, push.outputs, 1));
-    let constants = LinearForwardConstants { stage: stage as u32, relu: relu.into() };
+    let constants = LinearForwardConstants { stage: stage as u32, relu: relu.into(), vectors: vectors.into() };
     r.dispatch(&LINEAR_FORWARD, constants, push, buffers, groups)
 }
 

@@ -42,6 +42,15 @@ crate::gpu_constants! {
     pub struct LinearConstants {
         /// A [`Stage`].
         stage,
+        /// 1: strides and offsets are multiples of 4, so that four neighbours are one load.
+        vectors,
+    }
+}
+
+impl LinearConstants {
+    /// Of a product that [`Stage::for_strides`] judged.
+    pub fn new((stage, vectors): (Stage, bool)) -> Self {
+        Self { stage: stage as u32, vectors: vectors.into() }
     }
 }
 

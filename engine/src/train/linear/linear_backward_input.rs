@@ -1,6 +1,6 @@
 //! Kernel `linear_backward_input`: dX = (dZ W) ⊙ \[X > 0\].
 
-use super::{LinearConstants, THREADS};
+use super::{LinearConstants, Stage, THREADS};
 use crate::gpu::interface::Call;
 use crate::render::linear_forward::{SUMS, product_bytes};
 use crate::render::twin::{f32_at, set_f32};
@@ -18,6 +18,13 @@ crate::gpu_struct! {
         pub weight_stride: u32,
         /// First column of the weights that belongs to this input.
         pub first_input: u32,
+    }
+}
+
+impl LinearBackwardInputPush {
+    /// How it runs on a device of this stage.
+    pub fn stage(&self, stage: Stage) -> (Stage, bool) {
+        stage.for_strides(&[self.outputs, self.inputs, self.weight_stride, self.first_input])
     }
 }
 

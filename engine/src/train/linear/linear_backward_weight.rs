@@ -1,6 +1,6 @@
 //! Kernel `linear_backward_weight`: dW = dZᵀ [X₀, X₁], db = Σ dZ.
 
-use super::{LinearConstants, THREADS};
+use super::{LinearConstants, Stage, THREADS};
 use crate::gpu::interface::Call;
 use crate::render::linear_forward::{SUMS, concatenated, product_bytes};
 use crate::render::twin::{f32_at, set_f32};
@@ -24,6 +24,13 @@ crate::gpu_struct! {
         pub first_slice: u32,
         /// Floats from one slice of the gradient buffer to the next.
         pub slice_stride: u32,
+    }
+}
+
+impl LinearBackwardWeightPush {
+    /// How it runs on a device of this stage.
+    pub fn stage(&self, stage: Stage) -> (Stage, bool) {
+        stage.for_strides(&[self.outputs, self.inputs_0, self.inputs_1, self.input_1_at, self.slice_stride])
     }
 }
 

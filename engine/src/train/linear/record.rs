@@ -74,14 +74,15 @@ impl Layer {
         let (first_input, inputs) = if inputs_1 > 0 { (inputs_0, inputs_1) } else { (0, inputs_0) };
         let weight_stride = self.shape.inputs();
         let push = LinearBackwardInputPush { rows: self.rows, outputs, inputs, weight_stride, first_input };
-        let groups = product_groups(self.stage, r.subgroup_size_of(&LINEAR_BACKWARD_INPUT), self.rows, inputs, 1);
+        let stage = push.stage(self.stage);
+        let groups = product_groups(stage.0, r.subgroup_size_of(&LINEAR_BACKWARD_INPUT), self.rows, inputs, 1);
         let buffers = LinearBackwardInputBuffers {
             output_gradient: self.output_gradient.clone(),
             parameter: self.parameters[0].clone(),
             layer_input: below.output.clone(),
             input_gradient: below.output_gradient.clone(),
         };
-        r.dispatch(&LINEAR_BACKWARD_INPUT, self.constants(), push, buffers, Groups::Direct(groups))
+        r.dispatch(&LINEAR_BACKWARD_INPUT, LinearConstants::new(stage), push, buffers, Groups::Direct(groups))
     }
 
     /// Gradient of weights and bias, by slices into `split.gradient`.
@@ -98,23 +99,15 @@ impl Layer {
             slice_stride: split.slice_stride,
         };
         let slices = self.rows.div_ceil(split.rows_per_slice);
-        let groups = product_groups(
-            self.stage,
-            r.subgroup_size_of(&LINEAR_BACKWARD_WEIGHT),
-            outputs,
-            self.shape.inputs(),
-            slices,
-        );
+        let stage = push.stage(self.stage);
+        let groups =
+            product_groups(stage.0, r.subgroup_size_of(&LINEAR_BACKWARD_WEIGHT), outputs, self.shape.inputs(), slices);
         let buffers = LinearBackwardWeightBuffers {
             output_gradient: self.output_gradient.clone(),
             layer_input: self.input.clone(),
             gradient: split.gradient.clone(),
         };
-        r.dispatch(&LINEAR_BACKWARD_WEIGHT, self.constants(), push, buffers, Groups::Direct(groups))
-    }
-
-    fn constants(&self) -> LinearConstants {
-        LinearConstants { stage: self.stage as u32 }
+        r.dispatch(&LINEAR_BACKWARD_WEIGHT, LinearConstants::new(stage), push, buffers, Groups::Direct(groups))
     }
 }
 
