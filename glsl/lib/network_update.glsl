@@ -1,10 +1,10 @@
-// Adam on one weight of a network, not applied where a number is not finite. Include lib/step.glsl, lib/adam.glsl and
-// lib/status.glsl first; the includer has the buffers `parameter`, `moment_1` and `moment_2` and the constant NETWORK
+// Adam on four weights of a network, not applied where a number is not finite. Include lib/step.glsl, lib/adam.glsl and
+// lib/status.glsl first; the includer has the buffers of vec4 `parameter`, `moment_1` and `moment_2` and the constant NETWORK
 // (0 network F, 1 network G). Rust twin: `update_weight` in engine/src/train/linear/linear_update.rs.
 #ifndef SPGS_NETWORK_UPDATE
 #define SPGS_NETWORK_UPDATE
 
-// Learning rate, bias corrections and Adam's constants of this network, loaded once per thread.
+// Learning rate, bias corrections and Adam's constants of this network.
 struct NetworkAdam {
     float rate;
     vec2 bias;
@@ -18,20 +18,29 @@ NetworkAdam network_adam() {
     return NetworkAdam(rate, bias, adam_of_step());
 }
 
-// at: of the weight in the three buffers; index: its number in the network, for reports.
-void update_weight(NetworkAdam with, uint at, uint index, float gradient) {
+// at: of the first weight in the three buffers; count: how many of the four are weights; index: the first one's number in the
+// network, for reports.
+void update_four(NetworkAdam with, uint at, uint count, uint index, vec4 gradient) {
     uint network = NETWORK;
-    vec2 moments = vec2(moment_1[at], moment_2[at]);
-    float value = adam_step(with.adam, parameter[at], gradient, moments, with.rate, with.bias);
-    bool finite = number_is_finite(gradient) && number_is_finite(value) && number_is_finite(moments.x)
-        && number_is_finite(moments.y);
-    if (finite) {
-        parameter[at] = value;
-        moment_1[at] = moments.x;
-        moment_2[at] = moments.y;
-    } else {
-        report_not_finite(network == 0u ? STATUS_NETWORK_F : STATUS_NETWORK_G, index);
+    vec4 values = parameter[at / 4u];
+    vec4 first = moment_1[at / 4u];
+    vec4 second = moment_2[at / 4u];
+    [[unroll]] for (uint c = 0u; c < 4u; c++) {
+        vec2 moments = vec2(first[c], second[c]);
+        float value = adam_step(with.adam, values[c], gradient[c], moments, with.rate, with.bias);
+        bool finite = number_is_finite(gradient[c]) && number_is_finite(value) && number_is_finite(moments.x)
+            && number_is_finite(moments.y);
+        if (c < count && finite) {
+            values[c] = value;
+            first[c] = moments.x;
+            second[c] = moments.y;
+        } else if (c < count) {
+            report_not_finite(network == 0u ? STATUS_NETWORK_F : STATUS_NETWORK_G, index + c);
+        }
     }
+    parameter[at / 4u] = values;
+    moment_1[at / 4u] = first;
+    moment_2[at / 4u] = second;
 }
 
 #endif

@@ -2,9 +2,10 @@
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_shuffle : require
 #extension GL_EXT_control_flow_attributes : require
 
-// Sums over the Gaussians of each superpoint, one workgroup per superpoint, in a fixed order: weighted by the association
+// Sums over the Gaussians of each superpoint, by one workgroup or, where few pairs are expected, one subgroup, in a fixed order: weighted by the association
 // over all Gaussians that have it as a neighbour, unweighted over those that move with it. Pairs come sorted by superpoint,
 // then slot, then Gaussian.
 
@@ -13,6 +14,7 @@ layout(constant_id = 1) const uint MOMENTS = 1u;     // sum a and a * mean
 layout(constant_id = 2) const uint PAIR_PLANES = 0u; // planes of pair_data to sum with weight a, at most 9
 layout(constant_id = 3) const uint OWN_FIRST = 0u;   // planes OWN_FIRST .. OWN_FIRST + OWN_PLANES of own_data to sum
 layout(constant_id = 4) const uint OWN_PLANES = 0u;  // at most 9
+layout(constant_id = 5) const uint BY_SUBGROUP = 0u; // 1: a superpoint per subgroup
 
 #define STEP_BINDING 0
 #include "lib/step.glsl"
@@ -114,35 +116,76 @@ void add_own(inout float sums[SUM_VALUES], uint pair) {
     }
 }
 
+// Where the pairs of a superpoint start, where its own Gaussians start, and where both end. A surplus workgroup or subgroup
+// finds an empty segment.
+uvec3 find_segment(uint superpoint, uint member) {
+    uint by_subgroup = BY_SUBGROUP;
+    uint bound = 0u;
+    if (member < 3u) {
+        bound = lower_bound(superpoint + (member == 2u ? 1u : 0u), member == 1u ? push.neighbors : 0u);
+    }
+    uvec3 segment;
+    if (by_subgroup == 1u) {
+        segment = uvec3(subgroupShuffle(bound, 0u), subgroupShuffle(bound, 1u), subgroupShuffle(bound, 2u));
+    } else {
+        if (member < 3u) {
+            bounds[member] = bound;
+        }
+        barrier();
+        segment = uvec3(bounds[0], bounds[1], bounds[2]);
+    }
+    return segment;
+}
+
+void store_sum(uint superpoint, uint v, float value) {
+    if (superpoint < step_data.superpoints && v < SUM_VALUES) {
+        superpoint_sum[v * step_data.superpoints + superpoint] = value;
+    }
+}
+
+// Sums over a subgroup: lane l stores values l, l + size…
+void store_sums_of_subgroup(uint superpoint, float sums[SUM_VALUES]) {
+    uint size = SUBGROUP_SIZE;
+    uint lane = gl_SubgroupInvocationID;
+    for (uint first = 0u; first < SUM_VALUES; first += size) {
+        float own = 0.0;
+        [[unroll]] for (uint v = 0u; v < SUM_VALUES; v++) {
+            if (v >= first && v < first + size) {
+                float sum = subgroupAdd(sums[v]);
+                own = lane == v - first ? sum : own;
+            }
+        }
+        store_sum(superpoint, first + lane, own);
+    }
+}
+
 void main() {
-    uint superpoint = workgroup_index();
-    uint superpoints = step_data.superpoints;
+    uint size = SUBGROUP_SIZE;
     uint moments = MOMENTS;
     uint pair_planes = PAIR_PLANES;
     uint own_planes = OWN_PLANES;
-    uint thread = thread_index();
-    if (thread < 3u) {
-        // A surplus workgroup of a folded grid finds an empty segment.
-        uint at = superpoint + (thread == 2u ? 1u : 0u);
-        bounds[thread] = lower_bound(at, thread == 1u ? push.neighbors : 0u);
-    }
-    barrier();
+    uint by_subgroup = BY_SUBGROUP;
+    uint superpoint = by_subgroup == 1u ? workgroup_index() * gl_NumSubgroups + gl_SubgroupID : workgroup_index();
+    uint member = by_subgroup == 1u ? gl_SubgroupInvocationID : thread_index();
+    uint members = by_subgroup == 1u ? size : 256u;
+    uvec3 segment = find_segment(superpoint, member);
     float sums[SUM_VALUES];
     [[unroll]] for (uint v = 0u; v < SUM_VALUES; v++) {
         sums[v] = 0.0;
     }
     if (moments != 0u || pair_planes != 0u) {
-        for (uint pair = bounds[0] + thread; pair < bounds[1]; pair += 256u) {
+        for (uint pair = segment.x + member; pair < segment.y; pair += members) {
             add_pair(sums, pair);
         }
     }
     if (own_planes != 0u) {
-        for (uint pair = bounds[1] + thread; pair < bounds[2]; pair += 256u) {
+        for (uint pair = segment.y + member; pair < segment.z; pair += members) {
             add_own(sums, pair);
         }
     }
-    float total = workgroup_sums(sums);
-    if (superpoint < superpoints && thread < SUM_VALUES) {
-        superpoint_sum[thread * superpoints + superpoint] = total;
+    if (by_subgroup == 1u) {
+        store_sums_of_subgroup(superpoint, sums);
+    } else {
+        store_sum(superpoint, member, workgroup_sums(sums));
     }
 }

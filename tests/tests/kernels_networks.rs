@@ -165,22 +165,23 @@ fn update_and_gather_match_their_twins() {
     let mut r = Random(9);
     for (weights, slices) in [(1_u32, 1_u32), (300, 7), (1025, 64)] {
         for (output, network) in [(Output::Gradient, 0), (Output::Adam, 0), (Output::Adam, 1)] {
-            let push = LinearUpdatePush { weights, slices, slice_stride: weights + 7, first_index: 128 };
-            let mut gradient = floats(&mut r, (slices * (weights + 7)) as usize, 0.1);
+            let padded = weights.next_multiple_of(4);
+            let push = LinearUpdatePush { weights, slices, slice_stride: padded + 4, first_index: 128 };
+            let mut gradient = floats(&mut r, (slices * (padded + 4)) as usize, 0.1);
             gradient[0] = f32::NAN.to_bits();
             let buffers = LinearUpdateBuffers {
                 step: step_words(),
                 counters: vec![0; 8],
                 slice_gradient: gradient,
-                parameter: floats(&mut r, weights as usize, 1.0),
-                moment_1: floats(&mut r, weights as usize, 1.0),
-                moment_2: (0..weights).map(|_| r.range(0.5, 1.0).to_bits()).collect(),
+                parameter: floats(&mut r, padded as usize, 1.0),
+                moment_1: floats(&mut r, padded as usize, 1.0),
+                moment_2: (0..padded).map(|_| r.range(0.5, 1.0).to_bits()).collect(),
                 // Given to Adam too: it must not write there.
-                gradient: Some(vec![0; weights as usize]),
+                gradient: Some(vec![0; padded as usize]),
                 status: status::clear().to_vec(),
             };
             let constants = LinearUpdateConstants { output: output as u32, network };
-            let groups = weights.div_ceil(256);
+            let groups = weights.div_ceil(1024);
             let case = KernelCase { kernel: &LINEAR_UPDATE, constants, push, buffers, groups };
             let done = case.check(&gpu, &format!("{weights} weights, {slices} slices, {output:?}"));
             if output == Output::Adam {

@@ -22,7 +22,7 @@ struct Chain<'a> {
 
 /// Sums of the weights and of the weighted means only.
 const MOMENTS: SuperpointSumConstants =
-    SuperpointSumConstants { moments: 1, pair_planes: 0, own_first: 0, own_planes: 0 };
+    SuperpointSumConstants { moments: 1, pair_planes: 0, own_first: 0, own_planes: 0, by_subgroup: 0 };
 const NOTHING: SuperpointSumConstants = SuperpointSumConstants { moments: 0, ..MOMENTS };
 
 impl Case {
@@ -40,7 +40,7 @@ impl Case {
             (first, own_sum, 2, logit)
         } else {
             let (residual, logit) = chain.residual(None);
-            let constants = SuperpointSumConstants { moments: 1, pair_planes: 9, own_first: 3, own_planes: 6 };
+            let constants = SuperpointSumConstants { pair_planes: 9, own_first: 3, own_planes: 6, ..MOMENTS };
             let sums = chain.sum(constants, &residual);
             (sums.clone(), sums, 1, logit)
         };
@@ -118,8 +118,14 @@ impl<'a> Chain<'a> {
             superpoint_sum: vec![0; SUM_PLANES * m],
             status: status::clear().to_vec(),
         };
-        let case = KernelCase { kernel: &SUPERPOINT_SUM, constants, push, buffers, groups: m as u32 };
-        case.check(self.gpu, &format!("{}, {constants:?}", self.context)).superpoint_sum
+        let mut sums = Vec::new();
+        for by_subgroup in [false, true] {
+            let constants = SuperpointSumConstants { by_subgroup: by_subgroup.into(), ..constants };
+            let groups = groups(by_subgroup, self.gpu.subgroup_size_of(&SUPERPOINT_SUM), m as u32);
+            let case = KernelCase { kernel: &SUPERPOINT_SUM, constants, push, buffers: buffers.clone(), groups };
+            sums = case.check(self.gpu, &format!("{}, {constants:?}", self.context)).superpoint_sum;
+        }
+        sums
     }
 
     /// Residual and logits; in the paper's form with the sums of the properties.

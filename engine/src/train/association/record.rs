@@ -5,7 +5,7 @@ use super::nearest_superpoints::{NEAREST_SUPERPOINTS, NearestSuperpointsBuffers}
 use super::state::{StepBuffers, SuperpointState};
 use super::superpoint_commit::{SUPERPOINT_COMMIT, SuperpointCommitBuffers};
 use super::superpoint_gradient::{SUPERPOINT_GRADIENT, SuperpointGradientBuffers, SuperpointGradientConstants};
-use super::superpoint_sum::{SUPERPOINT_SUM, SuperpointSumBuffers, SuperpointSumConstants, SuperpointSumPush};
+use super::superpoint_sum::{self, SUPERPOINT_SUM, SuperpointSumBuffers, SuperpointSumConstants, SuperpointSumPush};
 use crate::error::Result;
 use crate::gpu::{Buffer, Groups, Recorder, Slice};
 use crate::render::radix_sort::rank_by_ballot;
@@ -23,7 +23,7 @@ use crate::train::status;
 
 /// Sums of the weights and of the weighted means only.
 const MOMENTS: SuperpointSumConstants =
-    SuperpointSumConstants { moments: 1, pair_planes: 0, own_first: 0, own_planes: 0 };
+    SuperpointSumConstants { moments: 1, pair_planes: 0, own_first: 0, own_planes: 0, by_subgroup: 0 };
 
 impl SuperpointState {
     /// The part before `deform_project_backward` (it needs the old means) and after the forward pass (a failed one is
@@ -250,7 +250,9 @@ impl SuperpointState {
         data: [Option<&Slice>; 2],
         group: usize,
     ) -> Result<()> {
-        let w = &self.work;
+        let (w, superpoints) = (&self.work, self.superpoints());
+        let by_subgroup = superpoint_sum::by_subgroup(w.plan.capacity, superpoints);
+        let constants = SuperpointSumConstants { by_subgroup: by_subgroup.into(), ..constants };
         let sorted = w.plan.result_in();
         let [pair_data, own_data] = data.map(Option::<&Slice>::cloned);
         let buffers = SuperpointSumBuffers {
@@ -267,7 +269,8 @@ impl SuperpointState {
         let push =
             SuperpointSumPush { neighbors: self.options.neighbors, pairs: w.plan.capacity, status_group: group as u32 };
         let label = format!("superpoint_sum {}", sums.name());
-        let groups = Groups::Direct(self.superpoints().into());
+        let groups = superpoint_sum::groups(by_subgroup, r.subgroup_size_of(&SUPERPOINT_SUM), superpoints);
+        let groups = Groups::Direct(groups.into());
         r.dispatch_labelled(&label, &SUPERPOINT_SUM, constants, push, buffers, groups)
     }
 }

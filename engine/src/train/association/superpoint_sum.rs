@@ -26,6 +26,21 @@ pub const FIRST_PAIR_VALUE: usize = 4;
 /// First plane of Σ own_data.
 pub const FIRST_OWN_VALUE: usize = 13;
 
+/// Threads per workgroup.
+const THREADS: u32 = 256;
+/// Pairs per superpoint, on average, up to which a subgroup sums them: 16 rounds of 32 lanes, without barriers.
+const FEW_PAIRS: u32 = 512;
+
+/// Whether a subgroup sums a superpoint, or a workgroup does.
+pub fn by_subgroup(pairs: u32, superpoints: u32) -> bool {
+    pairs / FEW_PAIRS < superpoints
+}
+
+/// Workgroups for `superpoints`.
+pub fn groups(by_subgroup: bool, subgroup_size: u32, superpoints: u32) -> u32 {
+    if by_subgroup { superpoints.div_ceil(THREADS / subgroup_size) } else { superpoints }
+}
+
 crate::gpu_constants! {
     /// Specialisation constants of [`SUPERPOINT_SUM`].
     pub struct SuperpointSumConstants {
@@ -37,6 +52,8 @@ crate::gpu_constants! {
         own_first,
         /// Its planes, at most 9.
         own_planes,
+        /// 1: a subgroup sums a superpoint, else a workgroup ([`by_subgroup`]).
+        by_subgroup,
     }
 }
 
@@ -64,11 +81,11 @@ crate::gpu_buffers! {
 }
 
 crate::kernel! {
-    /// Sums per superpoint. Dispatch M workgroups.
+    /// Sums per superpoint. Dispatch [`groups`] workgroups.
     pub static SUPERPOINT_SUM: SuperpointSum = {
         name: "superpoint_sum",
         doc: "sums over each superpoint's Gaussians, weighted by the association and unweighted, in a fixed order",
-        local_size: 256,
+        local_size: THREADS,
         constants: SuperpointSumConstants,
         push: SuperpointSumPush,
         buffers: SuperpointSumBuffers,

@@ -8,7 +8,7 @@ use crate::render::twin::{f32_at, set_f32, struct_at};
 use crate::train::step::Step;
 use crate::train::{adam, status};
 
-/// Weights that a thread takes, so that it loads the step's constants once for all of them.
+/// Weights that a thread takes, in one load.
 pub(super) const WEIGHTS_PER_THREAD: u32 = 4;
 
 crate::gpu_struct! {
@@ -18,7 +18,7 @@ crate::gpu_struct! {
         pub weights: u32,
         /// Slices to add.
         pub slices: u32,
-        /// Floats from one slice to the next.
+        /// Floats from one slice to the next, a multiple of 4.
         pub slice_stride: u32,
         /// Number of the first weight within the network, for reports.
         pub first_index: u32,
@@ -44,11 +44,11 @@ crate::gpu_buffers! {
         counters: Read U32,
         /// `[slices, slice_stride]`.
         slice_gradient: Read F32,
-        /// `[weights]`, and so the moments and the gradient.
+        /// `[weights]`, padded to a multiple of 4; and so the moments and the gradient.
         parameter: Update F32,
         moment_1: Update F32,
         moment_2: Update F32,
-        /// The sums; absent when Adam takes them.
+        /// The sums, also those of the padding; absent when Adam takes them.
         gradient: optional Write F32,
         status: Atomic U32,
     }
@@ -74,12 +74,13 @@ fn linear_update_twin(call: Call<'_, LinearUpdate>) {
     if b.counters[COUNT_FAILED as usize] != 0 {
         return;
     }
-    for at in 0..p.weights {
+    // Sums are also kept of the padding.
+    for at in 0..p.weights.next_multiple_of(4) {
         let sum = (0..p.slices)
             .fold(0.0, |sum, slice| sum + f32_at(b.slice_gradient, (slice * p.slice_stride + at) as usize));
-        if constants.output != 0 {
+        if constants.output != 0 && at < p.weights {
             update_weight(&mut b, constants.network, at, p.first_index + at, sum);
-        } else if let Some(gradient) = &mut b.gradient {
+        } else if let (0, Some(gradient)) = (constants.output, &mut b.gradient) {
             set_f32(gradient, at as usize, sum);
         }
     }
