@@ -242,7 +242,7 @@ uint project(uint g, uint n, out uint tiles) {
         outcome = project_shape(g, n, turn, p, e, variance_x) ? VISIBLE : REJECTED;
     }
     if (outcome == VISIBLE) {
-        round_conic(e.l11, e.l12, e.l22, e.log2_opacity);
+        e.log2_opacity = round_opacity(e.log2_opacity);
         if (reaches_image(e, variance_x)) {
             tiles = ellipse_tile_count(e, frame.size);
         }

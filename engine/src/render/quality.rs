@@ -9,16 +9,16 @@
 //! | `position` | f32, unorm16 | 6 of 12 bytes of every Gaussian's centre; not with network G, which reads it too | half of 1/65534 of the scene's extent |
 //! | `sh_degree` | 0 … 3 | 36, 60 and 84 bytes per visible Gaussian | what the higher bands say |
 //! | `sh` | f32, f16, u8 | half or three quarters of the SH bytes | half a step of 2⁻¹¹, of 1/255 of a coefficient's range |
-//! | `colour` | f32, f16, unorm8 | with `conic` = f16, 16 of 48 bytes per splat and tile instance | 2⁻¹¹ relative; 1/510 below 1, clamped above |
-//! | `conic` | f32, f16 | see `colour` | 2⁻¹¹ of the conic's root and of log2 of the opacity |
+//! | `colour` | f32, f16 | 16 of 48 bytes per splat and tile instance; the opacity is f16 then too | 2⁻¹² of the colour, and of log2 of the opacity |
 //! | `table_step` | 1 … 16 | memory of the motion table | ⅛ of the squared step times the motion's curvature |
 //! | `interpolation` | linear, geodesic | nothing: screws between the keys cost the host M exponentials per frame | less than linear for wide steps |
 //! | `network` | f32, f16 | half of the traffic of network F's weights | poses off by about 1e-3 |
 //! | `nonrigid` | on, off | network G | all that G adds |
 //! | `resolution` | 0.25 … 1 | pixels; the picture is enlarged bilinearly when it is read | detail |
 //!
-//! Screen positions stay f32 in every packing: the 32-byte record has room for them, and half precision would be off by
-//! half a pixel at 1,000 px. Half precision of `sh` and `conic` is for colours like a picture's: see [`Quality::for_scene`].
+//! Screen positions and conics stay f32: half precision of a position would be off by half a pixel at 1,000 px, that of a
+//! conic adds up over many layers. Half precision of `sh` and `colour` is for colours like an image's: see
+//! [`Quality::for_scene`].
 //! Training always runs with [`Quality::EXACT`].
 
 mod knobs;
@@ -51,7 +51,7 @@ pub enum Storage {
     F16,
     /// 16 bits of each coordinate's own range.
     Unorm16,
-    /// 8 bits: of [0, 1] for colours; of each coefficient's own range for SH, whose band 0 then is 16-bit float.
+    /// 8 bits of each SH coefficient's own range; band 0 then is 16-bit float.
     Bits8,
 }
 
@@ -81,10 +81,8 @@ pub struct Quality {
     pub sh_degree: u32,
     /// Storage of SH coefficients.
     pub sh: Storage,
-    /// Storage of a projected splat's colour.
+    /// Storage of a projected splat's colour and opacity: F32 or F16.
     pub colour: Storage,
-    /// Storage of a projected splat's conic and opacity: F32 or F16.
-    pub conic: Storage,
     /// Every so many keys of the motion table are kept, and the last one.
     pub table_step: u32,
     /// Between keys of the motion table.
@@ -108,7 +106,6 @@ impl Quality {
         sh_degree: 3,
         sh: Storage::F32,
         colour: Storage::F32,
-        conic: Storage::F32,
         table_step: 1,
         interpolation: Interpolation::Linear,
         network: Storage::F32,
@@ -116,27 +113,19 @@ impl Quality {
         resolution: 1.0,
     };
 
-    /// No visible error: 99.99 % of all values within 1/255 of the definition. Colours stay f32: beside an f16 conic they fit
-    /// into the 32-byte record.
-    pub const HIGH: Self = Self { depth_bits: 24, sh: Storage::F16, conic: Storage::F16, ..Self::EXACT };
+    /// No visible error: 99.99 % of all values within 1/255 of the definition.
+    pub const HIGH: Self = Self { depth_bits: 24, sh: Storage::F16, colour: Storage::F16, ..Self::EXACT };
 
-    /// Errors of a few levels of 255 in places, for slow devices.
-    pub const FAST: Self = Self {
-        alpha_cut: 1.0 / 128.0,
-        stop: 1e-3,
-        depth_bits: 16,
-        sh: Storage::Bits8,
-        colour: Storage::Bits8,
-        network: Storage::F16,
-        ..Self::HIGH
-    };
+    /// Errors of a few levels of 255 in places: 99 % of all values within 4/255 of the definition. It keeps every splat: a
+    /// larger `alpha_cut` takes whole layers away where many faint ones lie behind each other.
+    pub const FAST: Self = Self { stop: 1e-3, depth_bits: 16, sh: Storage::Bits8, network: Storage::F16, ..Self::HIGH };
 
     /// Names of the presets, and what they are.
     pub const PRESETS: [(&'static str, Self); 3] = [("exact", Self::EXACT), ("high", Self::HIGH), ("fast", Self::FAST)];
 
     /// These knobs for a scene: its colours decide whether half precision is enough. Where more than one Gaussian in 1,000 has
-    /// an SH coefficient beyond ±4 (colours far outside a picture's, which multiply each error of α), `sh` and `conic` are f32
-    /// instead of f16. Network G and deformation fields read the centres too, as f32.
+    /// an SH coefficient beyond ±4 (colours far outside an image's), `sh` and `colour` are f32. Network G and deformation
+    /// fields read the centres too, as f32.
     pub fn for_scene(mut self, scene: &Scene) -> Self {
         let gaussians = &scene.gaussians;
         if scene.deformation.nonrigid().is_some() && self.nonrigid || scene.deformation.field().is_some() {
@@ -145,9 +134,7 @@ impl Quality {
         let rows = gaussians.sh.chunks_exact(3 * gaussians.sh_coefficients());
         let bright = rows.filter(|row| row.iter().any(|c| c.is_finite() && c.abs() > HALF_LIMIT)).count();
         if bright * BRIGHT_SHARE > gaussians.len() {
-            for storage in [&mut self.sh, &mut self.conic] {
-                *storage = if *storage == Storage::F16 { Storage::F32 } else { *storage };
-            }
+            (self.sh, self.colour) = (Storage::F32, Storage::F32);
         }
         self
     }
@@ -226,9 +213,9 @@ impl Quality {
         u32::from(self.cull == TileCull::Box)
     }
 
-    /// Specialisation constant `PACKING`: colour + 4 · conic.
+    /// Specialisation constant `PACKING`.
     pub fn packing_constant(&self) -> u32 {
-        self.colour.constant() + 4 * self.conic.constant()
+        self.colour.constant()
     }
 }
 
@@ -283,8 +270,8 @@ mod tests {
         assert_eq!(Quality::HIGH.for_scene(&scene), Quality::HIGH);
         scene.gaussians.sh[4000] = 4.1;
         let kept = Quality::HIGH.for_scene(&scene);
-        assert_eq!(kept, Quality { sh: Storage::F32, conic: Storage::F32, ..Quality::HIGH });
-        assert_eq!(Quality::FAST.for_scene(&scene).sh, Storage::Bits8);
+        assert_eq!(kept, Quality { sh: Storage::F32, colour: Storage::F32, ..Quality::HIGH });
+        assert_eq!(Quality::FAST.for_scene(&scene).sh, Storage::F32);
         assert_eq!(Quality::HIGH.for_scene(&Scene::default()), Quality::HIGH);
     }
 
@@ -297,7 +284,8 @@ mod tests {
             ("depth_bits=x", "8 to 32"),
             ("stop=nan", "1e-6"),
             ("alpha_cut=1/256", "1/255"),
-            ("conic=u8", "f32 or f16"),
+            ("colour=u8", "f32 or f16"),
+            ("conic=f16", "one of"),
             ("sh", "knob=value"),
             ("resolution=2", "1"),
         ] {

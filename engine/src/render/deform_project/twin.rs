@@ -6,7 +6,7 @@ use super::super::limits::{COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJE
 use super::super::mean_storage;
 use super::super::quaternion::{self, dot};
 use super::super::sh_storage;
-use super::super::splat::{pack_splat, round_conic, splat_words};
+use super::super::splat::{pack_splat, round_opacity, splat_words};
 use super::super::twin::{f32_at, struct_at, vec4_at};
 use super::{
     DEFORM_PROJECT_THREADS, DeformProject, DeformProjectBuffers, DeformProjectConstants, MOTION_TABLE, SH_0, sh_basis,
@@ -216,8 +216,7 @@ fn project(b: &Inputs<'_>, frame: &Frame, constants: &DeformProjectConstants, g:
     if !e.mean.iter().chain(&root[..3]).all(|v| v.is_finite()) || !positive {
         return Outcome::Rejected;
     }
-    let (conic, log2_opacity) = round_conic(packing, [e.l11, e.l12, e.l22], log2_opacity);
-    e = Ellipse { l11: conic[0], l12: conic[1], l22: conic[2], log2_opacity, ..e };
+    e = Ellipse { log2_opacity: round_opacity(packing, log2_opacity), ..e };
     let size = frame.size;
     let tiles = if reaches_image(&e, root[3], size[0]) { e.tile_count(size) } else { 0 };
     if tiles == 0 {

@@ -110,23 +110,12 @@ pub static KNOBS: &[Knob] = &[
     },
     Knob {
         name: "colour",
-        doc: "storage of a projected splat's colour",
-        takes: "f32, f16 or unorm8",
-        values: &["f32", "f16", "unorm8"],
-        get: |q| storage_name(q.colour, "unorm8"),
-        set: |q, v| {
-            q.colour = pick(v, &[("f32", Storage::F32), ("f16", Storage::F16), ("unorm8", Storage::Bits8)])?;
-            Some(())
-        },
-    },
-    Knob {
-        name: "conic",
-        doc: "storage of a projected splat's conic and opacity",
+        doc: "storage of a projected splat's colour and opacity",
         takes: "f32 or f16",
         values: &["f32", "f16"],
-        get: |q| storage_name(q.conic, "u8"),
+        get: |q| storage_name(q.colour, "u8"),
         set: |q, v| {
-            q.conic = pick(v, &[("f32", Storage::F32), ("f16", Storage::F16)])?;
+            q.colour = pick(v, &[("f32", Storage::F32), ("f16", Storage::F16)])?;
             Some(())
         },
     },

@@ -75,7 +75,7 @@ pub struct QualityArgs {
     #[arg(long, value_name = "exact|high|fast", default_value = "high", value_parser = preset)]
     pub quality: Quality,
     /// Override single knobs of --quality (see `spgs help quality`): cull, alpha_cut, stop, depth_bits, position, sh_degree, sh, colour,
-    /// conic, table_step, interpolation, network, nonrigid, resolution
+    /// table_step, interpolation, network, nonrigid, resolution
     #[arg(long, value_name = "KNOB=VALUE,…", value_parser = knobs)]
     pub set: Option<String>,
 }
