@@ -86,7 +86,7 @@ fn the_modes_of_bench_say_how_they_are_called_now() {
         assert!(mistake(old, 2).contains(new), "{}", mistake(old, 2));
     }
     assert!(mistake(&["bench", "--synthetic", "5", "sweep"], 2).contains("--synthetic in front of `sweep`"));
-    for mode in ["frame", "train", "sweep", "paper", "ablation", "hard-cases"] {
+    for mode in ["frame", "train", "sweep", "paper", "sort", "ablation", "hard-cases"] {
         assert!(ok(&["bench", "--help"]).contains(mode) && ok(&["bench", mode, "--help"]).contains("--json"), "{mode}");
     }
 }

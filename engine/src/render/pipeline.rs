@@ -26,11 +26,11 @@ use super::mean_storage;
 use super::nonrigid_network::NONRIGID_NETWORK;
 use super::pixel_format::PixelFormat;
 use super::quality::Quality;
-use super::radix_sort::rank_by_ballot;
+use super::radix_sort::{self, SortSlices};
 use super::scene_buffers::SceneBuffers;
 use super::sort_histogram::SORT_HISTOGRAM;
-use super::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
-use super::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
+use super::sort_scatter::SORT_SCATTER;
+use super::sort_spine::SORT_SPINE;
 use super::sum_tile_counts::{SUM_TILE_COUNTS, SumTileCountsBuffers, SumTileCountsPush};
 use super::tile_ranges::{TILE_RANGES, TileRangesBuffers};
 use super::tiles::SlotBuffers;
@@ -194,31 +194,16 @@ fn sort(
     count_word: u32,
     indirect_word: u32,
 ) -> Result<()> {
-    for pass in 0..s.plan.digits.len() {
-        let (from, to) = (pass % 2, (pass + 1) % 2);
-        let histogram = s.histograms[pass].clone();
-        if s.plan.prescanned {
-            let buffers = SortSpineBuffers { counters: work.counters.clone(), histogram: histogram.clone() };
-            let label = format!("sort_spine {what} {pass}");
-            let groups = Groups::Direct(SPINE_GROUPS.into());
-            r.dispatch_labelled(&label, &SORT_SPINE, (), s.plan.spine_push(count_word), buffers, groups)?;
-        }
-        let buffers = SortScatterBuffers {
-            counters: work.counters.clone(),
-            histogram,
-            keys_in: s.keys[from].whole(),
-            values_in: Some(s.values[from].whole()),
-            keys_out: s.keys[to].whole(),
-            values_out: Some(s.values[to].whole()),
-            next_histogram: s.histograms.get(pass + 1).cloned(),
-        };
-        let push = s.plan.scatter_push(pass, count_word);
-        let label = format!("sort_scatter {what} {pass}");
-        let groups = Groups::Indirect(work.indirect.clone(), u64::from(indirect_word) * 4);
-        let constants = s.plan.scatter_constants(pass, true, rank_by_ballot(r.subgroup_size_of(&SORT_SCATTER)));
-        r.dispatch_labelled(&label, &SORT_SCATTER, constants, push, buffers, groups)?;
-    }
-    Ok(())
+    let slices = SortSlices {
+        counters: work.counters.clone(),
+        count_word,
+        keys: [0, 1].map(|i: usize| s.keys[i].whole()),
+        values: [0, 1].map(|i: usize| s.values[i].whole()),
+        histograms: s.histograms.clone(),
+    };
+    radix_sort::record(r, what, &s.plan, &slices, || {
+        Groups::Indirect(work.indirect.clone(), u64::from(indirect_word) * 4)
+    })
 }
 
 fn emit(r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: &Shape) -> Result<()> {

@@ -5,6 +5,12 @@
 //! pass. Past [`SPINE_PARTITIONS`] partitions `sort_spine` scans the rows first. No workgroup waits for another, and
 //! the result does not depend on the subgroup size.
 
+mod device_sort;
+mod record;
+
+pub use device_sort::DeviceSort;
+pub(crate) use record::{SortSlices, record};
+
 use super::limits::{SORT_DIGITS, SORT_PARTITION};
 use super::sort_histogram::SortHistogramPush;
 use super::sort_scatter::{NOT_PRESCANNED, SortScatterConstants, SortScatterPush};

@@ -6,7 +6,7 @@ use super::trainer::Trainer;
 use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::render::{RenderOptions, Renderer};
-use crate::scene::{Camera, Deformation, Gaussians, MotionSource, Scene};
+use crate::scene::{Camera, Deformation, Gaussians, MotionSource, Scene, Superpoints};
 
 /// Smallest α that is drawn: a Gaussian whose opacity is below it shows nowhere.
 const MIN_ALPHA: f32 = 1.0 / 255.0;
@@ -44,6 +44,7 @@ pub fn export(gpu: &Gpu, trainer: &Trainer, cameras: &[Camera]) -> Result<Export
             times.len(),
             baked.error_px
         ));
+        warn_of_idle("superpoints", without_gaussians(&superpoints), superpoints.position.len());
         if !keep {
             decisions.push(format!(
                 "superpoints: {} of {}; {} never move and share one or none",
@@ -59,6 +60,23 @@ pub fn export(gpu: &Gpu, trainer: &Trainer, cameras: &[Camera]) -> Result<Export
     }
     drop_sh(gpu, &mut scene, cameras, trainer, &mut decisions)?;
     Ok(Exported { scene, decisions })
+}
+
+/// Superpoints that no Gaussian moves with.
+fn without_gaussians(superpoints: &Superpoints) -> usize {
+    let mut used = vec![false; superpoints.position.len()];
+    superpoints.of_gaussian.iter().for_each(|&j| used[j as usize] = true);
+    used.iter().filter(|used| !**used).count()
+}
+
+/// Says so when more than a tenth of what was trained serves nothing: often a sign of first points where no image sees them.
+fn warn_of_idle(what: &str, idle: usize, all: usize) {
+    if 10 * idle > all {
+        log::warn!(
+            "{idle} of {all} {what} serve nothing at the end: are the first points where the images see them (gaussians.random_extent), \
+             and is the background theirs (background)?"
+        );
+    }
 }
 
 /// Puts the baked table where the trained motion was. Network G stays; network F and the association if they are to be kept.
@@ -97,6 +115,7 @@ fn drop_invisible(scene: &mut Scene, decisions: &mut Vec<String>) {
     if after == before {
         return;
     }
+    warn_of_idle("Gaussians", before - after, before);
     decisions.push(format!("left out: {} of {before} Gaussians, with an opacity below 1/255", before - after));
     scene.gaussians.retain(&keep);
     scene.deformation.retain(&keep);

@@ -5,6 +5,7 @@ pub mod frame;
 pub mod hard_cases;
 pub mod paper;
 mod scene;
+pub mod sort;
 pub mod sweep;
 pub mod train;
 
@@ -26,6 +27,7 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<ExitCode> {
         Some(BenchMode::Sweep(args)) => sweep::run(args, global),
         Some(BenchMode::Paper(args)) => paper::run(args, global),
         Some(BenchMode::Ablation(args)) => ablation::run(args, global),
+        Some(BenchMode::Sort(args)) => sort::run(args, global),
         Some(BenchMode::HardCases(args)) => return hard_cases::run(args, global),
     };
     done.map(|()| ExitCode::SUCCESS)

@@ -8,10 +8,8 @@ use super::superpoint_gradient::{SUPERPOINT_GRADIENT, SuperpointGradientBuffers,
 use super::superpoint_sum::{self, SUPERPOINT_SUM, SuperpointSumBuffers, SuperpointSumConstants, SuperpointSumPush};
 use crate::error::Result;
 use crate::gpu::{Buffer, Groups, Recorder, Slice};
-use crate::render::radix_sort::rank_by_ballot;
+use crate::render::radix_sort::{self, SortSlices};
 use crate::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers};
-use crate::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
-use crate::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
 use crate::train::property_loss::PropertyLoss;
 use crate::train::property_loss::property_backward::{PROPERTY_BACKWARD, PropertyBackwardBuffers};
 use crate::train::property_loss::property_residual::{
@@ -116,30 +114,14 @@ impl SuperpointState {
         };
         let push = w.plan.histogram_push(0);
         r.dispatch_labelled("sort_histogram pairs", &SORT_HISTOGRAM, (), push, buffers, groups())?;
-        for pass in 0..w.plan.digits.len() {
-            let (from, to) = (pass % 2, (pass + 1) % 2);
-            let histogram = w.histograms[pass].whole();
-            if w.plan.prescanned {
-                let buffers = SortSpineBuffers { counters: count.clone(), histogram: histogram.clone() };
-                let label = format!("sort_spine pairs {pass}");
-                let spine = Groups::Direct(SPINE_GROUPS.into());
-                r.dispatch_labelled(&label, &SORT_SPINE, (), w.plan.spine_push(0), buffers, spine)?;
-            }
-            let buffers = SortScatterBuffers {
-                counters: count.clone(),
-                histogram,
-                keys_in: w.keys[from].whole(),
-                values_in: Some(w.values[from].whole()),
-                keys_out: w.keys[to].whole(),
-                values_out: Some(w.values[to].whole()),
-                next_histogram: w.histograms.get(pass + 1).map(Buffer::whole),
-            };
-            let push = w.plan.scatter_push(pass, 0);
-            let constants = w.plan.scatter_constants(pass, true, rank_by_ballot(r.subgroup_size_of(&SORT_SCATTER)));
-            let label = format!("sort_scatter pairs {pass}");
-            r.dispatch_labelled(&label, &SORT_SCATTER, constants, push, buffers, groups())?;
-        }
-        Ok(())
+        let slices = SortSlices {
+            counters: count,
+            count_word: 0,
+            keys: [0, 1].map(|i: usize| w.keys[i].whole()),
+            values: [0, 1].map(|i: usize| w.values[i].whole()),
+            histograms: w.histograms.iter().map(Buffer::whole).collect(),
+        };
+        radix_sort::record(r, "pairs", &w.plan, &slices, groups)
     }
 
     fn record_code(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {

@@ -42,6 +42,8 @@ pub enum BenchMode {
     /// Frame rates by the paper's protocol and over all views of --cameras, beside the paper's numbers; how the cost grows with
     /// Gaussians, superpoints and pixels.
     Paper(PaperArgs),
+    /// Measure the radix sort by itself, beside the rate of copies
+    Sort(SortArgs),
     /// Run the paper's ablations on a data set, beside the paper's rows
     ///
     /// One training run per setting.
@@ -215,6 +217,20 @@ pub struct PaperArgs {
     /// Seconds that it may take, roughly; it says what it leaves out; 0: no curves
     #[arg(long, value_name = "S", default_value_t = 180.0, value_parser = seconds)]
     pub budget: f64,
+    /// Where the results go
+    #[command(flatten)]
+    pub results: ResultArgs,
+}
+
+/// `spgs bench sort`.
+#[derive(Debug, Args)]
+pub struct SortArgs {
+    /// Keys to sort, each with a value of 32 bits
+    #[arg(long, value_name = "N,…", value_delimiter = ',', default_value = "131072,1048576,33554432", value_parser = clap::value_parser!(u32).range(1..=1 << 30))]
+    pub keys: Vec<u32>,
+    /// Runs of each, after a first one
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub runs: u32,
     /// Where the results go
     #[command(flatten)]
     pub results: ResultArgs,

@@ -52,6 +52,7 @@ const ONE_VALUE: &[(&str, &str, &str)] = &[
     ("deform_network", "SKIP_LAYER", "as LAYERS"),
     ("image_loss", "TARGET", "photos are RGBA8; float targets are for tests"),
     ("ssim_forward", "TARGET", "as image_loss"),
+    ("linear_backward", "VECTORS", "the strides of both networks are multiples of four; others are for tests"),
     ("linear_update", "OUTPUT", "training ends in Adam; plain gradients are for tests"),
     ("property_backward", "NEIGHBORS", "the paper's form is recorded with the default"),
     ("property_backward", "SLOTS", "as NEIGHBORS"),

@@ -13,7 +13,7 @@ use engine::render::{
 use engine::scene::parameter::{PARAMETERS, REQUIRED};
 use engine::scene::synthetic::{moving_scene, random_optional, random_scene};
 use engine::scene::{Camera, MotionSource, NonrigidNetwork, Scene};
-use engine::train::config::{Config, Form};
+use engine::train::config::{Config, Form, LossConfig};
 use engine::train::gradient::{GradientOptions, scene_gradients};
 use engine::train::trainer::Trainer;
 
@@ -25,6 +25,8 @@ use crate::cli::camera;
 const SIZE: [u32; 2] = [64, 48];
 /// Gaussians, superpoints and key times of the scenes.
 const COUNTS: [usize; 3] = [300, 8, 4];
+/// Gaussians that are many for so few superpoints: workgroups sum over them.
+const MANY: u32 = 900;
 /// Gaussians whose sort needs a spine.
 const LARGE: usize = 530_000;
 
@@ -130,7 +132,8 @@ fn screens(gpu: &Gpu) -> Result<()> {
 fn embedded(gpu: &Gpu) -> Result<()> {
     let scene = moving();
     let formats = [PixelFormat::Rgba8, PixelFormat::Bgra8, PixelFormat::Rgba16F, PixelFormat::Rgba32F];
-    for (_, quality) in Quality::PRESETS {
+    let cut = Quality { alpha_cut: 1.0 / 64.0, ..Quality::HIGH };
+    for quality in Quality::PRESETS.into_iter().map(|(_, quality)| quality).chain([cut]) {
         let handle = SceneHandle::upload(gpu, &scene, &SceneOptions { quality, ..SceneOptions::default() })?;
         for format in formats {
             for (storage, depth) in [(false, false), (false, true), (true, false), (true, true)] {
@@ -172,15 +175,21 @@ fn variants(base: &Config) -> Vec<Config> {
 }
 
 fn training(gpu: &Gpu) -> Result<()> {
-    for superpoints in [0, COUNTS[1] as u32] {
-        let case = train::synthetic(gpu, superpoints, [0.0; 3], COUNTS[0] as u32, SIZE)?;
+    let steps = |superpoints, gaussians, variants: fn(&Config) -> Vec<Config>| {
+        let case = train::synthetic(gpu, superpoints, [0.0; 3], gaussians, SIZE)?;
         for config in variants(&case.config) {
             let mut trainer = Trainer::new(gpu, &config, &case.data, &case.first)?;
             trainer.step()?;
             trainer.step()?;
         }
-    }
-    Ok(())
+        Ok(())
+    };
+    let [gaussians, superpoints, _] = COUNTS.map(|count| count as u32);
+    steps(0, gaussians, variants)?;
+    steps(superpoints, gaussians, variants)?;
+    steps(superpoints, MANY, |base| {
+        vec![base.clone(), Config { loss: LossConfig { prop_loss: Form::Paper, ..base.loss.clone() }, ..base.clone() }]
+    })
 }
 
 fn nonrigid_training(gpu: &Gpu) -> Result<()> {
