@@ -15,7 +15,7 @@ const END: &str = "<!-- end of measurements -->\n";
 
 /// What is recorded: the file's name without `DEVICE_` in front and `.json` behind, and the arguments of `spgs`.
 /// `$SPGS_DATA` is the folder of real data.
-const RECORDINGS: [(&str, &str); 10] = [
+const RECORDINGS: [(&str, &str); 11] = [
     (
         "bench_s50k",
         "bench frame $SPGS_DATA/bench_s50k/model.ply --cameras $SPGS_DATA/bench_s50k --split train --frames 100 --check",
@@ -38,6 +38,7 @@ const RECORDINGS: [(&str, &str); 10] = [
     ),
     ("sweep_100k", "bench sweep --synthetic 100000 --superpoints 300"),
     ("train_sweep", "bench train --sweep"),
+    ("sort", "bench sort"),
 ];
 
 /// The commands that record everything on a device whose files begin with `device`.
@@ -142,6 +143,7 @@ fn what(record: &Value) -> String {
         Some("paper") => format!("Frame rate, {}, {}×{}", scene(), n("/path/width"), n("/path/height")),
         Some("until_psnr") => format!("Training to {} dB", n("/wanted_psnr")),
         Some("ablation") => format!("Ablations, {} iterations", grouped(n("/iterations"))),
+        Some("sort") => "Sorts of 32-bit keys with values".into(),
         Some(other) => format!("{}{}", other[..1].to_uppercase(), other[1..].replace('_', " ")),
         None if record.get("measurement").is_some() => {
             format!("Frame, {}, {}×{}", scene(), n("/view/width"), n("/view/height"))
@@ -168,6 +170,7 @@ fn result(record: &Value) -> String {
             None => format!("not reached; {:.1} iterations/s", n("/run/iterations_per_second")),
         },
         Some("ablation") => ablation(record),
+        Some("sort") => sorts(record),
         Some(_) => "see the file".into(),
         None if record.get("measurement").is_some() => {
             let error = match record.pointer("/error_against_f64/psnr").and_then(Value::as_f64) {
@@ -223,6 +226,20 @@ fn paper(record: &Value) -> String {
         text += &format!("; cost grows with the power: {}", exponents.join(", "));
     }
     text
+}
+
+/// Rate of each sort.
+fn sorts(record: &Value) -> String {
+    let all = record.get("sorts").and_then(Value::as_array).into_iter().flatten();
+    let one = |s: &Value| {
+        let share = 100.0 * number(s, "/of_copy_bandwidth");
+        format!(
+            "{} keys: {:.1} million/s, {share:.0} % of copy",
+            grouped(number(s, "/keys")),
+            number(s, "/keys_per_s") / 1e6
+        )
+    };
+    all.map(one).collect::<Vec<_>>().join("; ")
 }
 
 /// First and last PSNR of each ablation.
