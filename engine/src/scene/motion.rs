@@ -32,6 +32,24 @@ pub struct Motion {
     pub translation: Vec<[f32; 3]>,
 }
 
+/// Soft superpoints: each Gaussian moves with K superpoints at once. Its centre is μ(t) = Σ_k w_k (Exp(r_k)μ + τ_k), its
+/// rotation the normalised Σ_k ±w_k q_k of the unit quaternions q_k of Exp(r_k), with the signs that bring each to the side
+/// of the heaviest one's, times its own (linear blend skinning, as in SC-GS). Play-back normalises the weights.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Blend {
+    /// K, 1 to [`Blend::MOST_NEIGHBORS`].
+    pub neighbors: usize,
+    /// `[N,K]` superpoint indices.
+    pub index: Vec<u32>,
+    /// `[N,K]` weights ≥ 0 with a sum > 0.
+    pub weight: Vec<f32>,
+}
+
+impl Blend {
+    /// Most superpoints that a Gaussian moves with.
+    pub const MOST_NEIGHBORS: usize = 4;
+}
+
 /// Sparse association matrix A: K' neighbours of each Gaussian with their logits.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Association {

@@ -46,6 +46,7 @@ pub(super) fn apply(scene: &mut Scene, weights: &Weights<'_>, path: &Path, warni
                 warnings.push(format!("{}: its table of poses is empty: network F gives the motion", path.display()));
             }
             scene.deformation = Deformation::from(SuperpointDeformation {
+                blend: None,
                 superpoints: Superpoints { of_gaussian, position },
                 table: is_filled.then_some(motion),
                 network: Some(network(weights, path)?),

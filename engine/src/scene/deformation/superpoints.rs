@@ -2,7 +2,7 @@
 
 use super::super::gaussians::retain_chunks;
 use super::super::network::finite;
-use super::super::{Association, DeformNetwork, Motion, MotionSource, NonrigidNetwork, Superpoints};
+use super::super::{Association, Blend, DeformNetwork, Motion, MotionSource, NonrigidNetwork, Superpoints};
 use super::source_missing;
 use crate::error::{Error, Result};
 
@@ -12,6 +12,8 @@ use crate::error::{Error, Result};
 pub struct SuperpointDeformation {
     /// Which superpoint each Gaussian moves with, and the canonical superpoint centres.
     pub superpoints: Superpoints,
+    /// Soft superpoints; `None`: each Gaussian moves with one.
+    pub blend: Option<Blend>,
     /// Key-time table of poses.
     pub table: Option<Motion>,
     /// Network F, which gives poses at any time.

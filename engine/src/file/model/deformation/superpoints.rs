@@ -25,7 +25,7 @@ pub(super) fn read(tensors: &mut Tensors<'_>, n: usize) -> Result<Option<Superpo
     ];
     match (superpoints, parts.iter().find(|(_, is_there)| *is_there)) {
         (Some(superpoints), _) => {
-            Ok(Some(SuperpointDeformation { superpoints, table, network, association, nonrigid: None }))
+            Ok(Some(SuperpointDeformation { superpoints, blend: None, table, network, association, nonrigid: None }))
         }
         (None, None) => Ok(None),
         (None, Some((name, _))) => {
