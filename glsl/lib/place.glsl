@@ -1,10 +1,13 @@
 // Where a Gaussian is at the frame's time: rigidly moved by its superpoint, then shifted by its non-rigid offset. Shared by
-// `deform_project` and its backward, which declare the buffers mean, log_scale, rotation, superpoint_of_gaussian, pose and
-// nonrigid_offset and the constants MOTION and NONRIGID. Include lib/frame.glsl, quaternion.glsl and projection.glsl first.
+// `deform_project` and its backward, which declare the buffers mean, log_scale, rotation, superpoint_of_gaussian, pose, blend
+// and nonrigid_offset and the constants MOTION, BLEND and NONRIGID. Include lib/frame.glsl, quaternion.glsl and projection.glsl
+// first.
 #ifndef SPGS_PLACE
 #define SPGS_PLACE
 
-// Camera-relative centre d and rotation `turn` of Exp(r); false when a number that enters is unusable, which then moves nothing.
+#include "superpoint_motion.glsl"
+
+// Camera-relative centre d and rotation `turn` of its superpoints; false when a number that enters is unusable, which then moves nothing.
 // One way out, here and below: subgroup operations follow, and where lanes meet after early returns is left to compilers.
 //
 // In two parts, d is exact for a camera and a Gaussian that share a large offset from the origin.
@@ -15,20 +18,9 @@ bool place_mean(uint g, uint n, vec3 canonical, out vec3 d, out vec4 turn) {
     bool usable = true;
     uint motion = MOTION;
     if (motion == 1u) {
-        uint superpoint = superpoint_of_gaussian[g];
-        usable = superpoint < frame.superpoints;
-        if (usable) {
-            uint first = 2u * (frame.first_key * frame.superpoints + superpoint);
-            uint second = 2u * (frame.second_key * frame.superpoints + superpoint);
-            float weight = frame.key_weight;
-            vec3 r = pose[first].xyz * (1.0 - weight) + pose[second].xyz * weight;
-            vec3 translation = pose[first + 1u].xyz * (1.0 - weight) + pose[second + 1u].xyz * weight;
-            usable = within(r, MAX_ABS_TRANSLATION) && within(translation, MAX_ABS_TRANSLATION);
-            if (usable) {
-                turn = quaternion_exp(r);
-                d += quaternion_displacement(turn, canonical) + translation;
-            }
-        }
+        vec3 displacement;
+        usable = superpoint_motion(g, n, canonical, displacement, turn);
+        d += displacement;
     }
     uint nonrigid = NONRIGID;
     if (nonrigid == 1u) {

@@ -3,6 +3,7 @@
 //
 // Formulas (engine::reference holds the same in f64):
 //   mean(t) = Exp(r) mean + tau, R(t) = Exp(r) R(q / |q|), (r, tau) interpolated between two keys;
+//   with soft superpoints: weighted means of these over K superpoints (lib/superpoint_motion.glsl);
 //   with non-rigid offsets: mean(t) + dx, norm(Exp(r) q / |q| + dq), exp(log_scale) + ds;
 //   cov = J W R S S R' W' J' + 0.3 I with J at the clamped tangents; colour = max(0, 0.5 + sum of SH), not rotated.
 #version 460
@@ -21,6 +22,7 @@ layout(constant_id = 6) const uint PACKING = 0;    // see lib/splat.glsl
 layout(constant_id = 7) const uint SH_STORAGE = 0; // 0 f32, 1 f16, 2 u8 with a range per plane (band 0: f16)
 layout(constant_id = 8) const uint MEAN_STORAGE = 0; // 0 f32, 1 unorm16 with a range per coordinate
 layout(constant_id = 9) const uint OPTIONAL = 0; // HAS_* of the optional parameters
+layout(constant_id = 10) const uint BLEND = 0; // see lib/superpoint_motion.glsl
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
@@ -50,6 +52,7 @@ layout(std430, set = 0, binding = 13) buffer VisibleBlockBlock { uint visible_bl
 layout(std430, set = 0, binding = 14) buffer CountersBlock { uint counters[]; };
 layout(std430, set = 0, binding = 15) readonly buffer NonrigidOffsetBlock { float nonrigid_offset[]; };
 layout(std430, set = 0, binding = 16) readonly buffer OptionalBlock { float optional[]; };
+layout(std430, set = 0, binding = 17) readonly buffer BlendBlock { uint blend[]; };
 
 #include "lib/place.glsl"
 

@@ -16,6 +16,7 @@ layout(local_size_x = 128) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 1) const uint MOTION = 1; // 0 static, 1 pose table
 layout(constant_id = 2) const uint STAGE = 1;
+layout(constant_id = 3) const uint BLEND = 0; // see lib/superpoint_motion.glsl
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
@@ -29,6 +30,7 @@ layout(std430, set = 0, binding = 2) readonly buffer SuperpointOfGaussianBlock {
 layout(std430, set = 0, binding = 3) readonly buffer PoseBlock { vec4 pose[]; };
 layout(std430, set = 0, binding = 4) readonly buffer ParameterBlock { vec4 parameter[]; };
 layout(std430, set = 0, binding = 5) writeonly buffer NonrigidOffsetBlock { float nonrigid_offset[]; }; // [10][N]
+layout(std430, set = 0, binding = 6) readonly buffer BlendBlock { uint blend[]; };
 
 layout(push_constant) uniform Push { float origin_x; float origin_y; float origin_z; } push;
 

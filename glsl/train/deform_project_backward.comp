@@ -14,6 +14,7 @@ layout(constant_id = 3) const uint NONRIGID = 0;  // 1: nonrigid_offset is added
 layout(constant_id = 4) const uint OUTPUT = 0;    // 0 gradients, 1 Adam
 layout(constant_id = 5) const uint MEAN_GRADIENT = 0; // 1: mean_gradient, of other losses, is added
 layout(constant_id = 6) const uint OPTIONAL = 0;  // HAS_* of the optional parameters
+layout(constant_id = 7) const uint BLEND = 0;     // see lib/superpoint_motion.glsl
 
 #define STEP_BINDING 1
 #define STATUS_BINDING 3
@@ -52,6 +53,7 @@ layout(std430, set = 0, binding = 23) buffer DensityBlock { float density[]; };
 layout(std430, set = 0, binding = 24) buffer MaxRadiusBlock { float max_radius[]; };
 layout(std430, set = 0, binding = 25) readonly buffer MeanGradientBlock { float mean_gradient[]; };
 layout(std430, set = 0, binding = 26) buffer OptionalBlock { float optional[]; };
+layout(std430, set = 0, binding = 27) readonly buffer BlendBlock { uint blend[]; };
 
 #include "lib/place.glsl"
 #include "lib/project_backward.glsl"
@@ -62,8 +64,8 @@ struct Gradient {
     vec3 log_scale;
     vec4 rotation;
     float opacity_logit;
-    vec3 omega;       // left tangent of the superpoint's rotation
-    vec3 translation; // of the superpoint
+    vec3 omega;       // left tangent of the superpoints' rotation
+    vec3 translation; // of the moved centre
     vec4 offset_q;
     vec3 offset_s;
 };
@@ -216,6 +218,19 @@ void gather_statistics(uint g, uint n, vec2 mean2d, float radius) {
     max_radius[g] = number_is_finite(radius) ? max(before, radius) : before;
 }
 
+// Gradient of the canonical centre through the rotations of soft superpoints, less `moved` itself.
+vec3 blend_mean_gradient(uint g, uint n, vec3 moved) {
+    uint slots = BLEND;
+    vec3 sum = vec3(0.0);
+    for (uint slot = 0u; slot < slots; slot++) {
+        vec4 turn;
+        vec3 translation;
+        read_pose(blend_superpoint(g, n, slot), turn, translation);
+        sum += blend_weight(g, n, slot) * quaternion_displacement(quaternion_conjugate(turn), moved);
+    }
+    return sum;
+}
+
 // The geometry's gradients of a visible Gaussian; `direction` is the colour's gradient of d.
 Gradient geometry_backward(uint g, uint n, vec3 canonical, vec3 d, vec4 turn, Shape shape, vec3 direction) {
     vec3 axis_0;
@@ -264,10 +279,16 @@ Gradient geometry_backward(uint g, uint n, vec3 canonical, vec3 d, vec4 turn, Sh
     o.mean = moved;
     o.omega = vec3(0.0);
     uint motion = MOTION;
+    uint slots = BLEND;
     if (motion == 1u) {
-        vec3 turned = canonical + quaternion_displacement(turn, canonical);
-        o.omega = local + quaternion_displacement(shape.rigid, local) + cross(turned, moved);
-        o.mean = moved + quaternion_displacement(quaternion_conjugate(turn), moved);
+        o.omega = local + quaternion_displacement(shape.rigid, local);
+        if (slots == 0u) {
+            vec3 turned = canonical + quaternion_displacement(turn, canonical);
+            o.omega += cross(turned, moved);
+            o.mean = moved + quaternion_displacement(quaternion_conjugate(turn), moved);
+        } else {
+            o.mean = moved + blend_mean_gradient(g, n, moved);
+        }
     }
     o.opacity_logit = splat_gradient[row] / (1.0 + exp(opacity_logit[g]));
     return o;
@@ -279,14 +300,51 @@ float checked(inout bool finite, float x) {
     return ok ? x : 0.0;
 }
 
-void write_pose_gradient(uint g, uint n, Gradient o) {
+// Planes first .. first + 5 of Gaussian g: left tangent of a superpoint's rotation, and translation.
+bool write_pose(uint first, uint g, uint n, vec3 omega, vec3 translation) {
     bool finite = true;
-    pose_gradient[g] = checked(finite, o.omega.x);
-    pose_gradient[n + g] = checked(finite, o.omega.y);
-    pose_gradient[2u * n + g] = checked(finite, o.omega.z);
-    pose_gradient[3u * n + g] = checked(finite, o.translation.x);
-    pose_gradient[4u * n + g] = checked(finite, o.translation.y);
-    pose_gradient[5u * n + g] = checked(finite, o.translation.z);
+    uint at = first * n + g;
+    pose_gradient[at] = checked(finite, omega.x);
+    pose_gradient[at + n] = checked(finite, omega.y);
+    pose_gradient[at + 2u * n] = checked(finite, omega.z);
+    pose_gradient[at + 3u * n] = checked(finite, translation.x);
+    pose_gradient[at + 4u * n] = checked(finite, translation.y);
+    pose_gradient[at + 5u * n] = checked(finite, translation.z);
+    return finite;
+}
+
+// What each slot of a Gaussian's soft superpoints gets: its pose's gradient, and that of its weight with the others held. With
+// turn = sum / |sum|: dL/dsum = 2 (0, omega) turn / |sum|, normal to sum.
+bool write_blend_gradient(uint g, uint n, vec3 canonical, Gradient o) {
+    uint slots = BLEND;
+    vec4 sum;
+    vec3 displacement;
+    bool usable = blend_motion(g, n, canonical, sum, displacement);
+    float norm2 = dot(sum, sum);
+    vec4 sum_gradient = usable ? quaternion_product(vec4(0.0, o.omega), sum) * (2.0 / norm2) : vec4(0.0);
+    vec4 heaviest;
+    vec3 translation;
+    read_pose(blend_superpoint(g, n, heaviest_slot(g, n)), heaviest, translation);
+    bool finite = true;
+    for (uint slot = 0u; slot < slots; slot++) {
+        vec4 turn;
+        read_pose(blend_superpoint(g, n, slot), turn, translation);
+        float weight = usable ? blend_weight(g, n, slot) : 0.0;
+        float side = signed_weight(1.0, turn, heaviest);
+        vec3 moved = quaternion_displacement(turn, canonical);
+        vec3 omega = 0.5 * side * quaternion_product(sum_gradient, quaternion_conjugate(turn)).yzw
+                   + cross(canonical + moved, o.translation);
+        float of_weight = dot(o.translation, moved + translation) + side * dot(sum_gradient, turn);
+        finite = write_pose(7u * slot, g, n, weight * omega, weight * o.translation) && finite;
+        pose_gradient[(7u * slot + 6u) * n + g] = checked(finite, usable ? of_weight : 0.0);
+    }
+    return finite;
+}
+
+void write_pose_gradient(uint g, uint n, vec3 canonical, Gradient o) {
+    uint slots = BLEND;
+    bool finite = slots == 0u ? write_pose(0u, g, n, o.omega, o.translation)
+                              : write_blend_gradient(g, n, canonical, o);
     if (!finite) {
         report_not_finite(STATUS_POSE, g);
     }
@@ -401,7 +459,7 @@ void main() {
         optional_backward(t, visible ? splat_gradient[12u * g] : 0.0);
         uint motion = MOTION;
         if (motion == 1u) {
-            write_pose_gradient(g, n, o);
+            write_pose_gradient(g, n, canonical, o);
         }
         uint nonrigid = NONRIGID;
         if (nonrigid == 1u) {

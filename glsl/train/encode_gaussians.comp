@@ -6,6 +6,7 @@
 layout(local_size_x = 256) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 1) const uint MOTION = 1; // 0 static, 1 pose table
+layout(constant_id = 2) const uint BLEND = 0; // see lib/superpoint_motion.glsl
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
@@ -16,6 +17,7 @@ layout(std430, set = 0, binding = 1) readonly buffer MeanBlock { float mean[]; }
 layout(std430, set = 0, binding = 2) readonly buffer SuperpointOfGaussianBlock { uint superpoint_of_gaussian[]; };
 layout(std430, set = 0, binding = 3) readonly buffer PoseBlock { vec4 pose[]; };
 layout(std430, set = 0, binding = 4) writeonly buffer EncodingBlock { float encoding[]; };
+layout(std430, set = 0, binding = 5) readonly buffer BlendBlock { uint blend[]; };
 
 layout(push_constant) uniform Push { uint first_row; uint rows; } push;
 

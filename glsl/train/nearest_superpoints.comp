@@ -6,9 +6,12 @@
 
 // The K nearest superpoints of each Gaussian in canonical space, exact, nearest first, ties by lowest index; the row of
 // remembered superpoints is brought up to date (in use first, then those that left, latest first); softmax of the logits;
-// pairs (superpoint, slot and Gaussian) for the sort.
+// pairs (superpoint, slot and Gaussian) for the sort. With soft superpoints (BLEND, which is NEIGHBORS then) the weights also
+// go to `blend`, as lib/superpoint_motion.glsl has it; this kernel then runs before the frame, and running it again changes
+// nothing.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
+layout(constant_id = 3) const uint BLEND = 0u;
 
 #define STEP_BINDING 0
 #include "lib/step.glsl"
@@ -33,6 +36,7 @@ layout(std430, set = 0, binding = 9) writeonly buffer WeightBlock { float weight
 layout(std430, set = 0, binding = 10) writeonly buffer NextSuperpointBlock { uint next_superpoint[]; };
 layout(std430, set = 0, binding = 11) writeonly buffer PairKeyBlock { uint pair_key[]; };
 layout(std430, set = 0, binding = 12) writeonly buffer PairValueBlock { uint pair_value[]; };
+layout(std430, set = 0, binding = 14) writeonly buffer BlendBlock { uint blend[]; };
 
 const uint INFINITE = 0x7f800000u;
 const uint LARGEST = 0x7f7fffffu;
@@ -155,8 +159,32 @@ void update_row(uint row, uint nearest[MAX_NEIGHBORS]) {
     [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
         changed = changed || (k < neighbors && old[k] != nearest[k]);
     }
-    if (changed && counters[COUNT_FAILED] == 0u) {
+    uint blended = BLEND;
+    if (changed && (blended != 0u || counters[COUNT_FAILED] == 0u)) {
         rearrange(row, old, nearest);
+    }
+}
+
+// Superpoints and weights in unorm16. What rounding leaves of the sum goes to the slot `heaviest`.
+void write_blend(uint i, uint nearest[MAX_NEIGHBORS], float value[MAX_NEIGHBORS], uint heaviest) {
+    uint slots = BLEND;
+    uint n = step_data.gaussians;
+    uint level[4];
+    int rest = 65535;
+    [[unroll]] for (uint k = 0u; k < 4u; k++) {
+        level[k] = k < slots ? uint(value[k] * 65535.0 + 0.5) : 0u;
+        rest -= int(level[k]);
+    }
+    [[unroll]] for (uint k = 0u; k < 4u; k++) {
+        level[k] += k == heaviest ? uint(rest) : 0u;
+    }
+    uint planes = (slots + 1u) / 2u;
+    [[unroll]] for (uint p = 0u; p < 2u; p++) {
+        if (p < planes) {
+            uint second = 2u * p + 1u < slots ? nearest[2u * p + 1u] : 0u;
+            blend[p * n + i] = nearest[2u * p] | (second << 16u);
+            blend[(planes + p) * n + i] = level[2u * p] | (level[2u * p + 1u] << 16u);
+        }
     }
 }
 
@@ -168,6 +196,7 @@ void write_weights(uint i, uint row, uint nearest[MAX_NEIGHBORS]) {
     bool finite = true;
     float top = 0.0;
     uint best = 0u;
+    uint heaviest = 0u;
     [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
         if (k < neighbors) {
             value[k] = logit[row + k];
@@ -175,6 +204,7 @@ void write_weights(uint i, uint row, uint nearest[MAX_NEIGHBORS]) {
             bool larger = k == 0u || value[k] > top;
             top = larger ? value[k] : top;
             best = larger ? nearest[k] : best;
+            heaviest = larger ? k : heaviest;
         }
     }
     float sum = 0.0;
@@ -186,8 +216,13 @@ void write_weights(uint i, uint row, uint nearest[MAX_NEIGHBORS]) {
     }
     [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
         if (k < neighbors) {
-            weight[k * n + i] = finite ? value[k] / sum : 0.0;
+            value[k] = finite ? value[k] / sum : 0.0;
+            weight[k * n + i] = value[k];
         }
+    }
+    uint blended = BLEND;
+    if (blended != 0u) {
+        write_blend(i, nearest, value, finite ? heaviest : 0u);
     }
     next_superpoint[i] = finite ? best : nearest[0];
     if (!finite) {

@@ -6,10 +6,11 @@
 
 // Property reconstruction losses: how far each Gaussian's position, so(3) vector and translation are from the weighted
 // mean of its neighbouring superpoints' properties. Writes the residuals scaled to gradients, and sums of squares per
-// workgroup. In the code's form (superpoints' properties are network F's outputs) the logits are updated here.
+// workgroup. In the code's form (superpoints' properties are network F's outputs) the logits are updated here, unless DEFER.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 layout(constant_id = 3) const uint PAPER = 0u; // superpoints' properties are means over Gaussians (property_sum)
+layout(constant_id = 4) const uint DEFER = 0u; // the logits' gradient goes to logit_gradient: association_update adds to it
 
 #define STEP_BINDING 0
 #include "lib/step.glsl"
@@ -39,6 +40,7 @@ layout(std430, set = 0, binding = 10) buffer LogitMoment1Block { float logit_mom
 layout(std430, set = 0, binding = 11) buffer LogitMoment2Block { float logit_moment_2[]; };
 layout(std430, set = 0, binding = 12) writeonly buffer ResidualBlock { float residual[]; };
 layout(std430, set = 0, binding = 13) writeonly buffer LossPartialBlock { vec4 loss_partial[]; };
+layout(std430, set = 0, binding = 15) writeonly buffer LogitGradientBlock { float logit_gradient[]; };
 
 #include "lib/property.glsl"
 #include "lib/property_mean.glsl"
@@ -123,7 +125,16 @@ void main() {
                     gradient[k] = -a[k] * (dot(g_p, p[k] - mean_p) + dot(g_r, r[k] - mean_r) + dot(g_t, t[k] - mean_t));
                 }
             }
-            update_logits(i, gradient);
+            uint defer = DEFER;
+            if (defer == 0u) {
+                update_logits(i, gradient);
+            } else {
+                [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
+                    if (k < neighbors) {
+                        logit_gradient[k * n + i] = gradient[k];
+                    }
+                }
+            }
         }
     }
     float total = workgroup_sums(squares);

@@ -6,7 +6,8 @@
 #extension GL_EXT_control_flow_attributes : require
 
 // Sums over the Gaussians of each superpoint, by one workgroup or, where few pairs are expected, one subgroup, in a fixed order: weighted by the association
-// over all Gaussians that have it as a neighbour, unweighted over those that move with it. Pairs come sorted by superpoint,
+// over all Gaussians that have it as a neighbour, unweighted over those that move with it or, with soft superpoints, over all
+// that it moves in part (SLOT_PLANES). Pairs come sorted by superpoint,
 // then slot, then Gaussian.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
@@ -15,6 +16,7 @@ layout(constant_id = 2) const uint PAIR_PLANES = 0u; // planes of pair_data to s
 layout(constant_id = 3) const uint OWN_FIRST = 0u;   // planes OWN_FIRST .. OWN_FIRST + OWN_PLANES of own_data to sum
 layout(constant_id = 4) const uint OWN_PLANES = 0u;  // at most 9
 layout(constant_id = 5) const uint BY_SUBGROUP = 0u; // 1: a superpoint per subgroup
+layout(constant_id = 6) const uint SLOT_PLANES = 0u; // planes of own_data of each slot: every pair has its own; 0: none has
 
 #define STEP_BINDING 0
 #include "lib/step.glsl"
@@ -104,9 +106,11 @@ void add_pair(inout float sums[SUM_VALUES], uint pair) {
 
 void add_own(inout float sums[SUM_VALUES], uint pair) {
     uint planes = OWN_PLANES;
-    uint first = OWN_FIRST;
+    uint slot_planes = SLOT_PLANES;
     uint n = step_data.gaussians;
-    uint i = pair_value[pair] & PAIR_MASK;
+    uint value = pair_value[pair];
+    uint i = value & PAIR_MASK;
+    uint first = OWN_FIRST + (value >> PAIR_SHIFT) * slot_planes;
     float addend[SUM_VALUES];
     [[unroll]] for (uint c = 0u; c < 9u; c++) {
         addend[c] = c < planes ? own_data[(first + c) * n + i] : 0.0;
@@ -164,6 +168,7 @@ void main() {
     uint moments = MOMENTS;
     uint pair_planes = PAIR_PLANES;
     uint own_planes = OWN_PLANES;
+    uint slot_planes = SLOT_PLANES;
     uint by_subgroup = BY_SUBGROUP;
     uint superpoint = by_subgroup == 1u ? workgroup_index() * gl_NumSubgroups + gl_SubgroupID : workgroup_index();
     uint member = by_subgroup == 1u ? gl_SubgroupInvocationID : thread_index();
@@ -179,7 +184,8 @@ void main() {
         }
     }
     if (own_planes != 0u) {
-        for (uint pair = segment.y + member; pair < segment.z; pair += members) {
+        uvec2 own = slot_planes != 0u ? segment.xy : segment.yz;
+        for (uint pair = own.x + member; pair < own.y; pair += members) {
             add_own(sums, pair);
         }
     }

@@ -7,10 +7,11 @@ use engine::render::deform_project::{
 };
 use engine::render::ellipse::Ellipse;
 use engine::render::frame::{Frame, FrameOptions};
+use engine::render::superpoint_motion::pack_blend;
 use engine::render::twin::vec4_at;
 use engine::scene::parameter::Optional;
 use engine::scene::synthetic::random_optional;
-use engine::scene::{Camera, Gaussians, Motion, Scene, SuperpointDeformation, Superpoints};
+use engine::scene::{Blend, Camera, Gaussians, Motion, Scene, SuperpointDeformation, Superpoints};
 use glam::DVec3;
 
 use crate::KernelCase;
@@ -63,6 +64,8 @@ pub struct RenderInput {
     pub pose: Vec<f32>,
     /// M.
     pub superpoints: u32,
+    /// Soft superpoints; none: each Gaussian moves with one.
+    pub blend: Option<Blend>,
     /// `[10][N]`; empty without non-rigid offsets.
     pub nonrigid_offset: Vec<f32>,
     /// Optional parameters.
@@ -86,6 +89,7 @@ impl RenderInput {
             superpoint_of_gaussian: vec![0; count.max(1)],
             pose: Vec::new(),
             superpoints: 0,
+            blend: None,
             nonrigid_offset: Vec::new(),
             optional: Optional::default(),
         }
@@ -117,6 +121,30 @@ impl RenderInput {
             .flat_map(|_| [r.range(-0.8, 0.8), r.range(-0.8, 0.8), r.range(-0.8, 0.8), 0.0])
             .collect();
         self
+    }
+
+    /// Makes the superpoints soft: `neighbors` of them move each Gaussian, with random weights, some of them 0 or alike.
+    #[must_use]
+    pub fn soft(mut self, neighbors: usize, seed: u64) -> Self {
+        let mut r = Random(seed);
+        let slots = neighbors * self.count;
+        let index = (0..slots).map(|_| (r.bits() % u64::from(self.superpoints)) as u32).collect();
+        let weight = |r: &mut Random| [0.0, 0.25, 0.25, r.unit(), r.unit()][(r.bits() % 5) as usize];
+        let mut weight: Vec<f32> = (0..slots).map(|_| weight(&mut r)).collect();
+        weight.iter_mut().step_by(neighbors).for_each(|w| *w = w.max(0.1));
+        self.blend = Some(Blend { neighbors, index, weight });
+        self
+    }
+
+    /// Words of [`RenderInput::blend`] and K; none and 0 without.
+    pub fn blend_words(&self) -> (Option<Vec<u32>>, u32) {
+        let words = |blend: &Blend| pack_blend(blend, self.superpoints as usize).expect("few superpoints");
+        (self.blend.as_ref().map(words), self.blend.as_ref().map_or(0, |b| b.neighbors as u32))
+    }
+
+    /// Words of [`RenderInput::superpoint_of_gaussian`], where a kernel reads them.
+    pub fn hard_superpoints(&self) -> Option<Vec<u32>> {
+        (!self.pose.is_empty() && self.blend.is_none()).then(|| self.superpoint_of_gaussian.clone())
     }
 
     /// Puts a nasty value into about a third of the Gaussians: NaN, infinities, zero and huge quaternions, absurd scales,
@@ -170,7 +198,11 @@ impl RenderInput {
         };
         Scene {
             gaussians,
-            deformation: SuperpointDeformation::of_table(superpoints, motion).into(),
+            deformation: SuperpointDeformation {
+                blend: self.blend.clone(),
+                ..SuperpointDeformation::of_table(superpoints, motion)
+            }
+            .into(),
             ..Scene::default()
         }
     }
@@ -186,6 +218,7 @@ impl RenderInput {
             motion: moving.into(),
             nonrigid: nonrigid.into(),
             optional: self.optional.present().0,
+            blend: self.blend_words().1,
             ..DeformProjectConstants::default()
         };
         let buffers = DeformProjectBuffers {
@@ -194,7 +227,7 @@ impl RenderInput {
             log_scale: words(&self.log_scale),
             rotation: words(&self.rotation),
             opacity_logit: words(&self.opacity_logit),
-            superpoint_of_gaussian: moving.then(|| self.superpoint_of_gaussian.clone()),
+            superpoint_of_gaussian: self.hard_superpoints(),
             pose: moving.then(|| words(&self.pose)),
             sh_0: words(&self.sh[0]),
             sh_1: sh_band(1),
@@ -206,6 +239,7 @@ impl RenderInput {
             counters: vec![0; 8],
             nonrigid_offset: nonrigid.then(|| words(&self.nonrigid_offset)),
             optional: (!self.optional.is_empty()).then(|| words(&self.optional.to_device())),
+            blend: self.blend_words().0,
         };
         let push = DeformProjectPush { block_capacity: groups };
         KernelCase { kernel: &DEFORM_PROJECT, constants, push, buffers, groups }

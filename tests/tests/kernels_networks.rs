@@ -249,7 +249,8 @@ fn network_g_matches_its_twin() {
         nonrigid_network::pack_parameters(&nonrigid()).unwrap().iter().map(|v| v.to_bits()).collect();
     for count in [1, 63, 64, 65, 500] {
         let (input, frame) = moving_input(count);
-        for motion in [0, 1] {
+        for (motion, soft) in [(0, 0), (1, 0), (1, 3)] {
+            let input = if soft > 0 { input.clone().soft(soft, 5) } else { input.clone() };
             let mut stages = vec![1];
             if gpu.subgroup_size_of(&NONRIGID_NETWORK) <= 16 {
                 stages.push(0);
@@ -259,15 +260,18 @@ fn network_g_matches_its_twin() {
                 let buffers = NonrigidNetworkBuffers {
                     frame: bytemuck::cast_slice(&[frame]).to_vec(),
                     mean: words(&input.mean),
-                    superpoint_of_gaussian: (motion == 1).then(|| input.superpoint_of_gaussian.clone()),
+                    superpoint_of_gaussian: input.hard_superpoints().filter(|_| motion == 1),
                     pose: (motion == 1).then(|| words(&input.pose)),
                     parameter: parameter.clone(),
                     nonrigid_offset: vec![0; 10 * count],
+                    blend: input.blend_words().0,
                 };
                 let push = NonrigidPush { origin_x: 0.5, origin_y: -0.25, origin_z: 0.0 };
-                let (constants, groups) = (NonrigidNetworkConstants { motion, stage }, count.div_ceil(64) as u32);
+                let blend = soft as u32;
+                let (constants, groups) =
+                    (NonrigidNetworkConstants { motion, stage, blend }, count.div_ceil(64) as u32);
                 let case = KernelCase { kernel: &NONRIGID_NETWORK, constants, push, buffers, groups };
-                let done = case.check(&gpu, &format!("N = {count}, motion {motion}, stage {stage}"));
+                let done = case.check(&gpu, &format!("N = {count}, motion {motion}, K = {soft}, stage {stage}"));
                 assert!(done.nonrigid_offset.iter().all(|w| f32::from_bits(*w).is_finite()));
             }
         }
@@ -279,18 +283,21 @@ fn encoding_of_gaussians_matches_its_twin() {
     let gpu = tests_harness::gpu();
     let (input, frame) = moving_input(300);
     for (first_row, rows) in [(0, 300_u32), (64, 100), (299, 1)] {
-        for motion in [0, 1] {
+        for (motion, soft) in [(0, 0), (1, 0), (1, 2)] {
+            let input = if soft > 0 { input.clone().soft(soft, 5) } else { input.clone() };
             let words = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<u32>>();
             let buffers = EncodeGaussiansBuffers {
                 frame: bytemuck::cast_slice(&[frame]).to_vec(),
                 mean: words(&input.mean),
-                superpoint_of_gaussian: (motion == 1).then(|| input.superpoint_of_gaussian.clone()),
+                superpoint_of_gaussian: input.hard_superpoints().filter(|_| motion == 1),
                 pose: (motion == 1).then(|| words(&input.pose)),
                 encoding: vec![0; 84 * rows as usize],
+                blend: input.blend_words().0,
             };
-            let (constants, push) = (EncodeGaussiansConstants { motion }, EncodeGaussiansPush { first_row, rows });
+            let (constants, push) =
+                (EncodeGaussiansConstants { motion, blend: soft as u32 }, EncodeGaussiansPush { first_row, rows });
             let case = KernelCase { kernel: &ENCODE_GAUSSIANS, constants, push, buffers, groups: rows.div_ceil(64) };
-            case.check(&gpu, &format!("{rows} rows, motion {motion}"));
+            case.check(&gpu, &format!("{rows} rows, motion {motion}, K = {soft}"));
         }
     }
 }

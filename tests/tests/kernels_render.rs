@@ -77,6 +77,8 @@ fn deform_project_of_random_gaussians() {
         assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("moving, n = {n}, degree {degree}"));
         let input = input.nonrigid(9 + i as u64);
         assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("non-rigid, n = {n}"));
+        let soft = input.clone().soft(2 + i % 3, 21 + i as u64);
+        assert_deform_project(&soft.deform_project(&frame).run(&gpu), n, &format!("soft superpoints, n = {n}"));
         let input = input.with_optional(17 + i as u64);
         assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("optional parameters, n = {n}"));
     }
@@ -312,6 +314,10 @@ fn images_agree_with_the_reference() {
         }
         let moving = RenderInput::random(1500, 2, 3).moving(9, 4);
         assert_close_to_reference(gpu, &moving, &test_camera(97, 160), "moving");
+        for neighbors in [1, 2, 3, 4] {
+            let soft = moving.clone().soft(neighbors, 5);
+            assert_close_to_reference(gpu, &soft, &test_camera(97, 160), &format!("{neighbors} soft superpoints"));
+        }
         let mut off_centre = test_camera(120, 90);
         (off_centre.cx, off_centre.cy, off_centre.fy) = (20.0, 100.0, 1.3 * off_centre.fy);
         assert_close_to_reference(gpu, &moving, &off_centre, "principal point off centre");

@@ -53,6 +53,8 @@ crate::gpu_constants! {
         mean_storage,
         /// Which optional parameters the scene has ([`Present`](crate::scene::parameter::Present)).
         optional,
+        /// K of soft superpoints, 2 to 4, or 0 ([`super::superpoint_motion`]).
+        blend,
     }
 }
 
@@ -68,7 +70,7 @@ crate::gpu_buffers! {
         rotation: Read F32,
         /// `[N]`
         opacity_logit: Read F32,
-        /// `[N]`; of a moving scene.
+        /// `[N]`; of a moving scene without soft superpoints.
         superpoint_of_gaussian: optional Read U32,
         /// `vec4[T][M][2]`: (r, 0), (τ, 0); of a moving scene.
         pose: optional Read F32,
@@ -87,6 +89,8 @@ crate::gpu_buffers! {
         nonrigid_offset: optional Read F32,
         /// `[planes][N]` of the optional parameters.
         optional: optional Read F32,
+        /// `[2·ceil(K/2)][N]`; of soft superpoints ([`super::superpoint_motion`]).
+        blend: optional Read U32,
     }
 }
 
@@ -109,7 +113,7 @@ crate::kernel! {
 
 /// Every Gaussian: centre, opacity, tile count (and superpoint when moving); a visible one also scale, rotation, SH, splat.
 fn deform_project_bytes(work: &Workload) -> u64 {
-    let moving = if work.get("superpoints") > 0 { 4 } else { 0 };
+    let moving = if work.get("superpoints") > 0 { work.get("blend_bytes").max(4) } else { 0 };
     let keys = work.get("superpoints") * 64;
     work.get("gaussians") * (work.get("mean_bytes") + 4 + 4 + moving + work.get("optional_bytes"))
         + work.get("visible") * (12 + 16 + work.get("sh_bytes") + work.get("splat_bytes"))

@@ -14,6 +14,7 @@ use super::field::FieldBuffers;
 use super::nonrigid_network::NonrigidBuffers;
 use super::quality::Quality;
 use super::scene_buffers::SceneBuffers;
+use super::superpoint_motion::pack_blend;
 
 pub(crate) use poses::Poses;
 
@@ -40,6 +41,8 @@ pub(crate) struct DeformationBuffers {
     pub(crate) superpoints: u32,
     /// `uint[N]`.
     pub(crate) superpoint_of_gaussian: Buffer,
+    /// K and `uint[2·ceil(K/2)][N]` of soft superpoints.
+    pub(crate) blend: Option<(u32, Buffer)>,
     /// `[T,M,2]` vec4 of the table, or `[M,2]` of the frame's time.
     pub(crate) pose: Buffer,
     pub(crate) poses: Poses,
@@ -96,7 +99,16 @@ impl DeformationBuffers {
     ) -> Result<Self> {
         let (pose, poses) = Poses::new(gpu, &scene.deformation, source, origin, quality)?;
         let of_gaussian = scene.deformation.superpoint_of_gaussian();
+        let soft = scene.deformation.superpoint_deformation().and_then(|s| s.blend.as_ref());
+        let blend = match soft.filter(|_| poses.moves()) {
+            Some(blend) => {
+                let words = pack_blend(blend, scene.deformation.superpoint_count())?;
+                Some((blend.neighbors as u32, gpu.buffer_with("blend", bytemuck::cast_slice(&words))?))
+            }
+            None => None,
+        };
         Ok(Self {
+            blend,
             superpoints: if poses.moves() { scene.deformation.superpoint_count() as u32 } else { 0 },
             superpoint_of_gaussian: gpu.buffer_with("superpoint_of_gaussian", bytemuck::cast_slice(of_gaussian))?,
             pose,
@@ -110,6 +122,7 @@ impl DeformationBuffers {
         let bytes = bytemuck::cast_slice(superpoint_of_gaussian);
         Ok(Self {
             superpoints: 0,
+            blend: None,
             superpoint_of_gaussian: gpu.buffer_with("superpoint_of_gaussian", bytes)?,
             pose: gpu.buffer("pose", 32, Memory::Device)?,
             poses: Poses::Static,
@@ -119,12 +132,27 @@ impl DeformationBuffers {
 
     /// Nothing moves any more, until a model attaches its own buffers.
     pub(crate) fn rest(&mut self) {
-        (self.superpoints, self.poses, self.offsets) = (0, Poses::Static, Offsets::None);
+        (self.superpoints, self.poses, self.offsets, self.blend) = (0, Poses::Static, Offsets::None, None);
     }
 
     /// Whether `deform_project` reads poses.
     pub(crate) fn moves(&self) -> bool {
         self.poses.moves()
+    }
+
+    /// K of soft superpoints, or 0.
+    pub(crate) fn blend_slots(&self) -> u32 {
+        self.blend.as_ref().map_or(0, |(slots, _)| *slots)
+    }
+
+    /// Soft superpoints, where the scene has them.
+    pub(crate) fn blend_slice(&self) -> Option<Slice> {
+        self.blend.as_ref().map(|(_, words)| words.whole())
+    }
+
+    /// `uint[N]`, where each Gaussian moves with one superpoint.
+    pub(crate) fn hard_superpoints(&self) -> Option<Slice> {
+        (self.moves() && self.blend.is_none()).then(|| self.superpoint_of_gaussian.whole())
     }
 
     /// The key-time table that plays, with the keys that are kept.
@@ -177,6 +205,7 @@ impl DeformationBuffers {
 
     /// Bytes on the device.
     pub(crate) fn bytes(&self) -> u64 {
-        self.superpoint_of_gaussian.bytes() + self.pose.bytes() + self.offsets.bytes()
+        let blend = self.blend.as_ref().map_or(0, |(_, words)| words.bytes());
+        self.superpoint_of_gaussian.bytes() + blend + self.pose.bytes() + self.offsets.bytes()
     }
 }

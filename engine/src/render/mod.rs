@@ -83,6 +83,8 @@ pub mod splat;
 #[doc(hidden)]
 pub mod sum_tile_counts;
 #[doc(hidden)]
+pub mod superpoint_motion;
+#[doc(hidden)]
 pub mod tile_ranges;
 #[cfg(test)]
 mod tile_tests;

@@ -8,9 +8,9 @@
 use super::angle::sin_cos;
 use super::deformation::offset_buffer;
 use super::frame::Frame;
-use super::quaternion;
 use super::scene_buffers::SceneBuffers;
-use super::twin::{f32_at, set_f32, struct_at, vec4_at};
+use super::superpoint_motion::SuperpointMotion;
+use super::twin::{f32_at, set_f32, struct_at};
 use crate::error::Result;
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::{Tolerance, Workload};
@@ -46,6 +46,8 @@ crate::gpu_constants! {
         motion,
         /// How weights reach the lanes: 0 by shuffles, else through shared memory.
         stage,
+        /// K of soft superpoints, or 0 ([`super::superpoint_motion`]).
+        blend,
     }
 }
 
@@ -60,6 +62,8 @@ crate::gpu_buffers! {
         pose: optional Read F32,
         parameter: Read F32,
         nonrigid_offset: Write F32,
+        /// `[2·ceil(K/2)][N]`; of soft superpoints.
+        blend: optional Read U32,
     }
 }
 
@@ -144,22 +148,23 @@ impl NonrigidBuffers {
         let buffers = NonrigidNetworkBuffers {
             frame: frame.whole(),
             mean: scene.parameter[MEAN].whole(),
-            superpoint_of_gaussian: moves.then(|| scene.deformation.superpoint_of_gaussian.whole()),
+            superpoint_of_gaussian: scene.deformation.hard_superpoints(),
             pose: moves.then(|| pose.whole()),
             parameter: self.parameter.whole(),
             nonrigid_offset: self.offset.whole(),
+            blend: scene.deformation.blend_slice(),
         };
-        let constants = constants(gpu, moves);
+        let constants = constants(gpu, moves, scene.deformation.blend_slots());
         record(r, scene.gaussians, constants, scene.origin.as_vec3().to_array(), buffers)?;
         Ok(self.offset.whole())
     }
 }
 
-/// Constants of [`NONRIGID_NETWORK`] on this device: moving or not, and how weights are read.
-pub fn constants(gpu: &Gpu, moving: bool) -> NonrigidNetworkConstants {
+/// Constants of [`NONRIGID_NETWORK`] on this device: moving or not, K of soft superpoints or 0, and how weights are read.
+pub fn constants(gpu: &Gpu, moving: bool, blend: u32) -> NonrigidNetworkConstants {
     // Shuffles serve lanes that share their outputs: 16 at most.
     let shuffle = gpu.info().is_cpu() && gpu.subgroup_size_of(&NONRIGID_NETWORK) <= 16;
-    NonrigidNetworkConstants { motion: moving.into(), stage: (!shuffle).into() }
+    NonrigidNetworkConstants { motion: moving.into(), stage: (!shuffle).into(), blend }
 }
 
 /// Records network G for `gaussians` Gaussians; `origin` is what was subtracted from every centre.
@@ -180,38 +185,26 @@ fn within(v: [f32; 3]) -> bool {
     v.iter().all(|x| x.is_finite() && x.abs() <= MAX_ABS_CENTRE)
 }
 
-/// Superpoint of each Gaussian and the table of poses, for twins.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct RigidMotion<'a> {
-    /// `[N]`
-    pub(crate) superpoint_of_gaussian: &'a [u32],
-    /// `vec4[T][M][2]`
-    pub(crate) pose: &'a [u32],
-}
-
 /// Twin of `glsl/lib/moved_centre.glsl`; `motion` is `None` for a scene that stands still.
-pub(crate) fn moved_centre(frame: &Frame, mean: &[u32], motion: Option<RigidMotion<'_>>, g: usize) -> [f32; 3] {
+pub(crate) fn moved_centre(frame: &Frame, mean: &[u32], motion: Option<SuperpointMotion<'_>>, g: usize) -> [f32; 3] {
     let n = frame.gaussians as usize;
     let mean: [f32; 3] = std::array::from_fn(|axis| f32_at(mean, axis * n + g));
     let Some(motion) = motion.filter(|_| within(mean)) else {
         return if within(mean) { mean } else { [0.0; 3] };
     };
-    let superpoint = motion.superpoint_of_gaussian[g];
-    if superpoint >= frame.superpoints {
-        return [0.0; 3];
-    }
-    let key = |k: u32| (2 * (k * frame.superpoints + superpoint)) as usize;
-    let weight = frame.key_weight;
-    let lerp = |offset: usize| -> [f32; 3] {
-        let pair = [frame.first_key, frame.second_key].map(|k| vec4_at(motion.pose, key(k) + offset));
-        std::array::from_fn(|i| pair[0][i] * (1.0 - weight) + pair[1][i] * weight)
-    };
-    let (r, translation) = (lerp(0), lerp(1));
-    if !within(r) || !within(translation) {
-        return [0.0; 3];
-    }
-    let turn = quaternion::displacement(quaternion::exp(r), mean);
-    std::array::from_fn(|i| mean[i] + (turn[i] + translation[i]))
+    let moved = motion.displacement(frame, g, mean);
+    moved.map_or([0.0; 3], |(shift, _)| std::array::from_fn(|i| mean[i] + shift[i]))
+}
+
+/// What moves Gaussians, for the twins of kernels that read `moved_centre`.
+pub(crate) fn superpoint_motion<'a>(
+    moving: bool,
+    blend: u32,
+    [superpoint_of_gaussian, pose, blend_words]: [Option<&'a [u32]>; 3],
+) -> Option<SuperpointMotion<'a>> {
+    let superpoint_of_gaussian = superpoint_of_gaussian.unwrap_or_default();
+    let blend = (blend, blend_words.unwrap_or_default());
+    pose.filter(|_| moving).map(|pose| SuperpointMotion { superpoint_of_gaussian, pose, blend })
 }
 
 /// Element `e` of `[p, sin 2ᵏp, cos 2ᵏp, …, t, sin 2ᵏt, cos 2ᵏt, …]`, p in 10 octaves; twin of `glsl/lib/encoding.glsl`.
@@ -230,12 +223,8 @@ fn nonrigid_network_twin(call: Call<'_, NonrigidNetworkKernel>) {
     let groups = call.group_count();
     let Call { constants, push: p, buffers: b, .. } = call;
     let frame: Frame = struct_at(b.frame, 0);
-    let motion = match (&b.superpoint_of_gaussian, &b.pose) {
-        (Some(superpoint_of_gaussian), Some(pose)) if constants.motion != 0 => {
-            Some(RigidMotion { superpoint_of_gaussian, pose })
-        }
-        _ => None,
-    };
+    let words = [b.superpoint_of_gaussian.as_deref(), b.pose.as_deref(), b.blend.as_deref()];
+    let motion = superpoint_motion(constants.motion != 0, constants.blend, words);
     let n = frame.gaussians as usize;
     for g in 0..n.min((groups * NONRIGID_GAUSSIANS) as usize) {
         let centre = moved_centre(&frame, b.mean, motion, g);

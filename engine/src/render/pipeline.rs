@@ -129,7 +129,7 @@ fn deform_project(
         log_scale: scene.parameter[LOG_SCALE].whole(),
         rotation: scene.parameter[ROTATION].whole(),
         opacity_logit: scene.parameter[OPACITY_LOGIT].whole(),
-        superpoint_of_gaussian: moves.then(|| scene.deformation.superpoint_of_gaussian.whole()),
+        superpoint_of_gaussian: scene.deformation.hard_superpoints(),
         pose: moves.then(|| pose.whole()),
         sh_0: scene.parameter[SH_0].whole(),
         sh_1: scene.band(1),
@@ -141,6 +141,7 @@ fn deform_project(
         counters: work.counters.clone(),
         nonrigid_offset,
         optional: scene.optional.as_ref().map(Buffer::whole),
+        blend: scene.deformation.blend_slice(),
     };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
     let groups = Groups::Direct(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS).into());
@@ -154,6 +155,7 @@ fn deform_project(
         sh_storage: scene.sh_storage.constant(),
         mean_storage: mean_storage::constant(quality.position),
         optional: scene.present.0,
+        blend: scene.deformation.blend_slots(),
     };
     r.dispatch(&DEFORM_PROJECT, constants, push, buffers, groups)
 }

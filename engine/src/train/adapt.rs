@@ -2,7 +2,7 @@
 
 use super::blend_backward::ROW_WORDS;
 use super::density::{Density, DensityBuffers, DensityChange, DensityOptions, NewRows, RowArray, reset_opacity};
-use super::trainer::Trainer;
+use super::trainer::{Trainer, pose_gradient_bytes};
 use crate::data::dataset::View;
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Memory};
@@ -142,7 +142,8 @@ impl Trainer {
     pub(super) fn allocate_gradients(&mut self) -> Result<()> {
         let n = u64::from(self.parameters.count().max(1));
         self.splat_gradient = self.gpu.buffer("splat_gradient", n * u64::from(ROW_WORDS) * 4, Memory::Device)?;
-        self.pose_gradient = self.gpu.buffer("pose_gradient", n * 24, Memory::Device)?;
+        let bytes = n * pose_gradient_bytes(&self.config);
+        self.pose_gradient = self.gpu.buffer("pose_gradient", bytes, Memory::Device)?;
         Ok(())
     }
 }

@@ -15,8 +15,13 @@
 //!             → network F backward
 //!             → record_commit:       assignment and centres of the next step
 //! ```
+//!
+//! With soft superpoints ([`AssociationOptions::soft`]) the softmax weights also move the Gaussians: nearest_superpoints runs
+//! before the frame, pose sums go over all pairs, and the logits' Adam waits for the image loss
+//! ([`association_update`]).
 
 pub mod association_init;
+pub mod association_update;
 pub mod nearest_superpoints;
 mod record;
 mod state;
@@ -35,6 +40,7 @@ pub static KERNELS: &[&Kernel] = &[
     &superpoint_sum::SUPERPOINT_SUM.kernel,
     &superpoint_gradient::SUPERPOINT_GRADIENT.kernel,
     &superpoint_commit::SUPERPOINT_COMMIT.kernel,
+    &association_update::ASSOCIATION_UPDATE.kernel,
 ];
 
 crate::gpu_constants! {

@@ -15,8 +15,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::data::dataset::DatasetOptions;
 use crate::error::{Error, Result};
-use crate::scene::DeformSize;
 use crate::scene::parameter::{PARAMETERS, Present, REQUIRED};
+use crate::scene::{Blend, DeformSize};
 pub use preset::Preset;
 
 /// Which form of a formula is used where paper and code disagree.
@@ -132,6 +132,9 @@ pub struct MotionConfig {
     /// value here. The code's earlier form (`quaternion_add`: a quaternion added to each Gaussian's own, centres not turned)
     /// is no rigid motion, so the model file's key-time table cannot hold what it learns.
     pub rotation: RotationForm,
+    /// Superpoints that a Gaussian moves with, 1 to 4. 1: its own one only (paper and code). More: soft superpoints, weighted by
+    /// the softmax of its association with the nearest; `neighbors` is then this number.
+    pub blend: u32,
     /// Superpoints K that a Gaussian is associated with. Paper: not stated (ablation 1–6); code: 5, the default.
     pub neighbors: u32,
     /// Slots per Gaussian that remember association values, ≥ `neighbors`: a superpoint that leaves the neighbourhood and
@@ -156,6 +159,16 @@ pub struct MotionConfig {
 }
 
 impl MotionConfig {
+    /// Whether several superpoints move a Gaussian together.
+    pub fn is_soft(&self) -> bool {
+        self.blend > 1
+    }
+
+    /// Superpoints in use per Gaussian.
+    pub fn neighbors_in_use(&self) -> u32 {
+        if self.is_soft() { self.blend } else { self.neighbors }
+    }
+
     /// How large network F is.
     pub fn network_size(&self) -> DeformSize {
         DeformSize { layers: self.network_layers as usize, width: self.network_width as usize }
@@ -393,6 +406,12 @@ impl Config {
         }
         if !(1..=7).contains(&self.motion.neighbors) {
             return wrong("motion.neighbors", self.motion.neighbors.to_string(), "1 to 7");
+        }
+        if !(1..=Blend::MOST_NEIGHBORS as u32).contains(&self.motion.blend) {
+            return wrong("motion.blend", self.motion.blend.to_string(), "1 to 4");
+        }
+        if self.motion.is_soft() && self.loss.prop_loss == Form::Paper {
+            return wrong("loss.prop_loss", "paper".into(), "code, as motion.blend is more than 1");
         }
         if !(self.motion.neighbors..=16).contains(&self.motion.association_slots) {
             let found = self.motion.association_slots.to_string();

@@ -24,11 +24,14 @@ pub(super) use record::{Output, ProjectBackward};
 
 use crate::gpu::kernel::{Kernel, Tolerance, Workload};
 use crate::render::frame::Frame;
+use crate::render::superpoint_motion::blend_planes;
 
 use super::step::Step;
 
 /// Threads per workgroup, one Gaussian each.
 pub const DEFORM_PROJECT_BACKWARD_THREADS: u32 = 128;
+/// Planes of `pose_gradient` of each slot of soft superpoints: rotation 3, translation 3, weight.
+pub const SLOT_PLANES: u32 = 7;
 /// `OUTPUT`: write the planes of `gradient`.
 pub const OUTPUT_GRADIENT: u32 = 0;
 /// `OUTPUT`: take an Adam step on the parameters.
@@ -50,6 +53,8 @@ crate::gpu_constants! {
         mean_gradient,
         /// Which optional parameters the scene has ([`Present`](crate::scene::parameter::Present)).
         optional,
+        /// K of soft superpoints, 2 to 4, or 0 ([`crate::render::superpoint_motion`]).
+        blend,
     }
 }
 
@@ -76,7 +81,7 @@ crate::gpu_buffers! {
         rotation: Update F32,
         /// `float[N]`.
         opacity_logit: Update F32,
-        /// `uint[N]`; only with motion.
+        /// `uint[N]`; only with motion, without soft superpoints.
         superpoint_of_gaussian: optional Read U32,
         /// `vec4[T][M][2]`; only with motion.
         pose: optional Read F32,
@@ -94,7 +99,8 @@ crate::gpu_buffers! {
         moment_2: optional Update F32,
         /// `float[P][N]`; only for [`OUTPUT_GRADIENT`].
         gradient: optional Write F32,
-        /// `float[6][N]`: rotation (left tangent) and translation of the superpoint; only with motion.
+        /// `float[6][N]`: rotation (left tangent) and translation of the superpoint; only with motion. With soft superpoints
+        /// `float[K][7][N]`: these of each slot ([`SLOT_PLANES`]), then the gradient of its weight with the others held.
         pose_gradient: optional Write F32,
         /// `float[10][N]`: centre, quaternion, scale; only when non-rigid.
         nonrigid_offset: optional Read F32,
@@ -108,6 +114,8 @@ crate::gpu_buffers! {
         mean_gradient: optional Read F32,
         /// `[planes][N]` of the optional parameters.
         optional: optional Update F32,
+        /// `[2·ceil(K/2)][N]`; of soft superpoints.
+        blend: optional Read U32,
     }
 }
 
@@ -132,7 +140,9 @@ crate::kernel! {
 fn deform_project_backward_bytes(work: &Workload) -> u64 {
     let planes = 11 + 3 * work.get("sh_coefficients").max(1) + work.get("optional_bytes") / 4;
     let words_per_plane = if work.get("gradient_planes") > 0 { 2 } else { 6 };
-    let moving = if work.get("superpoints") > 0 { 4 + 24 } else { 0 };
+    let slots = work.get("blend_slots");
+    let soft = 4 * u64::from(blend_planes(slots as u32)) * 2 + 4 * u64::from(SLOT_PLANES) * slots;
+    let moving = if work.get("superpoints") > 0 { soft.max(4 + 24) } else { 0 };
     let nonrigid = if work.get("nonrigid") > 0 { 80 } else { 0 };
     work.get("gaussians") * (4 * planes * words_per_plane + 4 + moving + nonrigid)
         + work.get("visible") * (9 * 4 + 12)

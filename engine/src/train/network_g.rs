@@ -195,8 +195,9 @@ impl NetworkG {
             pose: moving.then(|| Slice::clone(pose)),
             parameter: self.parameter(),
             nonrigid_offset: nonrigid_offset.clone(),
+            blend: None,
         };
-        let constants = nonrigid_network::constants(&self.gpu, *moving);
+        let constants = nonrigid_network::constants(&self.gpu, *moving, 0);
         nonrigid_network::record(r, gaussians, constants, [0.0; 3], buffers)
     }
 

@@ -6,6 +6,7 @@ mod restore;
 use super::association::AssociationOptions;
 use super::blend_backward::{Accumulation, ROW_WORDS};
 use super::config::Config;
+use super::deform_project_backward::SLOT_PLANES;
 use super::deformation::{self, Trained};
 use super::density::DensityChange;
 use super::parameters::{ParameterState, Parameters};
@@ -166,7 +167,7 @@ impl Trainer {
             status,
             readback: gpu.buffer("step readback", READBACK_BYTES, Memory::Readback)?,
             splat_gradient: gpu.buffer("splat_gradient", n * u64::from(ROW_WORDS) * 4, Memory::Device)?,
-            pose_gradient: gpu.buffer("pose_gradient", n * 24, Memory::Device)?,
+            pose_gradient: gpu.buffer("pose_gradient", n * pose_gradient_bytes(config), Memory::Device)?,
             parameters,
             profile: false,
         })
@@ -401,6 +402,12 @@ impl Trainer {
     pub fn take_density_change(&mut self) -> Option<DensityChange> {
         self.density_change.take()
     }
+}
+
+/// Bytes of `pose_gradient` per Gaussian.
+pub(super) fn pose_gradient_bytes(config: &Config) -> u64 {
+    let slots = if config.motion.is_soft() { u64::from(config.motion.blend) } else { 0 };
+    (slots * u64::from(SLOT_PLANES) * 4).max(24)
 }
 
 /// `most` Gaussians, evenly spread over the list.

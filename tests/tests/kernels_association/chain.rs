@@ -1,10 +1,17 @@
 //! The kernels of a step one by one, each against its twin, on what the device's own kernels before it left.
 
 use super::case::*;
-use engine::train::association::nearest_superpoints::{NEAREST_SUPERPOINTS, NearestSuperpointsBuffers};
+use engine::train::association::AssociationConstants;
+use engine::train::association::association_update::{
+    ASSOCIATION_UPDATE, AssociationUpdateBuffers, AssociationUpdateConstants,
+};
+use engine::train::association::nearest_superpoints::{
+    NEAREST_SUPERPOINTS, NearestSuperpointsBuffers, NearestSuperpointsConstants,
+};
 use engine::train::association::superpoint_commit::{SUPERPOINT_COMMIT, SuperpointCommitBuffers};
 use engine::train::association::superpoint_gradient::*;
 use engine::train::association::superpoint_sum::*;
+use engine::train::deform_project_backward::SLOT_PLANES;
 use engine::train::property_loss::PropertyLoss;
 use engine::train::property_loss::property_backward::{PROPERTY_BACKWARD, PropertyBackwardBuffers};
 use engine::train::property_loss::property_residual::*;
@@ -22,13 +29,13 @@ struct Chain<'a> {
 
 /// Sums of the weights and of the weighted means only.
 const MOMENTS: SuperpointSumConstants =
-    SuperpointSumConstants { moments: 1, pair_planes: 0, own_first: 0, own_planes: 0, by_subgroup: 0 };
+    SuperpointSumConstants { moments: 1, pair_planes: 0, own_first: 0, own_planes: 0, by_subgroup: 0, slot_planes: 0 };
 const NOTHING: SuperpointSumConstants = SuperpointSumConstants { moments: 0, ..MOMENTS };
 
 impl Case {
     /// Runs the whole chain. Returns logits after it.
     pub fn chain(&self, gpu: &TestGpu, form: PropertyLoss, failed: u32) -> Vec<u32> {
-        let chain = Chain::new(self, gpu, failed, format!("{form:?}, N = {}", self.mean.len()));
+        let chain = Chain::new(self, gpu, failed, false, format!("{form:?}, N = {}", self.mean.len()));
         let m = self.position.len();
         let (first, property_sum, properties, logit) = if form == PropertyLoss::Paper {
             let values = chain.values();
@@ -62,10 +69,26 @@ impl Case {
         chain.commit(first);
         logit
     }
+
+    /// Runs what soft superpoints add to the chain. Returns logits after it.
+    pub fn soft_chain(&self, gpu: &TestGpu, failed: u32) -> Vec<u32> {
+        let (n, k) = (self.mean.len(), self.neighbors as usize);
+        let chain = Chain::new(self, gpu, failed, true, format!("soft, N = {n}, K = {k}"));
+        let mut rng = Rng(98);
+        let pose_gradient = bits((0..SLOT_PLANES as usize * k * n).map(|_| rng.signed()));
+        let constants = SuperpointSumConstants { own_planes: 6, slot_planes: SLOT_PLANES, ..NOTHING };
+        chain.sum(constants, &pose_gradient);
+        let (_, before) = chain.residual(None);
+        assert_eq!(before, chain.rows.logit, "the property losses moved logits on their own");
+        let with = chain.update(&pose_gradient, Some(bits((0..k * n).map(|_| rng.signed()))));
+        let without = chain.update(&pose_gradient, None);
+        assert_eq!(with == without, failed != 0, "the property losses' part");
+        without
+    }
 }
 
 impl<'a> Chain<'a> {
-    fn new(case: &'a Case, gpu: &'a TestGpu, failed: u32, context: String) -> Self {
+    fn new(case: &'a Case, gpu: &'a TestGpu, failed: u32, soft: bool, context: String) -> Self {
         let (n, k) = (case.mean.len(), case.neighbors as usize);
         let pairs = n * (k + 1);
         let [neighbor, logit, logit_moment_1, logit_moment_2] = case.rows(5);
@@ -84,9 +107,12 @@ impl<'a> Chain<'a> {
             pair_key: vec![0; pairs],
             pair_value: vec![0; pairs],
             status: status::clear().to_vec(),
+            blend: soft.then(|| vec![0; 2 * k.div_ceil(2) * n]),
         };
         let kernel = &NEAREST_SUPERPOINTS;
-        let case_of = KernelCase { kernel, constants: case.constants(), push: (), buffers, groups: case.groups() };
+        let AssociationConstants { neighbors, slots } = case.constants();
+        let constants = NearestSuperpointsConstants { neighbors, slots, blend: if soft { neighbors } else { 0 } };
+        let case_of = KernelCase { kernel, constants, push: (), buffers, groups: case.groups() };
         let mut rows = case_of.check(gpu, &context);
         // The sort is tested on its own: here the order comes from the host.
         let mut order: Vec<usize> = (0..pairs).collect();
@@ -132,7 +158,8 @@ impl<'a> Chain<'a> {
     fn residual(&self, property_sum: Option<&Vec<u32>>) -> (Vec<u32>, Vec<u32>) {
         let (rows, n) = (&self.rows, self.case.mean.len());
         let (neighbors, slots) = (self.case.neighbors, self.case.slots);
-        let constants = PropertyResidualConstants { neighbors, slots, paper: property_sum.is_some().into() };
+        let (paper, soft) = (property_sum.is_some(), rows.blend.is_some());
+        let constants = PropertyResidualConstants { neighbors, slots, paper: paper.into(), defer: soft.into() };
         let buffers = PropertyResidualBuffers {
             step: rows.step.clone(),
             counters: rows.counters.clone(),
@@ -149,10 +176,33 @@ impl<'a> Chain<'a> {
             residual: vec![0; 9 * n],
             loss_partial: vec![0; 4 * n.div_ceil(256)],
             status: status::clear().to_vec(),
+            logit_gradient: soft.then(|| vec![0; n * neighbors as usize]),
         };
         let case = KernelCase { kernel: &PROPERTY_RESIDUAL, constants, push: (), buffers, groups: self.groups() };
         let done = case.check(self.gpu, &self.context);
         (done.residual, done.logit)
+    }
+
+    /// Logits after Adam with the gradient of the weights.
+    fn update(&self, pose_gradient: &[u32], logit_gradient: Option<Vec<u32>>) -> Vec<u32> {
+        let rows = &self.rows;
+        let (neighbors, slots) = (self.case.neighbors, self.case.slots);
+        let buffers = AssociationUpdateBuffers {
+            step: rows.step.clone(),
+            counters: rows.counters.clone(),
+            neighbor: rows.neighbor.clone(),
+            weight: rows.weight.clone(),
+            pose_gradient: pose_gradient.to_vec(),
+            logit: rows.logit.clone(),
+            logit_moment_1: rows.logit_moment_1.clone(),
+            logit_moment_2: rows.logit_moment_2.clone(),
+            status: status::clear().to_vec(),
+            logit_gradient,
+        };
+        let property = buffers.logit_gradient.is_some().into();
+        let constants = AssociationUpdateConstants { neighbors, slots, property };
+        let case = KernelCase { kernel: &ASSOCIATION_UPDATE, constants, push: (), buffers, groups: self.groups() };
+        case.check(self.gpu, &self.context).logit
     }
 
     fn values(&self) -> Vec<u32> {

@@ -6,7 +6,7 @@ use engine::scene::Camera;
 use engine::scene::parameter::{PARAMETERS, REQUIRED, first_plane, in_degree, planes};
 use engine::train::deform_project_backward::{
     DEFORM_PROJECT_BACKWARD, DEFORM_PROJECT_BACKWARD_THREADS, DeformProjectBackward, DeformProjectBackwardBuffers,
-    DeformProjectBackwardConstants, OUTPUT_GRADIENT,
+    DeformProjectBackwardConstants, OUTPUT_GRADIENT, SLOT_PLANES,
 };
 use engine::train::status;
 use engine::train::step::{Step, bias_corrections};
@@ -92,6 +92,7 @@ pub(super) fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64)
             output,
             mean_gradient: (seed % 2) as u32,
             optional: input.optional.present().0,
+            blend: input.blend_words().1,
         },
         push: (),
         buffers: Buffers {
@@ -106,7 +107,7 @@ pub(super) fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64)
             log_scale: words(&input.log_scale),
             rotation: words(&input.rotation),
             opacity_logit: words(&input.opacity_logit),
-            superpoint_of_gaussian: moving.then(|| input.superpoint_of_gaussian.clone()),
+            superpoint_of_gaussian: input.hard_superpoints(),
             pose: moving.then(|| words(&input.pose)),
             sh_0: words(&input.sh[0]),
             sh_1: band(1),
@@ -115,13 +116,14 @@ pub(super) fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64)
             moment_1: Some(moment_1),
             moment_2: Some(moment_2),
             gradient: (output == OUTPUT_GRADIENT).then(|| vec![0; planes * n]),
-            pose_gradient: moving.then(|| vec![0; 6 * n]),
+            pose_gradient: moving.then(|| vec![0; n * (SLOT_PLANES * input.blend_words().1).max(6) as usize]),
             nonrigid_offset: nonrigid.then(|| words(&input.nonrigid_offset)),
             nonrigid_gradient: nonrigid.then(|| vec![0; 10 * n]),
             density: Some(vec![0; 2 * n]),
             max_radius: Some(vec![0; n]),
             mean_gradient: (seed % 2 == 1).then_some(mean_gradient),
             optional: (!input.optional.is_empty()).then(|| words(&input.optional.to_device())),
+            blend: input.blend_words().0,
         },
         groups: (n as u32).div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1),
     }

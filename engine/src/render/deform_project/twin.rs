@@ -7,6 +7,7 @@ use super::super::mean_storage;
 use super::super::quaternion::{self, dot};
 use super::super::sh_storage;
 use super::super::splat::{pack_splat, round_opacity, splat_words};
+use super::super::superpoint_motion::SuperpointMotion;
 use super::super::twin::{f32_at, struct_at, vec4_at};
 use super::{
     DEFORM_PROJECT_THREADS, DeformProject, DeformProjectBuffers, DeformProjectConstants, MOTION_TABLE, SH_0, sh_basis,
@@ -104,25 +105,11 @@ fn reaches_image(e: &Ellipse, variance_x: f32, width: u32) -> bool {
     !left_of && !right_of
 }
 
-/// Pose of Gaussian `g` at the frame's time: the unit quaternion of Exp(r), and τ.
-fn pose_of(b: &Inputs<'_>, frame: &Frame, g: usize) -> Option<([f32; 4], [f32; 3])> {
-    let (of_gaussian, pose) = (b.superpoint_of_gaussian.as_deref()?, b.pose.as_deref()?);
-    let superpoint = of_gaussian[g];
-    if superpoint >= frame.superpoints {
-        return None;
-    }
-    let key = |k: u32| (2 * (k * frame.superpoints + superpoint)) as usize;
-    let (first, second) = (key(frame.first_key), key(frame.second_key));
-    let weight = frame.key_weight;
-    let lerp = |offset: usize| -> [f32; 3] {
-        let (a, b) = (vec4_at(pose, first + offset), vec4_at(pose, second + offset));
-        std::array::from_fn(|i| a[i] * (1.0 - weight) + b[i] * weight)
-    };
-    let (r, translation) = (lerp(0), lerp(1));
-    if !within(r, MAX_ABS_TRANSLATION) || !within(translation, MAX_ABS_TRANSLATION) {
-        return None;
-    }
-    Some((quaternion::exp(r), translation))
+/// Displacement of Gaussian `g` from `canonical` and its rotation by its superpoints.
+fn motion_of(b: &Inputs<'_>, frame: &Frame, blend: u32, canonical: [f32; 3], g: usize) -> Option<([f32; 3], [f32; 4])> {
+    let superpoint_of_gaussian = b.superpoint_of_gaussian.as_deref().unwrap_or_default();
+    let blend = (blend, b.blend.as_deref().unwrap_or_default());
+    SuperpointMotion { superpoint_of_gaussian, pose: b.pose.as_deref()?, blend }.displacement(frame, g, canonical)
 }
 
 /// Log2 of the share of the opacity that the optional parameters leave at the frame's time.
@@ -180,9 +167,10 @@ fn project(b: &Inputs<'_>, frame: &Frame, constants: &DeformProjectConstants, g:
     let mut d: [f32; 3] = std::array::from_fn(|i| (canonical[i] - high[i]) - low[i]);
     let mut turn = [1.0, 0.0, 0.0, 0.0];
     if motion == MOTION_TABLE {
-        let Some((rotation, translation)) = pose_of(b, frame, g) else { return Outcome::Rejected };
+        let moved = motion_of(b, frame, constants.blend, canonical, g);
+        let Some((displacement, rotation)) = moved else { return Outcome::Rejected };
         turn = rotation;
-        d = add(d, add(quaternion::displacement(turn, canonical), translation));
+        d = add(d, displacement);
     }
     if let Some(offset) = offset {
         let dx = planes(offset, 0, n, g);

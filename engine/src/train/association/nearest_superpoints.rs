@@ -1,12 +1,25 @@
 //! Kernel `nearest_superpoints`.
 
-use super::{AssociationConstants, MAX_NEIGHBORS, NEW_LOGIT, NO_SUPERPOINT, PAIR_SHIFT};
+use super::{MAX_NEIGHBORS, NEW_LOGIT, NO_SUPERPOINT, PAIR_SHIFT};
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 use crate::render::limits::COUNT_FAILED;
+use crate::render::superpoint_motion::{blend_words, weight_levels};
 use crate::render::twin;
 use crate::train::status;
 use crate::train::step::Step;
+
+crate::gpu_constants! {
+    /// Specialisation constants of [`NEAREST_SUPERPOINTS`].
+    pub struct NearestSuperpointsConstants {
+        /// K, superpoints in use per Gaussian.
+        neighbors,
+        /// K', superpoints remembered per Gaussian.
+        slots,
+        /// K, when they are soft superpoints: the kernel writes `blend` and runs before the frame. Else 0.
+        blend,
+    }
+}
 
 crate::gpu_buffers! {
     /// Buffers of [`NEAREST_SUPERPOINTS`].
@@ -38,6 +51,8 @@ crate::gpu_buffers! {
         /// `[K + 1][N]` slot and Gaussian ([`PAIR_SHIFT`]).
         pair_value: Write U32,
         status: Atomic U32,
+        /// `[2·ceil(K/2)][N]`, as [`crate::render::superpoint_motion`] says; of soft superpoints.
+        blend: optional Write U32,
     }
 }
 
@@ -48,12 +63,12 @@ crate::kernel! {
         name: "nearest_superpoints",
         doc: "K nearest superpoints of each Gaussian (brute force, exact), rows of the association, softmax, sort pairs",
         local_size: 256,
-        constants: AssociationConstants,
+        constants: NearestSuperpointsConstants,
         push: (),
         buffers: NearestSuperpointsBuffers,
         twin: nearest_superpoints_twin,
         tolerance: Tolerance { absolute: 1e-7, relative: 2e-6, flips: 0.0 },
-        bytes: |w| (12 + 8 * w.get("slots") + 20 * w.get("neighbors")) * w.get("gaussians"),
+        bytes: |w| (12 + 8 * w.get("slots") + 20 * w.get("neighbors") + w.get("blend_bytes")) * w.get("gaussians"),
     }
 }
 
@@ -107,16 +122,17 @@ fn softmax(logits: &[f32]) -> Option<Vec<f32>> {
 }
 
 fn nearest_superpoints_twin(call: Call<'_, NearestSuperpoints>) {
-    let Call { constants, buffers: b, .. } = call;
+    let Call { constants, buffers: mut b, .. } = call;
     let (k, slots) = (constants.neighbors as usize, constants.slots as usize);
     debug_assert!(k <= MAX_NEIGHBORS as usize, "at most {MAX_NEIGHBORS} neighbours");
     let step: Step = twin::struct_at(b.step, 0);
     let (n, m) = (step.gaussians as usize, step.superpoints as usize);
+    let may_change = constants.blend != 0 || b.counters[COUNT_FAILED as usize] == 0;
     for i in 0..n {
         let x = [0, 1, 2].map(|c| twin::f32_at(b.mean, c * n + i));
         let near = nearest(x, b.superpoint_position, m, k);
         let row = i * slots..(i + 1) * slots;
-        if b.neighbor[row.start..row.start + k] != near[..] && b.counters[COUNT_FAILED as usize] == 0 {
+        if b.neighbor[row.start..row.start + k] != near[..] && may_change {
             let entry = |at: usize| Entry {
                 superpoint: b.neighbor[at],
                 value: [&*b.logit, &*b.logit_moment_1, &*b.logit_moment_2].map(|v| twin::f32_at(v, at)),
@@ -134,6 +150,12 @@ fn nearest_superpoints_twin(call: Call<'_, NearestSuperpoints>) {
         let a = softmax(&logits);
         let best = (1..k).fold(0, |b, s| if logits[s] > logits[b] { s } else { b });
         b.next_superpoint[i] = if a.is_some() { near[best] } else { near[0] };
+        if let Some(blend) = b.blend.as_deref_mut().filter(|_| constants.blend != 0) {
+            let first = || (0..k).map(|s| if s == 0 { 1.0 } else { 0.0 }).collect();
+            let level = weight_levels(&a.clone().unwrap_or_else(first));
+            let words = blend_words(&near, &level).into_iter().enumerate();
+            words.for_each(|(plane, word)| blend[plane * n + i] = word);
+        }
         if a.is_none() {
             status::report(b.status, status::ASSOCIATION, i as u32);
         }

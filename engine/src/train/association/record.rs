@@ -1,7 +1,8 @@
 //! What a training step records between Gaussians and superpoints.
 
 use super::AssociationConstants;
-use super::nearest_superpoints::{NEAREST_SUPERPOINTS, NearestSuperpointsBuffers};
+use super::association_update::{ASSOCIATION_UPDATE, AssociationUpdateBuffers, AssociationUpdateConstants};
+use super::nearest_superpoints::{NEAREST_SUPERPOINTS, NearestSuperpointsBuffers, NearestSuperpointsConstants};
 use super::state::{StepBuffers, SuperpointState};
 use super::superpoint_commit::{SUPERPOINT_COMMIT, SuperpointCommitBuffers};
 use super::superpoint_gradient::{SUPERPOINT_GRADIENT, SuperpointGradientBuffers, SuperpointGradientConstants};
@@ -10,6 +11,7 @@ use crate::error::Result;
 use crate::gpu::{Buffer, Groups, Recorder, Slice};
 use crate::render::radix_sort::{self, SortSlices};
 use crate::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers};
+use crate::train::deform_project_backward::SLOT_PLANES;
 use crate::train::property_loss::PropertyLoss;
 use crate::train::property_loss::property_backward::{PROPERTY_BACKWARD, PropertyBackwardBuffers};
 use crate::train::property_loss::property_residual::{
@@ -21,13 +23,20 @@ use crate::train::status;
 
 /// Sums of the weights and of the weighted means only.
 const MOMENTS: SuperpointSumConstants =
-    SuperpointSumConstants { moments: 1, pair_planes: 0, own_first: 0, own_planes: 0, by_subgroup: 0 };
+    SuperpointSumConstants { moments: 1, pair_planes: 0, own_first: 0, own_planes: 0, by_subgroup: 0, slot_planes: 0 };
 
 impl SuperpointState {
+    /// The part before the frame: soft superpoints' weights. A frame that fails and runs again finds the same.
+    pub fn record_blend(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {
+        if self.options.blend_slots() == 0 { Ok(()) } else { self.record_nearest(r, b) }
+    }
+
     /// The part before `deform_project_backward` (it needs the old means) and after the forward pass (a failed one is
     /// known by then): nearest superpoints, sort, property losses with the logits' update, sums for the next centres.
     pub fn record_before(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {
-        self.record_nearest(r, b)?;
+        if self.options.blend_slots() == 0 {
+            self.record_nearest(r, b)?;
+        }
         self.record_sort(r)?;
         match self.options.property_loss {
             PropertyLoss::Off => self.record_sum(r, b, &self.first_sum, MOMENTS, [None, None], status::ASSOCIATION),
@@ -36,9 +45,11 @@ impl SuperpointState {
         }
     }
 
-    /// The part after `deform_project_backward`: `pose_gradient` `float[6][N]` → [`SuperpointState::gradient`].
+    /// The part after `deform_project_backward`: `pose_gradient` `float[6][N]` (soft: `float[K][7][N]`) →
+    /// [`SuperpointState::gradient`].
     pub fn record_reduce_pose(&self, r: &mut Recorder, b: &StepBuffers, pose_gradient: &Slice) -> Result<()> {
         self.record_own_sum(r, b, &self.pose_sum, 6, pose_gradient, status::POSE)?;
+        self.record_association_update(r, b, pose_gradient)?;
         let (properties, property_sum) = match self.options.property_loss {
             PropertyLoss::Off => (0, None),
             PropertyLoss::Code => (1, Some(self.first_sum.whole())),
@@ -55,6 +66,29 @@ impl SuperpointState {
         };
         let groups = Groups::Direct(self.superpoints().div_ceil(256).into());
         r.dispatch(&SUPERPOINT_GRADIENT, SuperpointGradientConstants { properties }, (), buffers, groups)
+    }
+
+    /// Soft superpoints: the logits' Adam.
+    fn record_association_update(&self, r: &mut Recorder, b: &StepBuffers, pose_gradient: &Slice) -> Result<()> {
+        if self.options.blend_slots() == 0 {
+            return Ok(());
+        }
+        let AssociationConstants { neighbors, slots } = self.constants();
+        let property = self.options.property_loss != PropertyLoss::Off;
+        let buffers = AssociationUpdateBuffers {
+            step: b.step.clone(),
+            counters: b.counters.clone(),
+            neighbor: self.rows.neighbor.whole(),
+            weight: self.work.weight.whole(),
+            pose_gradient: pose_gradient.clone(),
+            logit: self.rows.logit.whole(),
+            logit_moment_1: self.rows.moment_1.whole(),
+            logit_moment_2: self.rows.moment_2.whole(),
+            status: b.status.clone(),
+            logit_gradient: property.then(|| self.work.logit_gradient.whole()),
+        };
+        let constants = AssociationUpdateConstants { neighbors, slots, property: property.into() };
+        r.dispatch(&ASSOCIATION_UPDATE, constants, (), buffers, self.per_gaussian())
     }
 
     /// The end of the step, after everything that reads the assignment or the centres: both become the next step's.
@@ -81,6 +115,7 @@ impl SuperpointState {
     }
 
     pub(super) fn record_nearest(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {
+        let blend = self.options.blend_slots();
         let buffers = NearestSuperpointsBuffers {
             step: b.step.clone(),
             counters: b.counters.clone(),
@@ -96,8 +131,11 @@ impl SuperpointState {
             pair_key: self.work.keys[0].whole(),
             pair_value: self.work.values[0].whole(),
             status: b.status.clone(),
+            blend: (blend > 0).then(|| self.work.blend.whole()),
         };
-        r.dispatch(&NEAREST_SUPERPOINTS, self.constants(), (), buffers, self.per_gaussian())
+        let AssociationConstants { neighbors, slots } = self.constants();
+        let constants = NearestSuperpointsConstants { neighbors, slots, blend };
+        r.dispatch(&NEAREST_SUPERPOINTS, constants, (), buffers, self.per_gaussian())
     }
 
     fn record_sort(&self, r: &mut Recorder) -> Result<()> {
@@ -178,7 +216,9 @@ impl SuperpointState {
     /// In the paper's form from the sums of the Gaussians' properties, in the code's form without.
     fn record_residual(&self, r: &mut Recorder, b: &StepBuffers, property_sum: Option<&Buffer>) -> Result<()> {
         let AssociationConstants { neighbors, slots } = self.constants();
-        let constants = PropertyResidualConstants { neighbors, slots, paper: property_sum.is_some().into() };
+        let soft = self.options.blend_slots() > 0;
+        let paper = property_sum.is_some().into();
+        let constants = PropertyResidualConstants { neighbors, slots, paper, defer: soft.into() };
         let buffers = PropertyResidualBuffers {
             step: b.step.clone(),
             counters: b.counters.clone(),
@@ -195,6 +235,7 @@ impl SuperpointState {
             residual: self.work.residual.whole(),
             loss_partial: self.work.loss_partial.whole(),
             status: b.status.clone(),
+            logit_gradient: soft.then(|| self.work.logit_gradient.whole()),
         };
         r.dispatch(&PROPERTY_RESIDUAL, constants, (), buffers, self.per_gaussian())
     }
@@ -208,7 +249,8 @@ impl SuperpointState {
         r.dispatch(&PROPERTY_TOTAL, (), (), buffers, Groups::Direct(1))
     }
 
-    /// The first `own_planes` planes of `data`, summed over each superpoint's own Gaussians.
+    /// The first `own_planes` planes of `data`, summed over each superpoint's own Gaussians; with soft superpoints of poses,
+    /// over all that it moves in part.
     fn record_own_sum(
         &self,
         r: &mut Recorder,
@@ -218,7 +260,9 @@ impl SuperpointState {
         data: &Slice,
         group: usize,
     ) -> Result<()> {
-        let constants = SuperpointSumConstants { own_planes, ..SuperpointSumConstants::default() };
+        let soft = self.options.blend_slots() > 0 && group == status::POSE;
+        let slot_planes = if soft { SLOT_PLANES } else { 0 };
+        let constants = SuperpointSumConstants { own_planes, slot_planes, ..SuperpointSumConstants::default() };
         self.record_sum(r, b, sums, constants, [None, Some(data)], group)
     }
 

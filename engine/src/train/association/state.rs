@@ -6,7 +6,8 @@ use super::{AssociationInit, MAX_NEIGHBORS, MAX_SLOTS, NEW_LOGIT, NO_SUPERPOINT,
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Groups, Memory, Recorder, Slice};
 use crate::render::radix_sort::SortPlan;
-use crate::scene::{Association, Superpoints};
+use crate::render::superpoint_motion::blend_planes;
+use crate::scene::{Association, Blend, Superpoints};
 use crate::train::farthest_point::FarthestPoint;
 use crate::train::property_loss::PropertyLoss;
 use crate::train::status;
@@ -21,6 +22,8 @@ pub struct AssociationOptions {
     pub neighbors: u32,
     /// K', superpoints remembered per Gaussian (K..=16).
     pub slots: u32,
+    /// The superpoints in use move the Gaussian together, weighted by the softmax of its logits; else its own one does.
+    pub soft: bool,
     /// First logits.
     pub init: AssociationInit,
     /// Form of the property losses.
@@ -29,12 +32,20 @@ pub struct AssociationOptions {
     pub seed: u64,
 }
 
+impl AssociationOptions {
+    /// K of soft superpoints; 0 without. A Gaussian with a single superpoint moves with that.
+    pub fn blend_slots(&self) -> u32 {
+        if self.soft && self.neighbors > 1 { self.neighbors } else { 0 }
+    }
+}
+
 impl Default for AssociationOptions {
     fn default() -> Self {
         Self {
             superpoints: 300,
             neighbors: 5,
             slots: 8,
+            soft: false,
             init: AssociationInit::default(),
             property_loss: PropertyLoss::default(),
             seed: 0,
@@ -77,6 +88,9 @@ pub struct Rows {
 pub(super) struct Work {
     pub(super) gaussians: u32,
     pub(super) weight: Buffer,
+    /// Soft superpoints: `blend` of the frame, and the property losses' gradient of the logits; tiny otherwise.
+    pub(super) blend: Buffer,
+    pub(super) logit_gradient: Buffer,
     pub(super) next_superpoint: Buffer,
     pub(super) keys: [Buffer; 2],
     pub(super) values: [Buffer; 2],
@@ -205,7 +219,10 @@ impl SuperpointState {
         in_range("gaussians with superpoints", gaussians, 1, (1 << PAIR_SHIFT) - 1)?;
         in_range("association neighbors", options.neighbors, 1, MAX_NEIGHBORS)?;
         in_range("association slots", options.slots, options.neighbors, MAX_SLOTS)?;
-        in_range("superpoints", options.superpoints, 1, u32::MAX)?;
+        let most_superpoints = if options.soft { 1 << 16 } else { u32::MAX };
+        in_range("superpoints", options.superpoints, 1, most_superpoints)?;
+        let most_soft = Blend::MOST_NEIGHBORS as u32;
+        in_range("soft superpoints per Gaussian", if options.soft { options.neighbors } else { 1 }, 1, most_soft)?;
         options.neighbors = options.neighbors.min(options.superpoints);
         let m = u64::from(options.superpoints);
         let device = |name: &str, words: u64| gpu.buffer(name, 4 * words, Memory::Device);
@@ -272,6 +289,12 @@ impl SuperpointState {
         Ok(())
     }
 
+    /// K and `blend` of soft superpoints.
+    pub fn blend(&self) -> Option<(u32, &Buffer)> {
+        let slots = self.options.blend_slots();
+        (slots > 0).then_some((slots, &self.work.blend))
+    }
+
     /// Superpoints in use per Gaussian: the first of each row.
     pub fn neighbors(&self) -> u32 {
         self.options.neighbors
@@ -335,6 +358,8 @@ impl Work {
         Ok(Self {
             gaussians,
             weight: device("weight", n * u64::from(options.neighbors))?,
+            blend: device("blend", n * u64::from(2 * blend_planes(options.blend_slots())))?,
+            logit_gradient: device("logit_gradient", n * u64::from(options.blend_slots()))?,
             next_superpoint: device("next_superpoint", n)?,
             keys: [device("pair_key", pairs)?, device("pair_key", pairs)?],
             values: [device("pair_value", pairs)?, device("pair_value", pairs)?],

@@ -54,6 +54,8 @@ crate::gpu_constants! {
         own_planes,
         /// 1: a subgroup sums a superpoint, else a workgroup ([`by_subgroup`]).
         by_subgroup,
+        /// With soft superpoints, how many planes of `own_data` each slot has: then every pair has its own. Else 0.
+        slot_planes,
     }
 }
 
@@ -72,7 +74,8 @@ crate::gpu_buffers! {
         mean: Read F32,
         /// `[pair_planes][N]`, summed with weight a; absent without planes.
         pair_data: optional Read F32,
-        /// `[own_first + own_planes][N]`, summed over a superpoint's own Gaussians; absent without planes.
+        /// `[own_first + own_planes][N]`, summed over a superpoint's own Gaussians, or `[K][slot_planes][N]` over all pairs;
+        /// absent without planes.
         own_data: optional Read F32,
         /// `[22][M]` ([`SUM_PLANES`]).
         superpoint_sum: Write F32,
@@ -98,8 +101,8 @@ crate::kernel! {
 fn superpoint_sum_twin(call: Call<'_, SuperpointSum>) {
     let Call { constants, push, buffers: b, .. } = call;
     let SuperpointSumConstants { moments, .. } = constants;
-    let [pair_planes, own_first, own_planes] =
-        [constants.pair_planes, constants.own_first, constants.own_planes].map(|c| c as usize);
+    let [pair_planes, own_first, own_planes, slot_planes] =
+        [constants.pair_planes, constants.own_first, constants.own_planes, constants.slot_planes].map(|c| c as usize);
     let pair_data = b.pair_data.as_deref().unwrap_or_default();
     let own_data = b.own_data.as_deref().unwrap_or_default();
     let step: Step = twin::struct_at(b.step, 0);
@@ -109,11 +112,14 @@ fn superpoint_sum_twin(call: Call<'_, SuperpointSum>) {
         let (slot, i) =
             ((b.pair_value[p] >> PAIR_SHIFT) as usize, (b.pair_value[p] & ((1 << PAIR_SHIFT) - 1)) as usize);
         let mut addend = [0.0_f32; SUM_PLANES];
-        if slot == push.neighbors as usize {
+        let own_slot = slot == push.neighbors as usize;
+        if own_slot != (slot_planes != 0) {
             for c in 0..own_planes {
-                addend[FIRST_OWN_VALUE + c] = twin::f32_at(own_data, (own_first + c) * n + i);
+                let plane = own_first + slot * slot_planes + c; // hard: slot_planes = 0
+                addend[FIRST_OWN_VALUE + c] = twin::f32_at(own_data, plane * n + i);
             }
-        } else if moments != 0 || pair_planes != 0 {
+        }
+        if !own_slot && (moments != 0 || pair_planes != 0) {
             let a = twin::f32_at(b.weight, slot * n + i);
             if moments != 0 {
                 addend[0] = a;

@@ -124,6 +124,7 @@ impl Default for MotionConfig {
             enabled: true,
             superpoints: 300,
             rotation: RotationForm::So3,
+            blend: 1,
             neighbors: 5,
             association_slots: 8,
             association_init: Form::Code,

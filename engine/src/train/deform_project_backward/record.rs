@@ -31,7 +31,7 @@ pub(crate) struct ProjectBackward<'a> {
     pub(crate) status: &'a Buffer,
     /// `float[12·N]`.
     pub(crate) splat_gradient: &'a Buffer,
-    /// `float[6][N]`, written where the scene moves.
+    /// `float[6][N]`, or `float[K][7][N]` with soft superpoints; written where the scene moves.
     pub(crate) pose_gradient: &'a Buffer,
     pub(crate) model: ProjectInputs<'a>,
     pub(crate) output: Output<'a>,
@@ -51,6 +51,7 @@ impl ProjectBackward<'_> {
             output: if matches!(self.output, Output::Adam(_)) { OUTPUT_ADAM } else { OUTPUT_GRADIENT },
             mean_gradient: u32::from(self.model.mean_gradient.is_some()),
             optional: scene.present.0,
+            blend: scene.deformation.blend_slots(),
         };
         let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
         r.dispatch(&DEFORM_PROJECT_BACKWARD, constants, (), self.buffers(), Groups::Direct(groups))
@@ -75,7 +76,7 @@ impl ProjectBackward<'_> {
             log_scale: scene.parameter[LOG_SCALE].whole(),
             rotation: scene.parameter[ROTATION].whole(),
             opacity_logit: scene.parameter[OPACITY_LOGIT].whole(),
-            superpoint_of_gaussian: moves.then(|| moved.superpoint_of_gaussian.whole()),
+            superpoint_of_gaussian: moved.hard_superpoints(),
             pose: moves.then(|| moved.pose.whole()),
             sh_0: scene.parameter[SH_0].whole(),
             sh_1: scene.band(1),
@@ -91,6 +92,7 @@ impl ProjectBackward<'_> {
             max_radius: parameters.map(|p| p.max_radius.whole()),
             mean_gradient: self.model.mean_gradient.map(Buffer::whole),
             optional: scene.optional.as_ref().map(Buffer::whole),
+            blend: moved.blend_slice(),
         }
     }
 }

@@ -17,7 +17,7 @@ use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
 use crate::render::deformation::{DeformationBuffers, Poses};
 use crate::render::scene_buffers::SceneBuffers;
 use crate::scene::parameter::MEAN;
-use crate::scene::{Association, DeformNetwork, Deformation, Motion, SuperpointDeformation, Superpoints};
+use crate::scene::{Association, Blend, DeformNetwork, Deformation, Motion, SuperpointDeformation, Superpoints};
 
 /// The model on the device.
 #[derive(Debug)]
@@ -31,7 +31,8 @@ fn association_options(config: &Config) -> AssociationOptions {
     let m = &config.motion;
     AssociationOptions {
         superpoints: m.superpoints,
-        neighbors: m.neighbors,
+        neighbors: m.neighbors_in_use(),
+        soft: m.is_soft(),
         slots: m.association_slots,
         init: match m.association_init {
             Form::Code => AssociationInit::Code,
@@ -43,6 +44,28 @@ fn association_options(config: &Config) -> AssociationOptions {
         },
         seed: config.seed,
     }
+}
+
+/// Soft superpoints as the kernels make them: the softmax of the logits of a Gaussian's superpoints.
+fn blend_of(association: &Association) -> Blend {
+    let k = association.neighbors.max(1);
+    let softmax = |row: &[f32]| {
+        let top = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let value: Vec<f32> = row.iter().map(|l| (l - top).exp()).collect();
+        let sum: f32 = value.iter().sum();
+        value.into_iter().map(move |v| v / sum)
+    };
+    let weight = association.logit.chunks_exact(k).flat_map(softmax).collect();
+    Blend { neighbors: k, index: association.neighbor.clone(), weight }
+}
+
+/// `[N]` the superpoint of each Gaussian's largest weight, the first of equals.
+fn heaviest(blend: &Blend) -> Vec<u32> {
+    let rows = blend.index.chunks_exact(blend.neighbors).zip(blend.weight.chunks_exact(blend.neighbors));
+    let of_row = |(index, weight): (&[u32], &[f32])| {
+        index[(1..weight.len()).fold(0, |best, k| if weight[k] > weight[best] { k } else { best })]
+    };
+    rows.map(of_row).collect()
 }
 
 /// What a checkpoint holds of it.
@@ -153,10 +176,12 @@ impl TrainedDeformation for SuperpointTraining {
         buffers.superpoints = self.superpoints.superpoints();
         buffers.poses = Poses::Given;
         buffers.pose = self.pose.clone();
+        buffers.blend = self.superpoints.blend().map(|(slots, words)| (slots, words.clone()));
     }
 
     fn record_forward(&self, r: &mut Recorder, inputs: &StepInputs<'_>) -> Result<()> {
-        self.record_poses(r, inputs.step)
+        self.record_poses(r, inputs.step)?;
+        self.superpoints.record_blend(r, &Self::step_buffers(inputs))
     }
 
     fn record_before_loss(&self, r: &mut Recorder, inputs: &StepInputs<'_>) -> Result<()> {
@@ -218,7 +243,8 @@ impl TrainedDeformation for SuperpointTraining {
     }
 
     fn bytes_per_gaussian(&self) -> u64 {
-        32 * u64::from(self.superpoints.options().slots)
+        let options = self.superpoints.options();
+        32 * u64::from(options.slots) + 40 * u64::from(options.blend_slots())
     }
 
     fn resized(mut self: Box<Self>, gpu: &Gpu, gaussians: u32, rows: &mut Rows<'_>) -> Result<Option<Trained>> {
@@ -241,11 +267,16 @@ impl TrainedDeformation for SuperpointTraining {
 
     fn download(&self, gpu: &Gpu, scene: &SceneBuffers) -> Result<Deformation> {
         let of_gaussian = Slice::from(&scene.deformation.superpoint_of_gaussian);
-        let (superpoints, association) = self.superpoints.download(gpu, &of_gaussian)?;
+        let (mut superpoints, association) = self.superpoints.download(gpu, &of_gaussian)?;
         // Neighbours in use come first; the rest are remembered for training, or were never there.
         let association = association.first(self.superpoints.neighbors() as usize);
+        let blend = self.superpoints.blend().map(|_| blend_of(&association));
+        if let Some(blend) = &blend {
+            superpoints.of_gaussian = heaviest(blend);
+        }
         Ok(Deformation::from(SuperpointDeformation {
             superpoints,
+            blend,
             network: Some(self.network.download()?),
             association: Some(association),
             ..SuperpointDeformation::default()

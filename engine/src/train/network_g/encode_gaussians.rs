@@ -6,7 +6,7 @@ use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 use crate::gpu::{Groups, Recorder, Slice};
 use crate::render::frame::Frame;
-use crate::render::nonrigid_network::{RigidMotion, encoded, moved_centre};
+use crate::render::nonrigid_network::{encoded, moved_centre, superpoint_motion};
 use crate::render::twin::{set_f32, struct_at};
 use crate::scene::network::NONRIGID_ENCODING;
 
@@ -28,6 +28,8 @@ crate::gpu_constants! {
     pub struct EncodeGaussiansConstants {
         /// 1: superpoints move the Gaussians.
         motion,
+        /// K of soft superpoints, or 0 ([`crate::render::superpoint_motion`]).
+        blend,
     }
 }
 
@@ -44,6 +46,8 @@ crate::gpu_buffers! {
         pose: optional Read F32,
         /// `[rows, 84]`.
         encoding: Write F32,
+        /// `[2·ceil(K/2)][N]`; of soft superpoints.
+        blend: optional Read U32,
     }
 }
 
@@ -71,20 +75,18 @@ pub(super) fn record(r: &mut Recorder, from: &Inputs<'_>, push: EncodeGaussiansP
         superpoint_of_gaussian: from.moving.then(|| from.superpoint_of_gaussian.clone()),
         pose: from.moving.then(|| from.pose.clone()),
         encoding,
+        blend: None,
     };
+    let constants = EncodeGaussiansConstants { motion: from.moving.into(), blend: 0 };
     let groups = Groups::Direct(push.rows.div_ceil(GROUP_GAUSSIANS).into());
-    r.dispatch(&ENCODE_GAUSSIANS, EncodeGaussiansConstants { motion: from.moving.into() }, push, buffers, groups)
+    r.dispatch(&ENCODE_GAUSSIANS, constants, push, buffers, groups)
 }
 
 fn encode_gaussians_twin(call: Call<'_, EncodeGaussians>) {
     let Call { constants, push: EncodeGaussiansPush { first_row, rows }, buffers: b, .. } = call;
     let frame: Frame = struct_at(b.frame, 0);
-    let motion = match (&b.superpoint_of_gaussian, &b.pose) {
-        (Some(superpoint_of_gaussian), Some(pose)) if constants.motion != 0 => {
-            Some(RigidMotion { superpoint_of_gaussian, pose })
-        }
-        _ => None,
-    };
+    let words = [b.superpoint_of_gaussian.as_deref(), b.pose.as_deref(), b.blend.as_deref()];
+    let motion = superpoint_motion(constants.motion != 0, constants.blend, words);
     for row in 0..rows as usize {
         let centre = moved_centre(&frame, b.mean, motion, first_row as usize + row);
         for e in 0..NONRIGID_ENCODING {

@@ -18,6 +18,9 @@ crate::gpu_constants! {
         slots,
         /// 1: the superpoints' properties are means over Gaussians, and the logits stay.
         paper,
+        /// 1: the logits' gradient goes to `logit_gradient` instead, and
+        /// [`association_update`](crate::train::association::association_update) adds to it.
+        defer,
     }
 }
 
@@ -53,6 +56,8 @@ crate::gpu_buffers! {
         /// `vec4[workgroups]`: sums of squares of the three properties.
         loss_partial: Write F32,
         status: Atomic U32,
+        /// `[K][N]`; of soft superpoints.
+        logit_gradient: optional Write F32,
     }
 }
 
@@ -72,7 +77,7 @@ crate::kernel! {
 }
 
 fn property_residual_twin(call: Call<'_, PropertyResidual>) {
-    let Call { constants, buffers: b, .. } = call;
+    let Call { constants, buffers: mut b, .. } = call;
     let (k, slots) = (constants.neighbors as usize, constants.slots as usize);
     let step: Step = twin::struct_at(b.step, 0);
     let (n, m) = (step.gaussians as usize, step.superpoints as usize);
@@ -103,6 +108,10 @@ fn property_residual_twin(call: Call<'_, PropertyResidual>) {
             }
         }
         if constants.paper == 0 && b.counters[COUNT_FAILED as usize] == 0 {
+            if let Some(to) = b.logit_gradient.as_deref_mut().filter(|_| constants.defer != 0) {
+                gradient.iter().enumerate().for_each(|(k, g)| twin::set_f32(to, k * n + i, *g));
+                continue;
+            }
             for (slot, at) in (i * slots..(i + 1) * slots).enumerate() {
                 if slot < k || b.neighbor[at] != NO_SUPERPOINT {
                     let g = gradient.get(slot).copied().unwrap_or(0.0);
