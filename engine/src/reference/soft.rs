@@ -7,7 +7,7 @@ use glam::{DQuat, DVec3};
 
 use super::motion::{Pose, exp, exp_quaternion};
 use crate::error::{Error, Result};
-use crate::scene::{Blend, Scene, heaviest_slot};
+use crate::scene::{Blend, Scene};
 
 /// [`Blend`] in f64, with weights that are taken as they are.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -111,15 +111,29 @@ pub(super) struct SharedTurn {
     pub(super) aligned: Vec<DQuat>,
 }
 
+/// The quaternion of the heaviest slot, the first of equals; `slots` of weights and unit quaternions, at least one.
+fn heaviest(slots: &[(f64, DQuat)]) -> DQuat {
+    let first = slots[0];
+    slots[1..].iter().fold(first, |best, slot| if slot.0 > best.0 { *slot } else { best }).1
+}
+
+fn on_side_of(side: DQuat, q: DQuat) -> DQuat {
+    if q.dot(side) < 0.0 { -q } else { q }
+}
+
+/// b = Σ_k s_k w_k q_k of `slots`, at least one. Those without weight are not looked at.
+pub(crate) fn aligned_sum(slots: &[(f64, DQuat)]) -> DQuat {
+    let side = heaviest(slots);
+    let with_weight = slots.iter().filter(|(w, _)| *w != 0.0);
+    with_weight.fold(DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), |sum, &(w, q)| sum + on_side_of(side, q) * w)
+}
+
 /// The rotation of `poses`, at least one.
 pub(super) fn shared_turn(poses: &[WeightedPose]) -> SharedTurn {
-    let weight: Vec<f64> = poses.iter().map(|p| p.weight).collect();
-    let quaternion: Vec<DQuat> = poses.iter().map(|p| exp_quaternion(p.pose.rotation)).collect();
-    let heaviest = quaternion[heaviest_slot(&weight)];
-    let aligned: Vec<DQuat> = quaternion.iter().map(|&q| if q.dot(heaviest) < 0.0 { -q } else { q }).collect();
-    let with_weight = aligned.iter().zip(&weight).filter(|(_, w)| **w != 0.0);
-    let sum = with_weight.fold(DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), |sum, (&q, &w)| sum + q * w);
+    let slots: Vec<(f64, DQuat)> = poses.iter().map(|p| (p.weight, exp_quaternion(p.pose.rotation))).collect();
+    let (side, sum) = (heaviest(&slots), aligned_sum(&slots));
     let length = sum.length();
+    let aligned = slots.iter().map(|&(_, q)| on_side_of(side, q)).collect();
     SharedTurn { unit: sum * (1.0 / length), length, aligned }
 }
 

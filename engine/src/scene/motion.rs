@@ -21,6 +21,16 @@ pub struct Superpoints {
     pub position: Vec<[f32; 3]>,
 }
 
+impl Superpoints {
+    /// The superpoints that Gaussian `i` moves with, and their weights, which are above 0 and sum to 1: its own, or with `blend`
+    /// those of it. None for a Gaussian that is not there.
+    pub fn slots<'a>(&'a self, blend: Option<&'a Blend>, i: usize) -> impl Iterator<Item = (usize, f64)> + 'a {
+        let own = if blend.is_none() { self.of_gaussian.get(i) } else { None };
+        let shared = blend.into_iter().flat_map(move |b| b.slots(i)).filter(|(_, w)| *w > 0.0);
+        own.map(|&j| (j as usize, 1.0)).into_iter().chain(shared)
+    }
+}
+
 /// Poses of M superpoints at T key times.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Motion {
