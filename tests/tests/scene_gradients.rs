@@ -2,7 +2,7 @@
 
 use engine::reference::gradient::image::{Gradients, image_gradients};
 use engine::reference::gradient::splats::Upstream;
-use engine::reference::{DeformationAt, Gaussians64, ReferenceOptions, table_poses};
+use engine::reference::{Blend64, DeformationAt, Gaussians64, ReferenceOptions, table_poses};
 use engine::scene::synthetic::random_scene;
 use engine::scene::{Camera, Scene};
 use engine::train::gradient::{GradientOptions, SceneGradients, scene_gradients};
@@ -36,7 +36,9 @@ fn truth(scene: &Scene, camera: &Camera, gradient: &[f32]) -> Gradients {
     let gaussians = in_f64(scene);
     let poses = scene.deformation.table().map(|motion| table_poses(motion, TIME));
     let group = scene.deformation.superpoint_of_gaussian();
-    let deformation = DeformationAt { group, poses: poses.as_deref(), offsets: None, time: TIME };
+    let blend = Blend64::of(scene);
+    let deformation =
+        DeformationAt { group, poses: poses.as_deref(), blend: blend.as_ref(), offsets: None, time: TIME };
     let color: Vec<f64> = gradient.chunks_exact(4).flat_map(|g| [g[0], g[1], g[2]]).map(f64::from).collect();
     let alpha: Vec<f64> = gradient.chunks_exact(4).map(|g| g[3].into()).collect();
     let options = ReferenceOptions { background: BACKGROUND.map(f64::from), ..ReferenceOptions::default() };
@@ -60,7 +62,7 @@ fn assert_close(found: &SceneGradients, truth: &Gradients, context: &str) {
     close("mean2d", found.mean2d.as_flattened(), narrow(truth.mean2d.as_flattened()));
     if !found.pose.is_empty() {
         let row = |g: &engine::reference::gradient::project::OneGradient| {
-            g.omega.to_array().into_iter().chain(g.translation.to_array())
+            g.pose(0).omega.to_array().into_iter().chain(g.pose(0).translation.to_array())
         };
         let each: Vec<f64> = truth.each.iter().flat_map(row).collect();
         close("pose", found.pose.as_flattened(), narrow(&each));

@@ -10,7 +10,7 @@ use super::{Format, Loaded, checkpoint, clean, model, ply, read, sog};
 use crate::error::Result;
 use crate::gpu::mmap::map_file;
 use crate::scene::field::{DeformationField, FieldInput};
-use crate::scene::{Gaussians, Rejected, Scene};
+use crate::scene::{Blend, Gaussians, Rejected, Scene};
 
 /// Range of a parameter over the valid Gaussians.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
@@ -40,6 +40,17 @@ pub struct MotionDescription {
     pub max_translation: f64,
 }
 
+/// Soft superpoints.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct BlendDescription {
+    /// K.
+    pub neighbors: usize,
+    /// Share of the Gaussians that move with more than one superpoint.
+    pub soft: f64,
+    /// Mean over the Gaussians of the exponential of their weights' entropy: 1 when each moves with one superpoint, K at most.
+    pub mean_superpoints: f64,
+}
+
 /// What a model file holds.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Description {
@@ -63,6 +74,8 @@ pub struct Description {
     pub opacity_quantiles: Vec<f64>,
     /// M, where the scene has superpoints.
     pub superpoints: Option<usize>,
+    /// Soft superpoints, where the scene has them.
+    pub blend: Option<BlendDescription>,
     /// The key-time table, where there is one.
     pub motion: Option<MotionDescription>,
     /// K' of the association, where there is one.
@@ -125,6 +138,7 @@ pub fn describe(path: &Path) -> Result<Description> {
         bounds: bounds(&scene.gaussians.mean),
         opacity_quantiles: opacity_quantiles(&scene.gaussians.opacity_logit),
         superpoints: scene.deformation.superpoints().map(|s| s.position.len()),
+        blend: scene.deformation.blend().map(blend),
         motion: motion(&scene),
         association_neighbors: scene.deformation.association().map(|a| a.neighbors),
         deform_network: scene.deformation.network().is_some(),
@@ -136,6 +150,11 @@ pub fn describe(path: &Path) -> Result<Description> {
         levels,
         warnings: loaded.warnings,
     })
+}
+
+fn blend(blend: &Blend) -> BlendDescription {
+    let soft = blend.soft_count() as f64 / blend.len().max(1) as f64;
+    BlendDescription { neighbors: blend.neighbors, soft, mean_superpoints: blend.mean_superpoints() }
 }
 
 /// A deformation field in a line.
@@ -272,6 +291,14 @@ impl fmt::Display for Description {
                 Some(field) => writeln!(f, "Motion          {field}")?,
                 None => writeln!(f, "Motion          none (static)")?,
             },
+        }
+        if let Some(b) = &self.blend {
+            let (soft, mean) = (100.0 * b.soft, b.mean_superpoints);
+            writeln!(
+                f,
+                "Blend           up to {} superpoints per Gaussian: {soft:.1} % move with more than one, {mean:.2} in effect",
+                b.neighbors
+            )?;
         }
         if let Some(neighbors) = self.association_neighbors {
             writeln!(f, "Association     {neighbors} neighbours per Gaussian")?;

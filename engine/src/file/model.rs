@@ -8,6 +8,7 @@
 //! | `gaussians.sh` | `[N,K,3]` | SH coefficients, K = (degree+1)² |
 //! | `superpoints.of_gaussian` | `[N]` u32 | the superpoint each Gaussian moves with |
 //! | `superpoints.position` | `[M,3]` | canonical superpoint centres |
+//! | `superpoints.blend_index`, `superpoints.blend_weight` | `[N,K]` u16 or u32, `[N,K]` f32 or u8 | soft superpoints ([`crate::scene::Blend`]): K ≤ 4, u8 in units of 1/255 |
 //! | `motion.times` | `[T]` | strictly increasing key times |
 //! | `motion.rotation`, `motion.translation` | `[T,M,3]` | so(3) vectors and translations |
 //! | `association.neighbor`, `association.logit` | `[N,K']` u32, `[N,K']` | sparse association matrix |

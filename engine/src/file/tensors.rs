@@ -109,6 +109,20 @@ pub fn indices<'a>(name: impl Into<Cow<'a, str>>, shape: Vec<usize>, values: &'a
     NamedTensor { name: name.into(), dtype: "U32", shape, bytes }
 }
 
+/// A tensor of the narrowest unsigned integers, of 16 or 32 bits, that hold indices below `count`.
+pub fn narrow_indices<'a>(
+    name: impl Into<Cow<'a, str>>,
+    shape: Vec<usize>,
+    values: &'a [u32],
+    count: usize,
+) -> NamedTensor<'a> {
+    if count > 1 << 16 {
+        return indices(name, shape, values);
+    }
+    let bytes = values.iter().flat_map(|&v| (v as u16).to_le_bytes()).collect();
+    NamedTensor { name: name.into(), dtype: "U16", shape, bytes: Cow::Owned(bytes) }
+}
+
 /// A tensor that was read.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredTensor {

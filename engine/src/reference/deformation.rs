@@ -4,6 +4,7 @@ use super::field::field_offsets;
 use super::motion::{DeformationAt, Offset, Placed, Pose, place_deformed, table_poses};
 use super::network::{network_poses, nonrigid_offsets};
 use super::project::Parameters;
+use super::soft::Blend64;
 use crate::error::Result;
 use crate::scene::{Deformation, MotionSource, Scene};
 
@@ -29,7 +30,8 @@ pub fn place_scene(scene: &Scene, time: f64, source: MotionSource) -> Result<Pla
     let parameters = Parameters::from(&scene.gaussians);
     let poses = poses(scene, time, source)?;
     let group = scene.deformation.superpoint_of_gaussian();
-    let rigid = DeformationAt { group, poses: poses.as_deref(), offsets: None, time };
+    let blend = Blend64::of(scene);
+    let rigid = DeformationAt { group, blend: blend.as_ref(), poses: poses.as_deref(), offsets: None, time };
     let Some(offsets) = offsets(scene, &parameters, &rigid, time)? else {
         return place_deformed(&parameters, &rigid);
     };

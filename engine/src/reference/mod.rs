@@ -3,7 +3,8 @@
 //! Semantics, all in f64:
 //!
 //! - mean(t) = Exp(r)·mean + τ, R(t) = Exp(r)·R(q/|q|), with r and τ interpolated linearly between key times and held
-//!   outside (or from network F); a static scene does not move.
+//!   outside (or from network F); a static scene does not move. With soft superpoints, mean(t) is the weighted mean over a
+//!   Gaussian's superpoints and R(t) that of their unit quaternions, on the side of the heaviest one's, normalised.
 //! - with non-rigid offsets (network G, deformation fields): mean(t) + dx, the rotation of norm(Exp(r)∘q/|q| + dq), exp(log_scale) + ds (at least 1e-13).
 //! - camera space p = W·(mean(t) − position); kept iff p.z > near.
 //! - Σ₂ = J W Σ Wᵀ Jᵀ + 0.3·I (px²), J taken at x/z and y/z clamped 0.3·tan(half field of view) outside the image.
@@ -22,6 +23,7 @@ mod motion;
 mod network;
 mod project;
 mod sh;
+mod soft;
 pub mod tabulate;
 #[cfg(test)]
 mod tests;
@@ -39,6 +41,8 @@ pub use network::{network_poses, nonrigid_offsets};
 pub use project::{Parameters, Splat, project};
 pub(crate) use sh::basis as sh_basis;
 pub use sh::color_of;
+pub(crate) use soft::aligned_sum;
+pub use soft::{Blend64, WeightedPose};
 
 use crate::error::{Error, Result};
 use crate::image::Image;

@@ -4,6 +4,7 @@ use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 
 use super::project::Parameters;
+use super::soft::{self, Blend64, WeightedPose};
 use crate::error::{Error, Result};
 use crate::scene::{Motion, Superpoints};
 
@@ -37,12 +38,36 @@ pub struct Offset {
 pub struct DeformationAt<'a> {
     /// `[N]` superpoint of each Gaussian.
     pub group: &'a [u32],
+    /// Soft superpoints, in place of `group`.
+    pub blend: Option<&'a Blend64>,
     /// `[M]` poses of the superpoints.
     pub poses: Option<&'a [Pose]>,
     /// `[N]` non-rigid offsets.
     pub offsets: Option<&'a [Offset]>,
     /// The time.
     pub time: f64,
+}
+
+impl DeformationAt<'_> {
+    /// What moves Gaussian `i`, once checked: nothing, its superpoint's pose, or the poses of all slots of its blend.
+    pub fn weighted_poses(&self, i: usize) -> Vec<WeightedPose> {
+        match (self.poses, self.blend) {
+            (None, _) => Vec::new(),
+            (Some(poses), None) => vec![poses[self.group[i] as usize].into()],
+            (Some(poses), Some(blend)) => {
+                blend.row(i).map(|(m, weight)| WeightedPose { weight, pose: poses[m] }).collect()
+            }
+        }
+    }
+
+    /// Every Gaussian has a superpoint, and that superpoint has a pose.
+    fn check(&self, gaussians: usize) -> Result<()> {
+        match (self.poses, self.blend) {
+            (None, _) => Ok(()),
+            (Some(poses), None) => check_groups(self.group, gaussians, poses.len()),
+            (Some(poses), Some(blend)) => blend.check(gaussians, poses.len()),
+        }
+    }
 }
 
 /// Where the Gaussians are at a time.
@@ -117,7 +142,7 @@ pub fn place<T: Copy + Into<f64> + Sync>(
     place_deformed(parameters, &DeformationAt { group, poses: superpoints.and(poses), ..DeformationAt::default() })
 }
 
-/// Moves every Gaussian with its superpoint and adds its non-rigid offset.
+/// Moves every Gaussian with its superpoint, or its blend of them, and adds its non-rigid offset.
 pub fn place_deformed<T: Copy + Into<f64> + Sync>(
     parameters: &Parameters<'_, T>,
     deformation: &DeformationAt<'_>,
@@ -127,10 +152,15 @@ pub fn place_deformed<T: Copy + Into<f64> + Sync>(
     let opacity = (0..count).map(|i| parameters.opacity(i, deformation.time)).collect();
     let mut placed = Placed { scale, opacity, ..Placed::default() };
     let still = |i: usize| (parameters.mean(i), rotation_of_quaternion(parameters.rotation(i)));
+    deformation.check(count)?;
     (placed.mean, placed.rotation) = match deformation.poses {
+        Some(_) if deformation.blend.is_some() => {
+            let moved =
+                |i: usize| soft_place(&deformation.weighted_poses(i), parameters.mean(i), parameters.rotation(i));
+            (0..count).into_par_iter().map(moved).unzip()
+        }
         Some(poses) => {
             let group = deformation.group;
-            check_groups(group, count, poses.len())?;
             let turn: Vec<DMat3> = poses.iter().map(|p| exp(p.rotation)).collect();
             let moved = |i: usize| {
                 let (mean, rotation) = still(i);
@@ -147,8 +177,7 @@ pub fn place_deformed<T: Copy + Into<f64> + Sync>(
             return Err(Error::usage("non-rigid offsets", offsets.len().to_string(), expected));
         }
         for (i, offset) in offsets.iter().enumerate() {
-            let pose = deformation.poses.map(|poses| poses[deformation.group[i] as usize]);
-            let q = rigid_quaternion(parameters.rotation(i), pose);
+            let q = rigid_quaternion(parameters.rotation(i), soft::turn(&deformation.weighted_poses(i)));
             let [w, x, y, z] = offset.rotation;
             placed.mean[i] += DVec3::from_array(offset.mean);
             placed.rotation[i] = DMat3::from_quat((q + DQuat::from_xyzw(x, y, z, w)).normalize());
@@ -158,13 +187,22 @@ pub fn place_deformed<T: Copy + Into<f64> + Sync>(
     Ok(placed)
 }
 
-/// The unit quaternion Exp(r)∘norm(q) of a Gaussian with raw quaternion `q` (w,x,y,z).
-pub(super) fn rigid_quaternion(q: [f64; 4], pose: Option<Pose>) -> DQuat {
-    let unit = DQuat::from_xyzw(q[1], q[2], q[3], q[0]).normalize();
-    pose.map_or(unit, |pose| exp_quaternion(pose.rotation) * unit)
+/// A Gaussian that `poses` move: its centre and its rotation.
+fn soft_place(poses: &[WeightedPose], mean: DVec3, rotation: [f64; 4]) -> (DVec3, DMat3) {
+    let moved = soft::turned(poses, mean) + soft::shift(poses);
+    let turned = match soft::only(poses) {
+        Some(pose) => exp(pose.rotation) * rotation_of_quaternion(rotation),
+        None => DMat3::from_quat(rigid_quaternion(rotation, soft::turn(poses))),
+    };
+    (moved, turned)
 }
 
-/// Every Gaussian has a superpoint, and that superpoint has a pose.
+/// The unit quaternion `turn`∘norm(q) of a Gaussian with raw quaternion `q` (w,x,y,z).
+pub(super) fn rigid_quaternion(q: [f64; 4], turn: Option<DQuat>) -> DQuat {
+    let unit = DQuat::from_xyzw(q[1], q[2], q[3], q[0]).normalize();
+    turn.map_or(unit, |turn| turn * unit)
+}
+
 fn check_groups(group: &[u32], gaussians: usize, superpoints: usize) -> Result<()> {
     if group.len() != gaussians {
         return Err(Error::usage("superpoints.of_gaussian", group.len().to_string(), format!("{gaussians} elements")));

@@ -4,7 +4,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::deformation::Poses;
 use super::frame::Frame;
-use crate::scene::{Deformation, Motion};
+use crate::scene::{Deformation, Motion, SuperpointDeformation};
 
 /// Room beyond the box, as a share of its diagonal, for poses between keys.
 const MARGIN: f64 = 0.01;
@@ -28,9 +28,9 @@ impl Bounds {
     pub(crate) fn of(deformation: &Deformation, mean: &[[f32; 3]], poses: &Poses, origin: DVec3) -> Self {
         let centre = |m: &[f32; 3]| DVec3::from(m.map(f64::from));
         let canonical = mean.iter().map(centre).filter(|m| m.is_finite()).fold(Self::NOTHING, Self::with);
-        let (bounds, margin) = match (poses, deformation.superpoints()) {
+        let (bounds, margin) = match (poses, deformation.superpoint_deformation()) {
             (Poses::Table(motion) | Poses::Host(motion, _), Some(superpoints)) => {
-                let spheres = spheres(mean, &superpoints.of_gaussian, motion.superpoint_count());
+                let spheres = spheres(mean, superpoints, motion.superpoint_count());
                 (moved(&spheres, motion, origin), MARGIN)
             }
             (Poses::Static, _) => (canonical, 0.0),
@@ -69,12 +69,14 @@ impl Bounds {
     }
 }
 
-/// Bounding sphere (centre of the box, largest distance) of each superpoint's Gaussians.
-fn spheres(mean: &[[f32; 3]], of_gaussian: &[u32], superpoints: usize) -> Vec<(DVec3, f64)> {
+/// Bounding sphere (centre of the box, largest distance) of each superpoint's Gaussians. One that moves with several is in the
+/// sphere of each: its centre is a weighted mean of where they take it.
+fn spheres(mean: &[[f32; 3]], moving: &SuperpointDeformation, superpoints: usize) -> Vec<(DVec3, f64)> {
     let mut boxes = vec![Bounds::NOTHING; superpoints];
     let members = || {
-        let finite = mean.iter().zip(of_gaussian).map(|(m, j)| (DVec3::from(m.map(f64::from)), *j as usize));
-        finite.filter(|(m, j)| m.is_finite() && *j < superpoints)
+        let centres = mean.iter().map(|m| DVec3::from(m.map(f64::from))).enumerate().filter(|(_, m)| m.is_finite());
+        let slots = centres.flat_map(|(i, m)| moving.slots(i).map(move |(j, _)| (m, j)));
+        slots.filter(|(_, j)| *j < superpoints)
     };
     members().for_each(|(m, j)| boxes[j] = boxes[j].with(m));
     let mut spheres: Vec<(DVec3, f64)> = boxes.iter().map(|b| ((b.low + b.high) * 0.5, -1.0)).collect();

@@ -11,7 +11,7 @@
 
 pub mod superpoints;
 
-use super::{Association, DeformNetwork, DeformationField, Motion, MotionSource, NonrigidNetwork, Superpoints};
+use super::{Association, Blend, DeformNetwork, DeformationField, Motion, MotionSource, NonrigidNetwork, Superpoints};
 use crate::error::{Error, Result};
 
 pub use superpoints::SuperpointDeformation;
@@ -101,6 +101,11 @@ impl Deformation {
     /// `[N]` the superpoint of each Gaussian; empty without superpoints.
     pub fn superpoint_of_gaussian(&self) -> &[u32] {
         self.superpoints().map_or(&[], |s| &s.of_gaussian)
+    }
+
+    /// Soft superpoints: `None` when each Gaussian moves with one.
+    pub fn blend(&self) -> Option<&Blend> {
+        self.superpoint_deformation()?.blend.as_ref()
     }
 
     /// The key-time table.

@@ -16,7 +16,7 @@ pub use camera::Camera;
 pub use deformation::{Deformation, SuperpointDeformation};
 pub use field::DeformationField;
 pub use gaussians::{Gaussians, Rejected};
-pub use motion::{Association, Blend, KeyInterval, Motion, MotionSource, Superpoints};
+pub use motion::{Association, Blend, KeyInterval, Motion, MotionSource, Superpoints, heaviest_slot};
 pub use network::{DeformNetwork, DeformSize, Linear, NonrigidNetwork};
 pub use path::CameraPath;
 

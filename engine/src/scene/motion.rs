@@ -21,6 +21,16 @@ pub struct Superpoints {
     pub position: Vec<[f32; 3]>,
 }
 
+impl Superpoints {
+    /// The superpoints that Gaussian `i` moves with, and their weights, which are above 0 and sum to 1: its own, or with `blend`
+    /// those of it. None for a Gaussian that is not there.
+    pub fn slots<'a>(&'a self, blend: Option<&'a Blend>, i: usize) -> impl Iterator<Item = (usize, f64)> + 'a {
+        let own = if blend.is_none() { self.of_gaussian.get(i) } else { None };
+        let shared = blend.into_iter().flat_map(move |b| b.slots(i)).filter(|(_, w)| *w > 0.0);
+        own.map(|&j| (j as usize, 1.0)).into_iter().chain(shared)
+    }
+}
+
 /// Poses of M superpoints at T key times.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Motion {
@@ -48,6 +58,106 @@ pub struct Blend {
 impl Blend {
     /// Most superpoints that a Gaussian moves with.
     pub const MOST_NEIGHBORS: usize = 4;
+
+    /// Each Gaussian with its own superpoint alone.
+    pub fn of_one(of_gaussian: &[u32]) -> Self {
+        Self { neighbors: 1, index: of_gaussian.to_vec(), weight: vec![1.0; of_gaussian.len()] }
+    }
+
+    /// N, the number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.index.len().checked_div(self.neighbors).unwrap_or(0)
+    }
+
+    /// Whether there is no Gaussian.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// `[K]` superpoints and weights of Gaussian `i`, as they are stored; empty for one that is not there.
+    pub fn row(&self, i: usize) -> (&[u32], &[f32]) {
+        let slots = i * self.neighbors..(i + 1) * self.neighbors;
+        (self.index.get(slots.clone()).unwrap_or_default(), self.weight.get(slots).unwrap_or_default())
+    }
+
+    /// Superpoints of Gaussian `i` with their weights, which sum to 1, in the order of the slots.
+    pub fn slots(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+        let (index, weight) = self.row(i);
+        let sum: f64 = weight.iter().map(|&w| f64::from(w)).sum();
+        index.iter().zip(weight).map(move |(&j, &w)| (j as usize, f64::from(w) / sum))
+    }
+
+    /// The superpoint of Gaussian `i` with the largest weight, the first of equals; `None` for one that is not there.
+    pub fn heaviest(&self, i: usize) -> Option<u32> {
+        let (index, weight) = self.row(i);
+        index.get(heaviest_slot(weight)).copied()
+    }
+
+    /// `[N]` the superpoint of each Gaussian with the largest weight: [`Superpoints::of_gaussian`].
+    pub fn of_gaussian(&self) -> Vec<u32> {
+        (0..self.len()).filter_map(|i| self.heaviest(i)).collect()
+    }
+
+    /// How many Gaussians move with more than one superpoint.
+    pub fn soft_count(&self) -> usize {
+        (0..self.len()).filter(|&i| self.row(i).1.iter().filter(|w| **w > 0.0).count() > 1).count()
+    }
+
+    /// The mean over the Gaussians of exp(−Σ w ln w): 1 when each moves with one superpoint, K when all weights are equal.
+    pub fn mean_superpoints(&self) -> f64 {
+        let entropy = |i: usize| self.slots(i).map(|(_, w)| if w > 0.0 { -w * w.ln() } else { 0.0 }).sum::<f64>();
+        (0..self.len()).map(|i| entropy(i).exp()).sum::<f64>() / self.len().max(1) as f64
+    }
+
+    /// The same weights in steps of 1/255 of each Gaussian's sum, as the model file keeps them in one byte. A sum stays above
+    /// 0, and the heaviest superpoint stays the heaviest.
+    #[must_use]
+    pub fn quantized(&self) -> Self {
+        let mut blend = self.clone();
+        if self.neighbors == 0 {
+            return blend;
+        }
+        for row in blend.weight.chunks_exact_mut(self.neighbors) {
+            if row.iter().any(|&w| level(w).is_none()) {
+                quantize(row);
+            }
+        }
+        blend
+    }
+
+    /// `[N,K]` the weights in units of 1/255, when all of them are whole.
+    pub fn levels(&self) -> Option<Vec<u8>> {
+        self.weight.iter().map(|&w| level(w)).collect()
+    }
+
+    /// The weight of `level`.
+    pub fn weight_of_level(level: u8) -> f32 {
+        (f64::from(level) / 255.0) as f32
+    }
+}
+
+fn level(weight: f32) -> Option<u8> {
+    let level = (255.0 * weight).round() as u8;
+    (Blend::weight_of_level(level) == weight).then_some(level)
+}
+
+/// The first slot with the largest weight.
+pub fn heaviest_slot<T: PartialOrd>(weight: &[T]) -> usize {
+    (1..weight.len()).fold(0, |best, k| if weight[k] > weight[best] { k } else { best })
+}
+
+/// Rounds the weights of one Gaussian to levels of 1/255. Rounding keeps the order of weights but for new ties, and a slot
+/// before the heaviest that would tie with it goes one level down.
+fn quantize(row: &mut [f32]) {
+    let heaviest = heaviest_slot(row);
+    let sum: f64 = row.iter().map(|&w| f64::from(w)).sum();
+    // 255/K at least for the heaviest.
+    let nearest = |w: f32| (255.0 * f64::from(w) / sum).round() as u8;
+    let most = nearest(row[heaviest]);
+    for (k, w) in row.iter_mut().enumerate() {
+        let tie = k < heaviest && nearest(*w) >= most;
+        *w = Blend::weight_of_level(if tie { most.saturating_sub(1) } else { nearest(*w) });
+    }
 }
 
 /// Sparse association matrix A: K' neighbours of each Gaussian with their logits.

@@ -5,22 +5,30 @@
 //! more than the tolerance on any camera. What is measured is the centre of each Gaussian and the point two standard
 //! deviations along its longest axis, in pixels, on the cameras in whose image it falls. A point that falls in none is no
 //! still point: whether it moves is measured as a camera turned to it would see it ([`Views`]).
+//!
+//! With soft superpoints the points are where the poses of all slots take them. A Gaussian rests when no superpoint that it
+//! moves with ever moves one of its own; a superpoint stays when a Gaussian that does not rest moves with it. The weights
+//! are rounded to bytes first, where that alone moves nothing by more than [`ROUNDING_SHARE`] of the tolerance; the table
+//! gets the rest of it.
 
 mod distance;
+mod probe;
+mod reduce;
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::reference::{exp, rotation_of_quaternion};
-use crate::scene::{Camera, Deformation, Gaussians, Motion, SuperpointDeformation, Superpoints};
+use crate::scene::{Blend, Camera, Deformation, Gaussians, Motion, Superpoints};
+use probe::{Placing, Probe};
+use reduce::Left;
 
 pub use distance::Views;
 
 /// How many cameras see each candidate time beside those that were taken at it.
 const OTHER_CAMERAS: usize = 4;
-/// Points per Gaussian: its centre, and two standard deviations along its longest axis.
-const POINTS: usize = 2;
+/// Share of the tolerance that rounding the weights of soft superpoints to bytes may take.
+pub const ROUNDING_SHARE: f64 = 0.25;
 
 /// A baked motion.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,14 +41,10 @@ pub struct Baked {
     pub still: usize,
     /// Largest error on the cameras, pixels.
     pub error_px: f64,
+    /// Of soft superpoints whose weights were rounded to bytes: what that alone moves at most, pixels; part of `error_px`.
+    pub rounding_px: Option<f64>,
     /// Gaussians that no camera sees at any candidate time.
     pub unseen: usize,
-}
-
-/// A Gaussian's measured points, world space, canonical.
-struct Probe {
-    superpoint: usize,
-    points: [DVec3; POINTS],
 }
 
 struct Baker<'a> {
@@ -51,14 +55,16 @@ struct Baker<'a> {
     views: Vec<Views<&'a Camera>>,
 }
 
-/// Bakes `motion` (given at all candidate times). With `merge_still`, Gaussians of superpoints that never move get their
-/// constant pose applied and share one superpoint, or have no motion at all when nothing moves.
+/// Bakes `motion` (given at all candidate times) of `superpoints`, soft ones with `blend`. With `merge_still`, Gaussians of
+/// superpoints that never move get their constant pose applied and share one superpoint, or have no motion at all when
+/// nothing moves.
 ///
 /// # Errors
 /// [`Error::Usage`] when the arrays do not fit together, and without cameras.
 pub fn bake(
     gaussians: &mut Gaussians,
     superpoints: &Superpoints,
+    blend: Option<&Blend>,
     motion: &Motion,
     views: &Views<Camera>,
     tolerance_px: f64,
@@ -80,34 +86,42 @@ pub fn bake(
             format!("{count} superpoints, {} Gaussians", gaussians.len()),
         ));
     }
-    let baker = Baker::new(gaussians, superpoints, motion, views);
-    let moving = if merge_still { baker.moving(tolerance_px) } else { vec![true; count] };
-    let still = moving.iter().filter(|m| !**m).count();
+    blend.map_or(Ok(()), |blend| blend.check_shapes(gaussians.len(), count))?;
+    let mut baker = Baker::new(gaussians, superpoints, blend, motion, views);
+    let rounded = blend.map(Blend::quantized);
+    let rounding_px = rounded.as_ref().and_then(|rounded| baker.round(superpoints, rounded, tolerance_px));
+    let blend = if rounding_px.is_some() { rounded.as_ref() } else { blend };
+    let tolerance = tolerance_px - rounding_px.unwrap_or(0.0);
+    let moving = if merge_still { baker.moving(tolerance) } else { vec![true; count] };
+    baker.probes.iter_mut().for_each(|p| p.rest(&moving));
     let unseen = baker.unseen();
-    apply_constant_pose(gaussians, superpoints, motion, &moving);
-    let kept = new_indices(&moving);
+    let left = Left::new(superpoints, blend, &moving, gaussians.len());
+    left.apply_constant_pose(gaussians, superpoints, blend, motion);
+    let still = left.stays.iter().filter(|stays| !**stays).count();
+    let still_error = baker.still_error();
+    let baked = |deformation, error_px: f64| {
+        let error_px = error_px + rounding_px.unwrap_or(0.0);
+        Baked { deformation, kept: left.index.clone(), still, error_px, rounding_px, unseen }
+    };
     if still == count {
-        let error_px = baker.still_error(&moving);
-        return Ok(Baked { deformation: Deformation::None, kept, still, error_px, unseen });
+        return Ok(baked(Deformation::None, still_error));
     }
-    let keys = baker.keys(&moving, tolerance_px);
-    let error_px = baker.error_of(&keys, &moving).max(baker.still_error(&moving));
-    let (motion, superpoints) = reduced(superpoints, motion, &keys, &moving, &kept);
-    let deformation = SuperpointDeformation::of_table(superpoints, motion).into();
-    Ok(Baked { deformation, kept, still, error_px, unseen })
+    let keys = baker.keys(tolerance);
+    let error_px = baker.error_of(&keys).max(still_error);
+    let deformation = left.deformation(superpoints, blend, motion, &keys);
+    Ok(baked(deformation.into(), error_px))
 }
 
 impl<'a> Baker<'a> {
-    fn new(g: &Gaussians, superpoints: &Superpoints, motion: &'a Motion, views: &'a Views<Camera>) -> Self {
-        let probe = |i: usize| {
-            let mean = promote(g.mean[i]);
-            let log_scale = g.log_scale[i];
-            let longest = (0..3).max_by(|&a, &b| log_scale[a].total_cmp(&log_scale[b])).unwrap_or(0);
-            let axis = rotation_of_quaternion(g.rotation[i].map(f64::from)).col(longest);
-            let end = mean + axis * (2.0 * f64::from(log_scale[longest]).exp());
-            Probe { superpoint: superpoints.of_gaussian[i] as usize, points: [mean, end] }
-        };
-        let probes = (0..g.len()).map(probe).filter(|p| p.points.iter().all(|x| x.is_finite())).collect();
+    fn new(
+        g: &Gaussians,
+        superpoints: &Superpoints,
+        blend: Option<&Blend>,
+        motion: &'a Motion,
+        views: &'a Views<Camera>,
+    ) -> Self {
+        let probe = |i: usize| Probe::new(g, i, superpoints.slots(blend, i));
+        let probes = (0..g.len()).map(probe).filter(Probe::is_finite).collect();
         let at = |(k, &t): (usize, &f32)| Views {
             cameras: cameras_at(&views.cameras, &motion.times, k, f64::from(t)),
             near: views.near,
@@ -122,36 +136,49 @@ impl<'a> Baker<'a> {
         (promote(self.motion.rotation[at]), promote(self.motion.translation[at]))
     }
 
-    /// Rotation matrices and translations of all superpoints at candidate `k`.
-    fn exact(&self, k: usize) -> Vec<(DMat3, DVec3)> {
-        (0..self.count).map(|j| self.pose(k, j)).map(|(r, t)| (exp(r), t)).collect()
+    /// Poses of all superpoints at candidate `k`.
+    fn exact(&self, k: usize) -> Vec<Placing> {
+        (0..self.count).map(|j| self.pose(k, j)).map(|(r, t)| Placing::new(r, t)).collect()
     }
 
     /// The same at candidate `k`, interpolated between candidates `a` and `b`, as play-back will.
-    fn interpolated(&self, a: usize, b: usize, k: usize) -> Vec<(DMat3, DVec3)> {
+    fn interpolated(&self, a: usize, b: usize, k: usize) -> Vec<Placing> {
         let time = |i: usize| f64::from(self.motion.times[i]);
         let w = if a == b { 0.0 } else { (time(k) - time(a)) / (time(b) - time(a)) };
         let between = |j: usize| {
             let ((r0, t0), (r1, t1)) = (self.pose(a, j), self.pose(b, j));
-            (exp(r0 * (1.0 - w) + r1 * w), t0 * (1.0 - w) + t1 * w)
+            Placing::new(r0 * (1.0 - w) + r1 * w, t0 * (1.0 - w) + t1 * w)
         };
         (0..self.count).map(between).collect()
     }
 
-    /// Largest distance on the cameras of candidate `k`, pixels, of points moved by either poses; stops looking once it is
-    /// above `enough`.
-    fn distance(&self, k: usize, one: &[(DMat3, DVec3)], two: &[(DMat3, DVec3)], count: &[bool], enough: f64) -> f64 {
-        let of_probe = |p: &Probe| {
-            if !count[p.superpoint] {
-                return 0.0;
+    /// Takes the weights of `rounded`, if they move nothing by more than their share of the tolerance; then how much.
+    fn round(&mut self, superpoints: &Superpoints, rounded: &Blend, tolerance: f64) -> Option<f64> {
+        let most = ROUNDING_SHARE * tolerance;
+        let again: Vec<Probe> =
+            self.probes.iter().map(|p| p.with(superpoints.slots(Some(rounded), p.gaussian))).collect();
+        let mut worst: f64 = 0.0;
+        for k in 0..self.motion.times.len() {
+            let now = self.exact(k);
+            let apart = |(p, q): (&Probe, &Probe)| self.apart(k, p.placed(&now), q.placed(&now));
+            worst = worst.max(self.probes.par_iter().zip(&again).map(apart).reduce(|| 0.0, f64::max));
+            if worst > most {
+                return None;
             }
-            let ((m1, t1), (m2, t2)) = (one[p.superpoint], two[p.superpoint]);
-            let distances = p.points.iter().map(|&x| {
-                let (x1, x2) = (m1 * x + t1, m2 * x + t2);
-                self.views[k].displacement(x1, x2)
-            });
-            distances.fold(0.0, f64::max)
-        };
+        }
+        self.probes = again;
+        Some(worst)
+    }
+
+    /// Largest distance on the cameras of candidate `k` between points, pixels.
+    fn apart(&self, k: usize, one: [DVec3; 2], two: [DVec3; 2]) -> f64 {
+        one.into_iter().zip(two).map(|(a, b)| self.views[k].displacement(a, b)).fold(0.0, f64::max)
+    }
+
+    /// Largest distance on the cameras of candidate `k`, pixels, of points moved by either poses: of the Gaussians that rest, or
+    /// of the others. Stops looking once it is above `enough`.
+    fn distance(&self, k: usize, one: &[Placing], two: &[Placing], rest: bool, enough: f64) -> f64 {
+        let of_probe = |p: &Probe| if p.rests == rest { self.apart(k, p.placed(one), p.placed(two)) } else { 0.0 };
         let chunks = self.probes.par_chunks(1024);
         let largest = chunks.map(|list| list.iter().map(of_probe).fold(0.0, f64::max));
         // A violation ends the search; otherwise the exact maximum is wanted.
@@ -161,18 +188,19 @@ impl<'a> Baker<'a> {
             .unwrap_or_else(|d| d)
     }
 
-    /// Whether each superpoint ever moves from its pose at the first candidate by more than the tolerance.
+    /// Whether each superpoint ever moves one of its Gaussians, from where it is at the first candidate, by more than the
+    /// tolerance.
     fn moving(&self, tolerance: f64) -> Vec<bool> {
         let first = self.exact(0);
         let mut moving = vec![false; self.count];
         for k in 1..self.motion.times.len() {
             let now = self.exact(k);
             let moves = |p: &&Probe| {
-                let ((m1, t1), (m2, t2)) = (first[p.superpoint], now[p.superpoint]);
-                p.points.iter().any(|&x| self.views[k].movement(m1 * x + t1, m2 * x + t2) > tolerance)
+                let pairs = p.placed(&first).into_iter().zip(p.placed(&now));
+                pairs.into_iter().any(|(a, b)| self.views[k].movement(a, b) > tolerance)
             };
-            let resting = self.probes.par_iter().filter(|p| !moving[p.superpoint]);
-            let found: Vec<usize> = resting.filter(moves).map(|p| p.superpoint).collect();
+            let resting = self.probes.par_iter().filter(|p| p.slots().any(|(j, _)| !moving[j]));
+            let found: Vec<usize> = resting.filter(moves).flat_map_iter(|p| p.slots().map(|(j, _)| j)).collect();
             found.into_iter().for_each(|j| moving[j] = true);
         }
         moving
@@ -186,28 +214,24 @@ impl<'a> Baker<'a> {
                 break;
             }
             let now = self.exact(k);
-            let is_unseen = |p: &&Probe| {
-                let (turn, shift) = now[p.superpoint];
-                !p.points.iter().any(|&x| views.see(turn * x + shift))
-            };
+            let is_unseen = |p: &&Probe| !p.placed(&now).into_iter().any(|x| views.see(x));
             unseen = unseen.into_par_iter().filter(is_unseen).collect();
         }
         unseen.len()
     }
 
-    /// Error of holding the superpoints that are not moving at their first pose.
-    fn still_error(&self, moving: &[bool]) -> f64 {
-        let still: Vec<bool> = moving.iter().map(|m| !m).collect();
+    /// Error of holding the Gaussians that rest at their first place.
+    fn still_error(&self) -> f64 {
         let first = self.exact(0);
         (1..self.motion.times.len())
-            .map(|k| self.distance(k, &first, &self.exact(k), &still, f64::INFINITY))
+            .map(|k| self.distance(k, &first, &self.exact(k), true, f64::INFINITY))
             .fold(0.0, f64::max)
     }
 
-    fn interval_error(&self, a: usize, b: usize, moving: &[bool], enough: f64) -> f64 {
+    fn interval_error(&self, a: usize, b: usize, enough: f64) -> f64 {
         let mut worst: f64 = 0.0;
         for k in a + 1..b {
-            worst = worst.max(self.distance(k, &self.interpolated(a, b, k), &self.exact(k), moving, enough));
+            worst = worst.max(self.distance(k, &self.interpolated(a, b, k), &self.exact(k), false, enough));
             if worst > enough {
                 break;
             }
@@ -216,13 +240,13 @@ impl<'a> Baker<'a> {
     }
 
     /// Greedy choice of keys among the candidates.
-    fn keys(&self, moving: &[bool], tolerance: f64) -> Vec<usize> {
+    fn keys(&self, tolerance: f64) -> Vec<usize> {
         let last = self.motion.times.len() - 1;
         let mut keys = vec![0];
         let mut a = 0;
         while a < last {
             // Gallop while it fits, then bisect between the last that fits and the first that does not.
-            let fits = |b: usize| self.interval_error(a, b, moving, tolerance) <= tolerance;
+            let fits = |b: usize| self.interval_error(a, b, tolerance) <= tolerance;
             let (mut good, mut step) = (a + 1, 1);
             let mut bad = last + 1;
             while good < last {
@@ -245,8 +269,8 @@ impl<'a> Baker<'a> {
         keys
     }
 
-    fn error_of(&self, keys: &[usize], moving: &[bool]) -> f64 {
-        keys.windows(2).map(|w| self.interval_error(w[0], w[1], moving, f64::INFINITY)).fold(0.0, f64::max)
+    fn error_of(&self, keys: &[usize]) -> f64 {
+        keys.windows(2).map(|w| self.interval_error(w[0], w[1], f64::INFINITY)).fold(0.0, f64::max)
     }
 }
 
@@ -265,68 +289,6 @@ fn cameras_at<'a>(cameras: &'a [Camera], times: &[f32], k: usize, time: f64) -> 
     chosen
 }
 
-/// Applies the first candidate's pose to the Gaussians of superpoints that never move.
-fn apply_constant_pose(g: &mut Gaussians, superpoints: &Superpoints, motion: &Motion, moving: &[bool]) {
-    for (i, &j) in superpoints.of_gaussian.iter().enumerate() {
-        let j = j as usize;
-        let (r, t) = (promote(motion.rotation[j]), promote(motion.translation[j]));
-        if moving[j] || (r == DVec3::ZERO && t == DVec3::ZERO) {
-            continue;
-        }
-        let turn = exp(r);
-        g.mean[i] = (turn * promote(g.mean[i]) + t).as_vec3().to_array();
-        let [w, x, y, z] = g.rotation[i].map(f64::from);
-        let q = glam::DQuat::from_mat3(&turn) * glam::DQuat::from_xyzw(x, y, z, w);
-        g.rotation[i] = [q.w as f32, q.x as f32, q.y as f32, q.z as f32];
-    }
-}
-
-/// Moving superpoints keep their order; all others become the one after them.
-fn new_indices(moving: &[bool]) -> Vec<u32> {
-    let rest = moving.iter().filter(|m| **m).count() as u32;
-    let mut next = 0;
-    let index = |m: &bool| {
-        if *m {
-            next += 1;
-            next - 1
-        } else {
-            rest
-        }
-    };
-    moving.iter().map(index).collect()
-}
-
-fn reduced(
-    superpoints: &Superpoints,
-    motion: &Motion,
-    keys: &[usize],
-    moving: &[bool],
-    kept: &[u32],
-) -> (Motion, Superpoints) {
-    let count = moving.len();
-    let any_still = moving.iter().any(|m| !m);
-    let pick = |table: &[[f32; 3]]| -> Vec<[f32; 3]> {
-        let row = |k: &usize| {
-            let values = moving.iter().enumerate().filter(|(_, m)| **m).map(|(j, _)| table[*k * count + j]);
-            let mut row: Vec<[f32; 3]> = values.collect();
-            row.extend(any_still.then_some([0.0; 3]));
-            row
-        };
-        keys.iter().flat_map(row).collect()
-    };
-    let times = keys.iter().map(|&k| motion.times[k]).collect();
-    let mut position: Vec<[f32; 3]> =
-        superpoints.position.iter().zip(moving).filter(|(_, m)| **m).map(|(p, _)| *p).collect();
-    let still = superpoints.position.iter().zip(moving).filter(|(_, m)| !**m).map(|(p, _)| promote(*p));
-    if any_still {
-        let centre = still.sum::<DVec3>() / moving.iter().filter(|m| !**m).count() as f64;
-        position.push(centre.as_vec3().to_array());
-    }
-    let of_gaussian = superpoints.of_gaussian.iter().map(|&j| kept[j as usize]).collect();
-    let motion = Motion { times, rotation: pick(&motion.rotation), translation: pick(&motion.translation) };
-    (motion, Superpoints { of_gaussian, position })
-}
-
 fn promote(v: [f32; 3]) -> DVec3 {
     DVec3::from_array(v.map(f64::from))
 }
@@ -335,6 +297,7 @@ fn promote(v: [f32; 3]) -> DVec3 {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
     use super::*;
+    use crate::reference::exp;
     use crate::scene::synthetic::random_scene;
 
     fn cameras() -> Vec<Camera> {
@@ -365,7 +328,7 @@ mod tests {
     fn a_bend_needs_one_more_key_and_a_still_superpoint_none() {
         let (mut g, s, m) = scene();
         let before = g.clone();
-        let baked = bake(&mut g, &s, &m, &views(), 0.1, true).unwrap();
+        let baked = bake(&mut g, &s, None, &m, &views(), 0.1, true).unwrap();
         let motion = baked.deformation.table().unwrap();
         assert_eq!(motion.times, [0.0, 0.5, 1.0]);
         assert_eq!((baked.still, baked.kept), (1, vec![2, 0, 1]));
@@ -384,7 +347,7 @@ mod tests {
         }
         let mut last = usize::MAX;
         for tolerance in [0.01, 0.3, 3.0] {
-            let baked = bake(&mut g.clone(), &s, &m, &views(), tolerance, true).unwrap();
+            let baked = bake(&mut g.clone(), &s, None, &m, &views(), tolerance, true).unwrap();
             let keys = baked.deformation.key_times().len();
             assert!(baked.error_px <= tolerance, "{} > {tolerance}", baked.error_px);
             assert!(keys <= last && keys >= 3, "{keys} keys at {tolerance} px");
@@ -398,7 +361,7 @@ mod tests {
         let (mut g, s, mut m) = scene();
         m.rotation.iter_mut().for_each(|r| *r = [0.2, 0.0, 0.0]);
         m.translation.iter_mut().for_each(|t| *t = [0.0; 3]);
-        let baked = bake(&mut g, &s, &m, &views(), 0.1, true).unwrap();
+        let baked = bake(&mut g, &s, None, &m, &views(), 0.1, true).unwrap();
         assert_eq!((baked.deformation, baked.still), (Deformation::None, 3));
     }
 
@@ -409,18 +372,18 @@ mod tests {
         let turned = |c: Camera| Camera::look_at(c.position, 2.0 * c.position, DVec3::Y, 0.9, [400, 300]);
         let away: Vec<Camera> = cameras().into_iter().map(|c| Camera { time: c.time, ..turned(c) }).collect();
         for (cameras, near) in [(cameras(), 100.0), (away, 0.2)] {
-            let seen = bake(&mut g.clone(), &s, &m, &views(), 0.1, true).unwrap();
+            let seen = bake(&mut g.clone(), &s, None, &m, &views(), 0.1, true).unwrap();
             assert_eq!(seen.unseen, 0);
             let only = Views { cameras: cameras.clone(), near, everywhere: false };
-            let baked = bake(&mut g.clone(), &s, &m, &only, 0.1, true).unwrap();
+            let baked = bake(&mut g.clone(), &s, None, &m, &only, 0.1, true).unwrap();
             assert_eq!((baked.unseen, baked.still, &baked.kept), (60, 1, &seen.kept));
             // The bend counts where everything does.
             let all = Views { everywhere: true, ..only };
-            let baked = bake(&mut g.clone(), &s, &m, &all, 0.1, true).unwrap();
+            let baked = bake(&mut g.clone(), &s, None, &m, &all, 0.1, true).unwrap();
             assert_eq!(baked.deformation.key_times(), [0.0, 0.5, 1.0]);
         }
         let none = Views { cameras: Vec::new(), near: 0.2, everywhere: true };
-        assert!(bake(&mut g.clone(), &s, &m, &none, 0.1, true).unwrap_err().to_string().contains("no camera"));
+        assert!(bake(&mut g.clone(), &s, None, &m, &none, 0.1, true).unwrap_err().to_string().contains("no camera"));
     }
 
     #[test]
@@ -431,7 +394,7 @@ mod tests {
         let z = |k: usize| if k == 0 { 20.0 } else { 0.0 };
         m.translation = (0..m.times.len()).flat_map(|k| [[0.0, 0.0, z(k)]; 3]).collect();
         let views = Views { cameras: vec![one], near: 0.2, everywhere: false };
-        let baked = bake(&mut g, &s, &m, &views, 0.1, true).unwrap();
+        let baked = bake(&mut g, &s, None, &m, &views, 0.1, true).unwrap();
         assert_eq!((baked.still, baked.kept[0], baked.unseen), (2, 0, 0));
     }
 }

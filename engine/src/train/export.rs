@@ -1,12 +1,12 @@
 //! From a finished run to the model that is played back: it holds what the scene needs, and says what was left out.
 
-use super::bake::{Views, bake};
+use super::bake::{Baked, ROUNDING_SHARE, Views, bake};
 use super::parameters::with_sh_degree;
 use super::trainer::Trainer;
 use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::render::{RenderOptions, Renderer};
-use crate::scene::{Camera, Deformation, Gaussians, MotionSource, Scene, Superpoints};
+use crate::scene::{Camera, Deformation, Gaussians, MotionSource, Scene, SuperpointDeformation};
 
 /// Smallest α that is drawn: a Gaussian whose opacity is below it shows nowhere.
 const MIN_ALPHA: f32 = 1.0 / 255.0;
@@ -32,24 +32,31 @@ pub fn export(gpu: &Gpu, trainer: &Trainer, cameras: &[Camera]) -> Result<Export
     let mut decisions = Vec::new();
     drop_invisible(&mut scene, &mut decisions);
     let times = candidate_times(cameras);
-    if let (Some(motion), Some(superpoints)) = (trainer.motion_at(&times)?, scene.deformation.superpoints().cloned()) {
+    if let (Some(motion), Some(trained)) =
+        (trainer.motion_at(&times)?, scene.deformation.superpoint_deformation().cloned())
+    {
         let tolerance = config.export.motion_error_px;
         // What no training camera sees keeps its motion, but asks for no key times.
         let views = Views { cameras: cameras.to_vec(), near: f64::from(config.near), everywhere: false };
         let keep = config.export.keep_network;
-        let baked = bake(&mut scene.gaussians, &superpoints, &motion, &views, tolerance, !keep)?;
+        let baked = {
+            let (superpoints, blend) = (&trained.superpoints, trained.blend.as_ref());
+            bake(&mut scene.gaussians, superpoints, blend, &motion, &views, tolerance, !keep)?
+        };
         decisions.push(format!(
             "motion table: {} key times of {} candidates; largest error on the training cameras {:.3} px (bound {tolerance} px)",
             baked.deformation.key_times().len(),
             times.len(),
             baked.error_px
         ));
-        warn_of_idle("superpoints", without_gaussians(&superpoints), superpoints.position.len());
+        decisions.extend(soft_superpoints(&baked));
+        let all = trained.superpoints.position.len();
+        warn_of_idle("superpoints", without_gaussians(&trained), all);
         if !keep {
             decisions.push(format!(
                 "superpoints: {} of {}; {} never move and share one or none",
                 baked.deformation.superpoint_count(),
-                superpoints.position.len(),
+                all,
                 baked.still
             ));
             decisions.push(
@@ -62,10 +69,25 @@ pub fn export(gpu: &Gpu, trainer: &Trainer, cameras: &[Camera]) -> Result<Export
     Ok(Exported { scene, decisions })
 }
 
+/// How many superpoints Gaussians move with, and how their weights are kept; nothing where each moves with one.
+fn soft_superpoints(baked: &Baked) -> Option<String> {
+    let blend = baked.deformation.blend()?;
+    let weights = match baked.rounding_px {
+        Some(px) => format!("bytes, which moves nothing by more than {px:.3} px"),
+        None => format!("floats: rounded to bytes they would take more than {ROUNDING_SHARE} of the motion's bound"),
+    };
+    let (soft, all) = (blend.soft_count(), blend.len());
+    let most = blend.neighbors;
+    Some(format!(
+        "soft superpoints: {soft} of {all} Gaussians move with more than one, {most} at most; weights as {weights}"
+    ))
+}
+
 /// Superpoints that no Gaussian moves with.
-fn without_gaussians(superpoints: &Superpoints) -> usize {
-    let mut used = vec![false; superpoints.position.len()];
-    superpoints.of_gaussian.iter().for_each(|&j| used[j as usize] = true);
+fn without_gaussians(trained: &SuperpointDeformation) -> usize {
+    let mut used = vec![false; trained.superpoints.position.len()];
+    let gaussians = trained.superpoints.of_gaussian.len();
+    (0..gaussians).flat_map(|i| trained.slots(i)).for_each(|(j, _)| used[j] = true);
     used.iter().filter(|used| !**used).count()
 }
 

@@ -1,5 +1,6 @@
 //! A camera for a model that comes without one, and the times that a model covers.
 
+use engine::reference::Pose;
 use engine::render::RenderOptions;
 use engine::scene::{Camera, MotionSource, Scene};
 use glam::{DMat3, DVec3};
@@ -97,15 +98,16 @@ fn positions(scene: &Scene) -> Vec<DVec3> {
     let used = if visible.len() * 10 >= all().count() { visible } else { all().collect() };
     let at = |i: usize| DVec3::from_array(g.mean[i].map(f64::from));
     let [start, end] = scene.time_range();
-    let Some(superpoints) = scene.deformation.superpoints().filter(|_| end > start) else {
+    let Some(superpoints) = scene.deformation.superpoint_deformation().filter(|_| end > start) else {
         return used.into_iter().map(at).collect();
     };
     let mut moved = Vec::with_capacity(TIMES * used.len());
     for time in (0..TIMES).map(|k| start + (end - start) * k as f64 / (TIMES - 1) as f64) {
         let Ok(Some(poses)) = engine::reference::poses(scene, time, MotionSource::Auto) else { continue };
         moved.extend(used.iter().filter_map(|&i| {
-            let pose = poses.get(*superpoints.of_gaussian.get(i)? as usize)?;
-            Some(engine::reference::exp(pose.rotation) * at(i) + pose.translation).filter(|p| p.is_finite())
+            let by = |pose: &Pose| engine::reference::exp(pose.rotation) * at(i) + pose.translation;
+            let moved = superpoints.slots(i).map(|(j, weight)| poses.get(j).map(|pose| weight * by(pose)));
+            moved.sum::<Option<DVec3>>().filter(|p| p.is_finite())
         }));
     }
     if moved.is_empty() { used.into_iter().map(at).collect() } else { moved }

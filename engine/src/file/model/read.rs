@@ -9,7 +9,7 @@ use super::{FORMAT, VERSION, deformation};
 use crate::error::{Error, Result};
 use crate::file::tensors::{check_format, own_metadata, parse_header};
 use crate::file::{check, checksum};
-use crate::scene::{Gaussians, Linear, Scene, Tensor};
+use crate::scene::{Blend, Gaussians, Linear, Scene, Tensor};
 
 pub(super) fn model(bytes: &[u8], path: &Path) -> Result<(Scene, Vec<String>)> {
     let (data_begin, header) = parse_header(bytes, path)?;
@@ -60,20 +60,47 @@ impl Tensors<'_> {
     }
 
     fn take(&mut self, name: &str, dtype: Dtype, shape: Shape<'_>) -> Result<(Vec<usize>, &[u8])> {
+        self.take_one_of(name, &[dtype], shape).map(|(_, shape, bytes)| (shape, bytes))
+    }
+
+    /// [`Tensors::take`] of a tensor that may have several types.
+    fn take_one_of(&mut self, name: &str, dtypes: &[Dtype], shape: Shape<'_>) -> Result<(Dtype, Vec<usize>, &[u8])> {
         let at = || format!("tensor `{name}`");
         let expected = || {
             let sides: Vec<String> = shape.iter().map(|s| s.map_or("any".into(), |n| n.to_string())).collect();
-            format!("{dtype} [{}]", sides.join(", "))
+            let types: Vec<String> = dtypes.iter().map(Dtype::to_string).collect();
+            format!("{} [{}]", types.join(" or "), sides.join(", "))
         };
         let Some(view) = self.map.remove(name) else {
             return Err(Error::corrupt(self.path, at(), "nothing", expected()));
         };
         let found = view.shape();
         let fits = found.len() == shape.len() && found.iter().zip(shape).all(|(f, s)| s.is_none_or(|s| s == *f));
-        if view.dtype() != dtype || !fits {
+        if !dtypes.contains(&view.dtype()) || !fits {
             return Err(Error::corrupt(self.path, at(), format!("{} {found:?}", view.dtype()), expected()));
         }
-        Ok((found.to_vec(), view.data()))
+        Ok((view.dtype(), found.to_vec(), view.data()))
+    }
+
+    /// Indices of 16 or 32 bits.
+    pub(super) fn indices(&mut self, name: &str, shape: Shape<'_>) -> Result<(Vec<usize>, Vec<u32>)> {
+        let (dtype, shape, bytes) = self.take_one_of(name, &[Dtype::U16, Dtype::U32], shape)?;
+        let short = |b: &[u8]| u16::from_le_bytes(b.first_chunk().copied().unwrap_or_default());
+        let values = match dtype {
+            Dtype::U16 => bytes.chunks_exact(2).map(|b| short(b).into()).collect(),
+            _ => words(bytes).collect(),
+        };
+        Ok((shape, values))
+    }
+
+    /// Weights as floats, or as bytes in units of 1/255.
+    pub(super) fn weights(&mut self, name: &str, shape: Shape<'_>) -> Result<(Vec<usize>, Vec<f32>)> {
+        let (dtype, shape, bytes) = self.take_one_of(name, &[Dtype::F32, Dtype::U8], shape)?;
+        let values = match dtype {
+            Dtype::U8 => bytes.iter().map(|&level| Blend::weight_of_level(level)).collect(),
+            _ => words(bytes).map(f32::from_bits).collect(),
+        };
+        Ok((shape, values))
     }
 
     pub(super) fn f32s(&mut self, name: &str, shape: Shape<'_>) -> Result<(Vec<usize>, Vec<f32>)> {

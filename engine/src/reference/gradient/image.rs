@@ -32,6 +32,8 @@ pub struct Gradients {
     pub mean2d: Vec<[f64; 2]>,
     /// `[M]` of the poses' so(3) vectors and translations.
     pub poses: Vec<Pose>,
+    /// `[N,K]` of the weights of soft superpoints, each free for itself; empty without them.
+    pub blend_weight: Vec<f64>,
     /// `[N]` of the non-rigid offsets; empty without them.
     pub offsets: Vec<Offset>,
     /// `[N]` what the blending left at each splat; 0 for what is not drawn.
@@ -64,7 +66,7 @@ fn one(gaussians: &Gaussians64, deformation: &DeformationAt<'_>, i: usize) -> On
         opacity_logit: gaussians.opacity_logit[i],
         sh,
         sh_degree,
-        pose: deformation.poses.map(|poses| poses[deformation.group[i] as usize]),
+        poses: deformation.weighted_poses(i),
         offset: deformation.offsets.map(|offsets| offsets[i]),
         optional: gaussians.optional.selected(&[i]),
     }
@@ -131,9 +133,14 @@ fn gather(gradients: &mut Gradients, deformation: &DeformationAt<'_>) {
     }
     if let Some(poses) = deformation.poses {
         let mut sums = vec![[DVec3::ZERO; 2]; poses.len()];
-        for (g, &m) in each.iter().zip(deformation.group) {
-            sums[m as usize][0] += g.omega;
-            sums[m as usize][1] += g.translation;
+        let (neighbors, index) = deformation.blend.map_or((1, deformation.group), |b| (b.neighbors, &b.index));
+        let slots = each.iter().flat_map(|g| (0..neighbors).map(|slot| g.pose(slot)));
+        for (slot, &m) in slots.clone().zip(index) {
+            sums[m as usize][0] += slot.omega;
+            sums[m as usize][1] += slot.translation;
+        }
+        if deformation.blend.is_some() {
+            gradients.blend_weight = slots.map(|slot| slot.weight).collect();
         }
         let sums = sums.iter().zip(poses).map(|(s, pose)| pose_gradient(pose, s[0], s[1]));
         gradients.poses = sums.map(|[rotation, translation]| Pose { rotation, translation }).collect();

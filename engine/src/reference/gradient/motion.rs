@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
+use crate::reference::soft::{SharedTurn, WeightedPose, only, shared_turn};
 use crate::reference::{Pose, exp};
 
 /// Left Jacobian of so(3): Exp(r + δ) ≈ Exp(J_l(r)δ)Exp(r); I + (1 − cosθ)/θ²·K + (θ − sinθ)/θ³·K², θ = |r|.
@@ -80,7 +81,40 @@ pub fn pose_gradient(pose: &Pose, omega: DVec3, translation: DVec3) -> [DVec3; 2
     [left_jacobian(pose.rotation).transpose() * omega, translation]
 }
 
-/// The point Exp(r)·x.
-pub fn turned(pose: Option<&Pose>, x: DVec3) -> DVec3 {
-    pose.map_or(x, |pose| exp(pose.rotation) * x)
+/// Gradients of one pose that moves a Gaussian, and of its weight.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct PoseGradient {
+    /// By a left tangent of its rotation: dL = ω·δφ for Exp(δφ)Exp(r).
+    pub omega: DVec3,
+    /// Of its translation.
+    pub translation: DVec3,
+    /// Of its weight, which is free here: the weights of a Gaussian need not sum to 1. What normalises them has its own
+    /// gradient, dL/dv_k = (dL/dw_k − Σ_j w_j dL/dw_j) / Σ_j v_j for w = v/Σv.
+    pub weight: f64,
+}
+
+/// Backward of soft superpoints, slot by slot: from dL/dμ(t) `moved` and the gradient `world` by a left tangent of the rotation
+/// that the poses share. `mean`: the canonical centre.
+///
+/// With p_k = Exp(r_k)μ and g = 2(0, `world`)∘unit/|b| (normal to b, as `unit` = b/|b| keeps its length):
+/// ω_k = vec(½ s_k w_k g∘q̄_k) + w_k p_k × `moved`, dL/dτ_k = w_k `moved`, dL/dw_k = (p_k + τ_k)·`moved` + s_k q_k·g.
+pub fn pose_gradients(poses: &[WeightedPose], mean: DVec3, moved: DVec3, world: DVec3) -> Vec<PoseGradient> {
+    if poses.is_empty() {
+        return Vec::new();
+    }
+    let SharedTurn { unit, length, aligned } = shared_turn(poses);
+    let slope = DQuat::from_xyzw(world.x, world.y, world.z, 0.0) * unit * (2.0 / length);
+    let alone = poses.len() == 1 && only(poses).is_some();
+    let gradient = |(slot, q): (&WeightedPose, &DQuat)| {
+        let (w, point) = (slot.weight, exp(slot.pose.rotation) * mean);
+        let back = slope * q.conjugate() * (0.5 * w);
+        // The same in exact numbers; without rounding the quaternions once more.
+        let turn = if alone { world } else { DVec3::new(back.x, back.y, back.z) };
+        PoseGradient {
+            omega: turn + w * point.cross(moved),
+            translation: w * moved,
+            weight: (point + slot.pose.translation).dot(moved) + q.dot(slope),
+        }
+    };
+    poses.iter().zip(&aligned).map(gradient).collect()
 }

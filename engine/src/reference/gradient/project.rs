@@ -14,12 +14,13 @@
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-use super::motion::{rotation_gradient, turned};
+use super::motion::{PoseGradient, pose_gradients, rotation_gradient};
 use super::sh::color_gradient;
 use super::splats::SplatGradient;
 use crate::reference::motion::rigid_quaternion;
 use crate::reference::project::tangent_limit;
-use crate::reference::{DILATION, Offset, Pose, SCALE_MIN, exp_quaternion};
+use crate::reference::soft::{WeightedPose, shift, turn, turned, turned_back};
+use crate::reference::{DILATION, Offset, SCALE_MIN};
 use crate::scene::Camera;
 use crate::scene::parameter::{LIFESPAN, Optional};
 
@@ -67,8 +68,8 @@ pub struct OneGaussian {
     pub sh: Vec<f64>,
     /// Of `sh`.
     pub sh_degree: u32,
-    /// Its superpoint's pose.
-    pub pose: Option<Pose>,
+    /// What moves it: nothing, its superpoint's pose (`vec![pose.into()]`), or `[K]` poses with weights that sum to 1.
+    pub poses: Vec<WeightedPose>,
     /// Its non-rigid offset.
     pub offset: Option<Offset>,
     /// Its optional parameters.
@@ -90,16 +91,21 @@ pub struct OneGradient {
     pub sh: Vec<f64>,
     /// Of the projected centre, px.
     pub mean2d: DVec2,
-    /// By a left tangent of its superpoint's rotation: dL = ω·δφ for Exp(δφ)Exp(r).
-    pub omega: DVec3,
-    /// Of its superpoint's translation.
-    pub translation: DVec3,
+    /// `[K]` of the poses that move it.
+    pub poses: Vec<PoseGradient>,
     /// Of the non-rigid offset.
     pub offset: Offset,
     /// Of its optional parameters.
     pub optional: Optional<f64>,
     /// Larger eigenvalue of Σ₂, px².
     pub variance: f64,
+}
+
+impl OneGradient {
+    /// Of the pose in `slot`; 0 where there is none, as of a Gaussian that is not drawn.
+    pub fn pose(&self, slot: usize) -> PoseGradient {
+        self.poses.get(slot).copied().unwrap_or_default()
+    }
 }
 
 /// The projected covariance in whitened coordinates.
@@ -136,12 +142,12 @@ fn whiten(axes: [DVec2; 3], scale: [f64; 3]) -> Whitened {
 
 /// Backward of one visible Gaussian. `color` is dL/d colour behind the clamp: 0 in channels that are clamped at 0.
 pub fn backward(g: &OneGaussian, view: &View, splat: &SplatGradient, color: [f64; 3]) -> OneGradient {
-    let turned_mean = turned(g.pose.as_ref(), g.mean);
-    let shift = g.pose.map_or(DVec3::ZERO, |p| p.translation) + g.offset.map_or(DVec3::ZERO, |o| o.mean.into());
+    let turned_mean = turned(&g.poses, g.mean);
+    let shift = shift(&g.poses) + g.offset.map_or(DVec3::ZERO, |o| o.mean.into());
     let offset = turned_mean + shift - view.position;
     let p = view.rotation * offset;
-    let turn = g.pose.map_or(DQuat::IDENTITY, |p| exp_quaternion(p.rotation));
-    let quaternion = rigid_quaternion(g.rotation, g.pose) + g.offset.map_or(DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), dq);
+    let turn = turn(&g.poses);
+    let quaternion = rigid_quaternion(g.rotation, turn) + g.offset.map_or(DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), dq);
     let axes = view.rotation * DMat3::from_quat(quaternion.normalize());
     let own: [f64; 3] = g.log_scale.map(f64::exp);
     let added: [f64; 3] = std::array::from_fn(|k| own[k] + g.offset.map_or(0.0, |o| o.scale[k]));
@@ -174,19 +180,17 @@ pub fn backward(g: &OneGaussian, view: &View, splat: &SplatGradient, color: [f64
 
     let (sh, direction) = color_gradient(&g.sh, g.sh_degree, offset, color);
     let moved = view.rotation.transpose() * camera_gradient + direction;
-    let rotation = rotation_gradient(g.rotation, turn, g.offset.map(|o| o.rotation), local);
+    let rotation = rotation_gradient(g.rotation, turn.unwrap_or(DQuat::IDENTITY), g.offset.map(|o| o.rotation), local);
     // dL/ds; clamped standard deviations do not depend on anything.
     let free: [f64; 3] = std::array::from_fn(|k| if scale[k] > added[k] { 0.0 } else { relative[k] / scale[k] });
-    let back = g.pose.map_or(moved, |pose| crate::reference::exp(pose.rotation).transpose() * moved);
     OneGradient {
-        mean: back,
+        mean: turned_back(&g.poses, moved),
         rotation: rotation.raw,
         log_scale: std::array::from_fn(|k| free[k] * own[k]),
         opacity_logit: splat.h / (1.0 + g.opacity_logit.exp()),
         sh,
         mean2d,
-        omega: rotation.world + turned_mean.cross(moved),
-        translation: moved,
+        poses: pose_gradients(&g.poses, g.mean, moved, rotation.world),
         offset: Offset { mean: moved.to_array(), rotation: rotation.offset, scale: free },
         optional: optional_gradient(g, view.time, splat.h),
         variance: w.variance,

@@ -7,11 +7,11 @@ use super::motion::left_jacobian;
 use super::project::View;
 use super::splats::{SplatGradient, Upstream, contributions};
 use crate::reference::{
-    DeformationAt, Gaussians64, Offset, Pose, ReferenceOptions, exp, exp_quaternion, render_deformed,
+    Blend64, DeformationAt, Gaussians64, Offset, Pose, ReferenceOptions, exp, exp_quaternion, render_deformed,
 };
-use crate::scene::Camera;
 use crate::scene::parameter::Optional;
 use crate::scene::synthetic::{Random, random_optional};
+use crate::scene::{Camera, heaviest_slot};
 
 const GAUSSIANS: usize = 10;
 const SUPERPOINTS: usize = 3;
@@ -23,6 +23,7 @@ const PAIRS: usize = 500;
 struct Case {
     gaussians: Gaussians64,
     group: Vec<u32>,
+    blend: Option<Blend64>,
     poses: Option<Vec<Pose>>,
     offsets: Option<Vec<Offset>>,
     camera: Camera,
@@ -66,6 +67,7 @@ impl Case {
         Self {
             gaussians,
             group: (0..n).map(|_| r.below(SUPERPOINTS) as u32).collect(),
+            blend: None,
             poses: moving.then(|| (0..SUPERPOINTS).map(|_| pose(&mut r)).collect()),
             offsets: nonrigid.then(|| (0..n).map(|_| offset(&mut r)).collect()),
             camera,
@@ -75,8 +77,29 @@ impl Case {
         }
     }
 
+    /// The same with soft superpoints, 1 to 4 of them: in some slots the same one twice, or no weight.
+    fn soft(self, seed: u64) -> Self {
+        let mut r = Random::new(seed + 9000);
+        let neighbors = 1 + (seed % 4) as usize;
+        let slots = GAUSSIANS * neighbors;
+        let mut weight: Vec<f64> = (0..slots).map(|_| if r.below(8) == 0 { 0.0 } else { r.range(0.05, 1.0) }).collect();
+        for row in weight.chunks_exact_mut(neighbors) {
+            row[0] += 0.01;
+            let sum: f64 = row.iter().sum();
+            row.iter_mut().for_each(|w| *w /= sum);
+        }
+        let index = (0..slots).map(|_| r.below(SUPERPOINTS) as u32).collect();
+        Self { blend: Some(Blend64 { neighbors, index, weight }), ..self }
+    }
+
     fn deformation(&self) -> DeformationAt<'_> {
-        DeformationAt { group: &self.group, poses: self.poses.as_deref(), offsets: self.offsets.as_deref(), time: 0.4 }
+        DeformationAt {
+            group: &self.group,
+            blend: self.blend.as_ref(),
+            poses: self.poses.as_deref(),
+            offsets: self.offsets.as_deref(),
+            time: 0.4,
+        }
     }
 
     fn loss(&self) -> f64 {
@@ -97,6 +120,9 @@ impl Case {
         let all: Vec<u32> = (0..splats.len() as u32).collect();
         let view = View::from(&self.camera);
         let mut piece = Vec::new();
+        if let Some(blend) = &self.blend {
+            piece.extend(blend.weight.chunks(blend.neighbors).map(|w| heaviest_slot(w) as u32));
+        }
         for splat in &splats {
             let slope = (splat.mean - DVec2::new(self.camera.cx, self.camera.cy)) / view.focal;
             let clamps = [slope.x < view.tangent[0], slope.x > view.tangent[1], slope.y < view.tangent[2]];
@@ -145,12 +171,23 @@ fn check(
     value: fn(&mut Case, usize) -> &mut f64,
     gradient: fn(&Gradients, usize) -> f64,
 ) {
+    check_of(kind, &|seed| Case::random(seed, moving, nonrigid), choose, value, gradient);
+}
+
+/// [`check`] in scenes of a kind, by their seeds.
+fn check_of(
+    kind: &str,
+    scene: &dyn Fn(u64) -> Case,
+    choose: fn(&mut Random, &Case) -> usize,
+    value: fn(&mut Case, usize) -> &mut f64,
+    gradient: fn(&Gradients, usize) -> f64,
+) {
     let mut random = Random::new(kind.len() as u64 + 7);
     let (mut done, mut worst, mut seed) = (0, 0.0_f64, 0);
     while done < PAIRS {
         seed += 1;
         assert!(seed < 2000, "{kind}: only {done} pairs");
-        let case = Case::random(seed, moving, nonrigid);
+        let case = scene(seed);
         let gradients = case.gradients();
         for _ in 0..6 {
             let index = choose(&mut random, &case);
@@ -262,6 +299,48 @@ fn nonrigid_offsets_agree_with_differences() {
     check("dq", true, true, four, rotation, |g, i| g.offsets[i / 4].rotation[i % 4]);
     let scale: fn(&mut Case, usize) -> &mut f64 = |c, i| &mut c.offsets.as_mut().unwrap()[i / 3].scale[i % 3];
     check("ds", true, true, three, scale, |g, i| g.offsets[i / 3].scale[i % 3]);
+}
+
+#[test]
+fn soft_superpoints_agree_with_differences() {
+    let rigid = |seed: u64| Case::random(seed, true, false).soft(seed);
+    let nonrigid = |seed: u64| Case::random(seed, true, true).soft(seed);
+    let three = |r: &mut Random, _: &Case| any(r, 3 * GAUSSIANS);
+    let mean: fn(&mut Case, usize) -> &mut f64 = |c, i| &mut c.gaussians.mean[i / 3][i % 3];
+    check_of("mean, soft", &rigid, three, mean, |g, i| g.mean[i / 3][i % 3]);
+    let own: fn(&mut Case, usize) -> &mut f64 = |c, i| &mut c.gaussians.rotation[i / 4][i % 4];
+    check_of("rotation, soft", &nonrigid, |r, _| any(r, 4 * GAUSSIANS), own, |g, i| g.rotation[i / 4][i % 4]);
+    let of_pose = |r: &mut Random, _: &Case| any(r, 3 * SUPERPOINTS);
+    let rotation: fn(&mut Case, usize) -> &mut f64 = |c, i| &mut c.poses.as_mut().unwrap()[i / 3].rotation[i % 3];
+    for scene in [&rigid as &dyn Fn(u64) -> Case, &nonrigid] {
+        check_of("superpoint rotation, soft", scene, of_pose, rotation, |g, i| g.poses[i / 3].rotation[i % 3]);
+    }
+    let shift: fn(&mut Case, usize) -> &mut f64 = |c, i| &mut c.poses.as_mut().unwrap()[i / 3].translation[i % 3];
+    check_of("superpoint translation, soft", &rigid, of_pose, shift, |g, i| g.poses[i / 3].translation[i % 3]);
+    let slot = |r: &mut Random, c: &Case| any(r, c.blend.as_ref().unwrap().weight.len());
+    let weight: fn(&mut Case, usize) -> &mut f64 = |c, i| &mut c.blend.as_mut().unwrap().weight[i];
+    for scene in [&rigid as &dyn Fn(u64) -> Case, &nonrigid] {
+        check_of("weight", scene, slot, weight, |g, i| g.blend_weight[i]);
+    }
+}
+
+/// One superpoint for each Gaussian, said as a blend, moves and has gradients to the last bit as without.
+#[test]
+fn a_blend_of_one_superpoint_is_hard() {
+    for seed in 0..20 {
+        let hard = Case::random(seed, true, seed % 2 == 0);
+        let index: Vec<u32> = hard.group.iter().flat_map(|&j| [1, j]).collect();
+        let weight = [0.0, 1.0].repeat(GAUSSIANS);
+        let one = Blend64 { neighbors: 1, index: hard.group.clone(), weight: vec![1.0; GAUSSIANS] };
+        let two = Blend64 { neighbors: 2, index, weight };
+        let expected = hard.gradients();
+        let mut found = Case { blend: Some(one), ..hard.clone() }.gradients();
+        found.blend_weight.clear();
+        assert_eq!(found, expected, "scene {seed}");
+        let zero_and_one = Case { blend: Some(two), ..hard.clone() };
+        assert_eq!(zero_and_one.loss().to_bits(), hard.loss().to_bits(), "scene {seed}");
+        assert_eq!(zero_and_one.gradients().mean, expected.mean, "scene {seed}");
+    }
 }
 
 #[test]

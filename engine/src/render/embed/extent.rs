@@ -45,16 +45,17 @@ fn centres(scene: &Scene, table: Option<&Motion>) -> Vec<DVec3> {
     let gaussians = &scene.gaussians;
     let rest: Vec<(usize, DVec3)> =
         looked_at(gaussians).map(|i| (i, DVec3::from(gaussians.mean[i].map(f64::from)))).collect();
-    let (Some(motion), Some(superpoints)) = (table, scene.deformation.superpoints()) else {
+    let (Some(motion), Some(superpoints)) = (table, scene.deformation.superpoint_deformation()) else {
         return rest.into_iter().map(|(_, p)| p).collect();
     };
     let m = motion.superpoint_count();
     let last = motion.times.len().saturating_sub(1);
     let moved = |key: usize| {
         rest.iter().filter_map(move |(i, p)| {
-            let at = key * m + *superpoints.of_gaussian.get(*i)? as usize;
-            let of = |list: &[[f32; 3]]| Some(DVec3::from(list.get(at)?.map(f64::from)));
-            Some(DQuat::from_scaled_axis(of(&motion.rotation)?) * *p + of(&motion.translation)?)
+            let of = |list: &[[f32; 3]], j: usize| Some(DVec3::from(list.get(key * m + j)?.map(f64::from)));
+            let by =
+                |j: usize| Some(DQuat::from_scaled_axis(of(&motion.rotation, j)?) * *p + of(&motion.translation, j)?);
+            superpoints.slots(*i).map(|(j, weight)| by(j).map(|p| weight * p)).sum::<Option<DVec3>>()
         })
     };
     [0, last / 2, last].into_iter().flat_map(moved).filter(|p| p.is_finite()).collect()

@@ -48,6 +48,11 @@ impl SuperpointDeformation {
         Self { superpoints, table: Some(table), ..Self::default() }
     }
 
+    /// The superpoints that Gaussian `i` moves with, and their weights ([`Superpoints::slots`]).
+    pub fn slots(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+        self.superpoints.slots(self.blend.as_ref(), i)
+    }
+
     /// See [`super::Deformation::motion_source`].
     pub(super) fn motion_source(&self, wanted: MotionSource) -> Result<Option<MotionSource>> {
         let missing = |found: &str| Err(source_missing(found, wanted));
@@ -65,6 +70,7 @@ impl SuperpointDeformation {
         let m = self.superpoints.position.len();
         length("superpoints.of_gaussian", self.superpoints.of_gaussian.len(), gaussians)?;
         below("superpoints.of_gaussian", &self.superpoints.of_gaussian, m)?;
+        self.blend.as_ref().map_or(Ok(()), |blend| blend.check_shapes(gaussians, m))?;
         self.table.as_ref().map_or(Ok(()), |table| table.check_shapes(m))
     }
 
@@ -72,6 +78,7 @@ impl SuperpointDeformation {
         self.check_shapes(gaussians)?;
         finite("superpoints.position", self.superpoints.position.as_flattened())?;
         self.table.as_ref().map_or(Ok(()), Motion::check)?;
+        self.blend.as_ref().map_or(Ok(()), |blend| blend.check(&self.superpoints.of_gaussian))?;
         let m = self.superpoints.position.len();
         self.association.as_ref().map_or(Ok(()), |a| a.check(gaussians, m))?;
         self.network.as_ref().map_or(Ok(()), DeformNetwork::check)?;
@@ -80,6 +87,10 @@ impl SuperpointDeformation {
 
     pub(super) fn retain(&mut self, keep: &[bool]) {
         retain_chunks(&mut self.superpoints.of_gaussian, 1, keep);
+        if let Some(blend) = &mut self.blend {
+            retain_chunks(&mut blend.index, blend.neighbors, keep);
+            retain_chunks(&mut blend.weight, blend.neighbors, keep);
+        }
         if let Some(association) = &mut self.association {
             retain_chunks(&mut association.neighbor, association.neighbors, keep);
             retain_chunks(&mut association.logit, association.neighbors, keep);
@@ -89,6 +100,7 @@ impl SuperpointDeformation {
     pub(super) fn parts(&self) -> Vec<&'static str> {
         let parts = [
             ("superpoints", true),
+            ("their blend", self.blend.is_some()),
             ("motion", self.table.is_some()),
             ("association", self.association.is_some()),
             ("network F", self.network.is_some()),
@@ -123,6 +135,42 @@ impl Motion {
         }
         finite("motion.rotation", self.rotation.as_flattened())?;
         finite("motion.translation", self.translation.as_flattened())
+    }
+}
+
+impl Blend {
+    /// K superpoints that are there for each of `gaussians`.
+    ///
+    /// # Errors
+    /// `Usage` naming the tensor and element.
+    pub(crate) fn check_shapes(&self, gaussians: usize, m: usize) -> Result<()> {
+        let most = Self::MOST_NEIGHBORS;
+        if !(1..=most).contains(&self.neighbors) {
+            return problem("superpoints.blend_index", format!("K = {}", self.neighbors), format!("K = 1 to {most}"));
+        }
+        length("superpoints.blend_index", self.index.len(), gaussians * self.neighbors)?;
+        length("superpoints.blend_weight", self.weight.len(), gaussians * self.neighbors)?;
+        below("superpoints.blend_index", &self.index, m)
+    }
+
+    /// Weights that can be normalised, and of which each Gaussian's superpoint has the largest. Shapes are right.
+    fn check(&self, of_gaussian: &[u32]) -> Result<()> {
+        const WEIGHT: &str = "superpoints.blend_weight";
+        finite(WEIGHT, &self.weight)?;
+        if let Some(i) = self.weight.iter().position(|&w| w < 0.0) {
+            return problem(WEIGHT, format!("{} at element {i}", self.weight[i]), "weights of at least 0");
+        }
+        for (i, (weight, &own)) in self.weight.chunks_exact(self.neighbors).zip(of_gaussian).enumerate() {
+            if weight.iter().all(|&w| w == 0.0) {
+                let at = i * self.neighbors;
+                return problem(WEIGHT, format!("a sum of 0 from element {at} on"), "weights with a sum above 0");
+            }
+            if let Some(heaviest) = self.heaviest(i).filter(|j| *j != own) {
+                let expected = format!("{heaviest}, which has the largest weight in `superpoints.blend_index`");
+                return problem("superpoints.of_gaussian", format!("{own} at element {i}"), expected);
+            }
+        }
+        Ok(())
     }
 }
 

@@ -78,7 +78,8 @@ impl Job {
         }
         self.parameters(b, g, &gradient);
         if let Some(pose_gradient) = b.pose_gradient.as_mut().filter(|_| self.moving) {
-            let values = [gradient.omega.to_array(), gradient.translation.to_array()].concat();
+            let pose = gradient.pose(0);
+            let values = [pose.omega.to_array(), pose.translation.to_array()].concat();
             self.write(pose_gradient, b.status, status::POSE, &values, g);
         }
         if let Some(nonrigid_gradient) = b.nonrigid_gradient.as_mut().filter(|_| self.nonrigid) {
@@ -150,7 +151,7 @@ impl Job {
             let value = |p: u32| self.planes::<1>(words, p as usize, g)[0];
             optional.set(parameter, (first..first + width).map(value).collect());
         }
-        let pose = if self.moving { Some(self.pose(b, g)?) } else { None };
+        let poses = if self.moving { vec![self.pose(b, g)?.into()] } else { Vec::new() };
         let one = OneGaussian {
             mean: DVec3::from_array(self.planes(b.mean, 0, g)),
             rotation: vec4_at(b.rotation, g).map(f64::from),
@@ -158,7 +159,7 @@ impl Job {
             opacity_logit: f64::from(f32_at(b.opacity_logit, g)),
             sh: sh.collect(),
             sh_degree: self.degree as u32,
-            pose,
+            poses,
             offset,
             optional,
         };

@@ -6,7 +6,7 @@ use engine::error::Result;
 use engine::gpu::Gpu;
 use engine::reference::gradient::image::{Gradients, image_gradients};
 use engine::reference::gradient::splats::Upstream;
-use engine::reference::{DeformationAt, Gaussians64, ReferenceOptions, table_poses};
+use engine::reference::{Blend64, DeformationAt, Gaussians64, ReferenceOptions, table_poses};
 use engine::scene::parameter::PARAMETERS;
 use engine::scene::synthetic::{HardCase, Random, moving_scene, random_optional, random_scene};
 use engine::scene::{Camera, Scene};
@@ -115,7 +115,9 @@ impl View {
     fn truth(&self) -> Result<Gradients> {
         let poses = self.scene.deformation.table().map(|motion| table_poses(motion, self.time));
         let group = self.scene.deformation.superpoint_of_gaussian();
-        let deformation = DeformationAt { group, poses: poses.as_deref(), offsets: None, time: self.time };
+        let blend = Blend64::of(&self.scene);
+        let deformation =
+            DeformationAt { group, poses: poses.as_deref(), blend: blend.as_ref(), offsets: None, time: self.time };
         let color: Vec<f64> = self.upstream.chunks_exact(4).flat_map(|g| [g[0], g[1], g[2]]).map(f64::from).collect();
         let alpha: Vec<f64> = self.upstream.iter().skip(3).step_by(4).map(|&a| f64::from(a)).collect();
         let options = ReferenceOptions {
@@ -143,7 +145,10 @@ fn kinds<'a>(found: &'a SceneGradients, truth: &Gradients) -> Vec<(&'static str,
         all.push((PARAMETERS[parameter].name, device, exact.to_vec()));
     }
     if !found.pose.is_empty() {
-        let each = truth.each.iter().flat_map(|g| g.omega.to_array().into_iter().chain(g.translation.to_array()));
+        let each = truth
+            .each
+            .iter()
+            .flat_map(|g| g.pose(0).omega.to_array().into_iter().chain(g.pose(0).translation.to_array()));
         all.push(("pose", found.pose.as_flattened(), each.collect()));
     }
     all

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use engine::error::Result;
 use engine::gpu::Gpu;
 use engine::reference::gradient::image::visible_splats;
-use engine::reference::{self, ALPHA_MIN, DeformationAt, ReferenceOptions, Splat};
+use engine::reference::{self, ALPHA_MIN, Blend64, DeformationAt, ReferenceOptions, Splat};
 use engine::render::RenderOptions;
 use engine::render::arithmetic_rate::arithmetic_rate;
 use engine::scene::{Camera, Scene};
@@ -68,7 +68,8 @@ pub(super) struct Roofline {
 pub(super) fn pairs(scene: &Scene, camera: &Camera, time: f64, options: &RenderOptions) -> Result<f64> {
     let poses = reference::poses(scene, time, options.motion)?;
     let group = scene.deformation.superpoint_of_gaussian();
-    let deformation = DeformationAt { group, poses: poses.as_deref(), offsets: None, time };
+    let blend = Blend64::of(scene);
+    let deformation = DeformationAt { group, poses: poses.as_deref(), blend: blend.as_ref(), offsets: None, time };
     let near = ReferenceOptions { near: options.near.into(), ..ReferenceOptions::default() };
     let splats = visible_splats(&in_f64(scene), &deformation, camera, &near)?;
     let pixels = f64::from(camera.width) * f64::from(camera.height);

@@ -5,7 +5,7 @@ mod between;
 use engine::error::{Error, Result};
 use engine::reference::poses;
 use engine::reference::tabulate::{PlacedGaussian, TableTimes, Tabulated, tabulate};
-use engine::scene::{Gaussians, Motion, MotionSource, Scene, Superpoints};
+use engine::scene::{Blend, Gaussians, Motion, MotionSource, Scene, Superpoints};
 use engine::train::bake::{self, Views};
 use indicatif::ProgressBar;
 use serde::Serialize;
@@ -42,6 +42,8 @@ pub struct Baked {
     /// Of network F and of a deformation field: largest displacement at times between the candidates, pixels of 800x800. Above
     /// the bound where the motion is too quick for as many times as a table may have. A table is linear in between.
     pub between_px: Option<f64>,
+    /// Of soft superpoints whose weights were rounded to bytes: what that alone moves at most, pixels; part of `error_px`.
+    pub rounding_px: Option<f64>,
     /// Gaussians that fall in none of the views at the candidates: they count as cameras turned to them would see them.
     pub unseen: usize,
 }
@@ -63,6 +65,9 @@ impl Baked {
             let percent = 100.0 * size;
             line += &format!("; sizes, which change by up to {percent:.1} % for 95 % of the Gaussians, are their mean");
         }
+        if let Some(px) = self.rounding_px {
+            line += &format!("; weights of superpoints as bytes, which takes {px:.4} px of it");
+        }
         if self.unseen > 0 {
             line += &format!("; {} Gaussians fall in no view and count as if it were turned to them", self.unseen);
         }
@@ -73,6 +78,8 @@ impl Baked {
 /// The motion of a scene at many times.
 struct Candidates {
     superpoints: Superpoints,
+    /// Soft superpoints.
+    blend: Option<Blend>,
     motion: Motion,
     /// Of a deformation field: [`Tabulated::size_change`].
     size_change: Option<f64>,
@@ -89,7 +96,8 @@ pub(super) fn bake(scene: &mut Scene, moments: &Moments<'_>, bound_px: f64, quie
     let rigid = nonrigid.is_some().then(|| scene.clone());
     let rigid = rigid.as_ref().map(|s| Moments::new(s, moments.source(), None)).transpose()?;
     let moments = rigid.as_ref().unwrap_or(moments);
-    let Candidates { superpoints, motion: table, size_change, is_free_between } = match scene.deformation.field() {
+    let Candidates { superpoints, blend, motion: table, size_change, is_free_between } = match scene.deformation.field()
+    {
         Some(_) => of_field(scene, moments, bound_px, &bar)?,
         None => of_superpoints(scene, moments.source())?,
     };
@@ -101,7 +109,10 @@ pub(super) fn bake(scene: &mut Scene, moments: &Moments<'_>, bound_px: f64, quie
     let (mut tolerance, mut attempts) = (bound_px, 0);
     let (baked, between_px) = loop {
         scene.gaussians.clone_from(&gaussians);
-        let baked = bake::bake(&mut scene.gaussians, &superpoints, &table, &views, tolerance, true)?;
+        let baked = {
+            let blend = blend.as_ref();
+            bake::bake(&mut scene.gaussians, &superpoints, blend, &table, &views, tolerance, true)?
+        };
         scene.deformation.clone_from(&baked.deformation);
         let between_px = between.as_ref().map(|b| b.error_px(scene, &views)).transpose()?;
         attempts += 1;
@@ -124,13 +135,14 @@ pub(super) fn bake(scene: &mut Scene, moments: &Moments<'_>, bound_px: f64, quie
         bound_px,
         size_change,
         between_px,
+        rounding_px: baked.rounding_px,
         unseen: baked.unseen,
     })
 }
 
 /// A table or network F at many times.
 fn of_superpoints(scene: &Scene, source: MotionSource) -> Result<Candidates> {
-    let Some(superpoints) = scene.deformation.superpoints().cloned() else {
+    let Some(moving) = scene.deformation.superpoint_deformation() else {
         return Err(Error::usage(
             "--bake",
             "a model that does not move",
@@ -149,7 +161,8 @@ fn of_superpoints(scene: &Scene, source: MotionSource) -> Result<Candidates> {
         }
     }
     let is_free_between = source == MotionSource::Network;
-    Ok(Candidates { superpoints, motion, size_change: None, is_free_between })
+    let (superpoints, blend) = (moving.superpoints.clone(), moving.blend.clone());
+    Ok(Candidates { superpoints, blend, motion, size_change: None, is_free_between })
 }
 
 /// A deformation field at as many times as it takes: one superpoint for each Gaussian that moves.
@@ -164,7 +177,7 @@ fn of_field(scene: &mut Scene, moments: &Moments<'_>, bound_px: f64, bar: &Progr
     let within = TableTimes::Within(bound_px / f64::from(SIZE[0]));
     let Tabulated { motion, superpoints, size_change, .. } =
         tabulate(&mut scene.gaussians, &mut place, within, "the deformation field")?;
-    Ok(Candidates { superpoints, motion, size_change: Some(size_change), is_free_between: true })
+    Ok(Candidates { superpoints, blend: None, motion, size_change: Some(size_change), is_free_between: true })
 }
 
 /// The key times of a table and the middles between them; evenly spread times for network F.

@@ -4,28 +4,32 @@
 use super::super::read::Tensors;
 use super::{linear, prefixed};
 use crate::error::{Error, Result};
-use crate::file::tensors::{NamedTensor, floats, indices};
-use crate::scene::{Association, DeformNetwork, DeformSize, Motion, SuperpointDeformation, Superpoints};
+use std::borrow::Cow;
+
+use crate::file::tensors::{NamedTensor, floats, indices, narrow_indices};
+use crate::scene::{Association, Blend, DeformNetwork, DeformSize, Motion, SuperpointDeformation, Superpoints};
 
 /// Prefixes of the tensors' names.
 pub(super) const NAMESPACES: [&str; 4] = ["superpoints.", "motion.", "association.", "deform."];
 
 const SUPERPOINTS: [&str; 2] = ["superpoints.of_gaussian", "superpoints.position"];
+const BLEND: [&str; 2] = ["superpoints.blend_index", "superpoints.blend_weight"];
 const TABLE: [&str; 3] = ["motion.times", "motion.rotation", "motion.translation"];
 const ASSOCIATION: [&str; 2] = ["association.neighbor", "association.logit"];
 
 /// All but network G, when superpoints are there.
 pub(super) fn read(tensors: &mut Tensors<'_>, n: usize) -> Result<Option<SuperpointDeformation>> {
-    let superpoints = superpoints(tensors, n)?;
+    let (superpoints, blend) = (superpoints(tensors, n)?, blend(tensors, n)?);
     let (table, association, network) = (motion(tensors)?, association(tensors, n)?, network(tensors)?);
     let parts = [
+        (BLEND[0], blend.is_some()),
         (TABLE[0], table.is_some()),
         (ASSOCIATION[0], association.is_some()),
         ("deform.linear.0.weight", network.is_some()),
     ];
     match (superpoints, parts.iter().find(|(_, is_there)| *is_there)) {
         (Some(superpoints), _) => {
-            Ok(Some(SuperpointDeformation { superpoints, blend: None, table, network, association, nonrigid: None }))
+            Ok(Some(SuperpointDeformation { superpoints, blend, table, network, association, nonrigid: None }))
         }
         (None, None) => Ok(None),
         (None, Some((name, _))) => {
@@ -41,6 +45,15 @@ pub(super) fn tensors(s: &SuperpointDeformation, n: usize) -> Vec<NamedTensor<'_
         indices(SUPERPOINTS[0], vec![n], &s.superpoints.of_gaussian),
         floats(SUPERPOINTS[1], vec![s.superpoints.position.len(), 3], s.superpoints.position.as_flattened()),
     ];
+    if let Some(b) = &s.blend {
+        let shape = vec![n, b.neighbors];
+        out.push(narrow_indices(BLEND[0], shape.clone(), &b.index, s.superpoints.position.len()));
+        // Either type holds the very weights.
+        out.push(match b.levels() {
+            Some(levels) => NamedTensor { name: BLEND[1].into(), dtype: "U8", shape, bytes: Cow::Owned(levels) },
+            None => floats(BLEND[1], shape, &b.weight),
+        });
+    }
     if let Some(m) = &s.table {
         let shape = vec![m.times.len(), m.superpoint_count(), 3];
         out.push(floats(TABLE[0], vec![m.times.len()], &m.times));
@@ -59,7 +72,7 @@ pub(super) fn tensors(s: &SuperpointDeformation, n: usize) -> Vec<NamedTensor<'_
 
 /// Names that have a meaning here.
 pub(super) fn is_known(name: &str) -> bool {
-    let listed = SUPERPOINTS.iter().chain(&TABLE).chain(&ASSOCIATION).any(|known| *known == name);
+    let listed = SUPERPOINTS.iter().chain(&BLEND).chain(&TABLE).chain(&ASSOCIATION).any(|known| *known == name);
     listed || prefixed(name, "deform.", DeformSize::MOST_LAYERS, &["translation", "rotation"])
 }
 
@@ -70,6 +83,15 @@ fn superpoints(tensors: &mut Tensors<'_>, n: usize) -> Result<Option<Superpoints
     let (_, of_gaussian) = tensors.u32s(SUPERPOINTS[0], &[Some(n)])?;
     let (_, position) = tensors.rows::<3>(SUPERPOINTS[1], &[None])?;
     Ok(Some(Superpoints { of_gaussian, position }))
+}
+
+fn blend(tensors: &mut Tensors<'_>, n: usize) -> Result<Option<Blend>> {
+    if !tensors.group(&BLEND)? {
+        return Ok(None);
+    }
+    let (shape, index) = tensors.indices(BLEND[0], &[Some(n), None])?;
+    let (_, weight) = tensors.weights(BLEND[1], &[Some(n), Some(shape[1])])?;
+    Ok(Some(Blend { neighbors: shape[1], index, weight }))
 }
 
 fn motion(tensors: &mut Tensors<'_>) -> Result<Option<Motion>> {

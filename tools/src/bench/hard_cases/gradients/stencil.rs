@@ -73,7 +73,13 @@ impl Scene64 {
     }
 
     fn deformation(&self) -> DeformationAt<'_> {
-        DeformationAt { group: &self.group, poses: Some(&self.poses), offsets: Some(&self.offsets), time: 0.0 }
+        DeformationAt {
+            group: &self.group,
+            poses: Some(&self.poses),
+            blend: None,
+            offsets: Some(&self.offsets),
+            time: 0.0,
+        }
     }
 
     fn options() -> ReferenceOptions {
