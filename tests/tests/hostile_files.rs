@@ -4,12 +4,13 @@ use std::path::Path;
 
 use engine::data::transforms;
 use engine::file::{self, model, picture, ply};
-use engine::scene::{Association, Camera, Gaussians, Motion, Scene, SuperpointDeformation, Superpoints};
+use engine::scene::{Association, Blend, Camera, Gaussians, Motion, Scene, SuperpointDeformation, Superpoints};
 use proptest::prelude::*;
 
 fn small_scene() -> Scene {
     let deformation = SuperpointDeformation {
         superpoints: Superpoints { of_gaussian: vec![0, 1, 0], position: vec![[0.0; 3]; 2] },
+        blend: Some(Blend { neighbors: 2, index: vec![0, 1, 0, 1, 0, 0], weight: vec![0.5, 0.0, 0.25, 1.0, 3.0, 2.0] }),
         table: Some(Motion { times: vec![0.0, 1.0], rotation: vec![[0.0; 3]; 4], translation: vec![[0.1; 3]; 4] }),
         association: Some(Association { neighbors: 1, neighbor: vec![0, 1, 1], logit: vec![0.0; 3] }),
         ..SuperpointDeformation::default()
@@ -108,6 +109,9 @@ fn feed(bytes: &[u8]) {
     if let Ok((scene, _)) = model::parse(bytes, path) {
         let m = scene.deformation.superpoint_count();
         assert!(scene.deformation.superpoint_of_gaussian().iter().all(|&s| (s as usize) < m));
+        let blend = scene.deformation.blend().cloned().unwrap_or_default();
+        assert!(blend.index.iter().all(|&s| (s as usize) < m));
+        assert!((0..blend.len()).flat_map(|i| blend.slots(i)).all(|(_, w)| (0.0..=1.0).contains(&w)));
     }
     if let Ok(set) = transforms::parse(bytes, path, None) {
         assert!(set.cameras.iter().all(is_finite));

@@ -6,7 +6,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::*;
 use crate::scene::synthetic::{Random, hard_cases, moving_scene, random_gaussians, random_scene};
-use crate::scene::{Motion, SuperpointDeformation, Superpoints};
+use crate::scene::{Blend, Motion, SuperpointDeformation, Superpoints};
 
 /// The definition, word for word: at every pixel, every Gaussian.
 fn brute_force(splats: &[Splat], camera: &Camera, background: [f64; 3]) -> ReferenceImage {
@@ -244,6 +244,61 @@ fn table_is_interpolated_inside_and_held_outside() {
     assert_eq!(at(3.0).rotation, DVec3::new(0.0, 2.0, 0.0));
     assert_eq!(table_poses(&Motion { times: vec![0.0], ..motion.clone() }, 7.0).len(), 3);
     assert_eq!(table_poses(&Motion::default(), 0.0), []);
+}
+
+/// Superpoint 0 turns about z by `angle` and shifts along x; superpoint 1 turns by −`angle`.
+fn soft_scene(angle: f32, weight: [f32; 2]) -> Scene {
+    let mut scene = random_scene(50, 3, 0);
+    let blend = Blend { neighbors: 2, index: [0, 1].repeat(50), weight: weight.repeat(50) };
+    let table = Motion {
+        times: vec![0.0],
+        rotation: vec![[0.0, 0.0, angle], [0.0, 0.0, -angle]],
+        translation: vec![[1.0, 0.0, 0.0], [0.0; 3]],
+    };
+    let superpoints = Superpoints { of_gaussian: blend.of_gaussian(), position: vec![[0.0; 3]; 2] };
+    let motion = SuperpointDeformation { blend: Some(blend), ..SuperpointDeformation::of_table(superpoints, table) };
+    scene.deformation = motion.into();
+    scene
+}
+
+#[test]
+fn soft_superpoints_by_hand() {
+    // Weights 3 : 1 at ±1 radian: the quaternions' mean turns by 2·atan(½·tan ½).
+    let small = 2.0 * (0.5 * 0.5_f64.tan()).atan();
+    // At ±3 radians the second quaternion is on the other side of the first one's, and is turned round: (½cos, sin) of 1½.
+    let large = 2.0 * 1.5_f64.sin().atan2(0.5 * 1.5_f64.cos());
+    for (angle, expected) in [(1.0, small), (3.0, large)] {
+        let scene = soft_scene(angle, [0.75, 0.25]);
+        let placed = place_scene(&scene, 0.0, MotionSource::Auto).unwrap();
+        let frozen = freeze(&scene, 0.0, MotionSource::Auto).unwrap();
+        for (i, &mean) in scene.gaussians.mean.iter().enumerate() {
+            let mean = DVec3::from(mean.map(f64::from));
+            let turn = |a: f64| DMat3::from_rotation_z(a);
+            let angle = f64::from(angle);
+            let by_hand = 0.75 * (turn(angle) * mean + DVec3::X) + 0.25 * (turn(-angle) * mean);
+            assert!((placed.mean[i] - by_hand).length() < 1e-12, "{} {by_hand}", placed.mean[i]);
+            let own = rotation_of_quaternion(scene.gaussians.rotation[i].map(f64::from));
+            let off = (placed.rotation[i] - turn(expected) * own).to_cols_array();
+            assert!(off.iter().all(|x| x.abs() < 1e-12), "{angle}: {off:?}");
+            assert_eq!(frozen.mean[i], placed.mean[i].as_vec3().to_array());
+        }
+    }
+}
+
+#[test]
+fn weights_are_normalised_and_one_superpoint_stays_exact() {
+    let place = |scene: &Scene| place_scene(scene, 0.0, MotionSource::Auto).unwrap();
+    assert_eq!(place(&soft_scene(0.7, [6.0, 2.0])), place(&soft_scene(0.7, [0.75, 0.25])));
+    for weight in [[0.3, 0.0], [0.0, 1e-30]] {
+        let soft = soft_scene(0.7, weight);
+        let mut hard = soft.clone();
+        hard.deformation.superpoint_deformation_mut().unwrap().blend = None;
+        assert_eq!(place(&soft), place(&hard), "{weight:?}");
+    }
+    let mut bad = soft_scene(0.7, [1.0, 1.0]);
+    bad.deformation.superpoint_deformation_mut().unwrap().blend.as_mut().unwrap().index[3] = 2;
+    let message = place_scene(&bad, 0.0, MotionSource::Auto).unwrap_err().to_string();
+    assert!(message.contains("superpoints.blend_index") && message.contains("2 at element 3"), "{message}");
 }
 
 #[test]

@@ -103,9 +103,10 @@ fn moved(spheres: &[(DVec3, f64)], motion: &Motion, origin: DVec3) -> Bounds {
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
+    use crate::reference::place_scene;
     use crate::render::frame::FrameOptions;
-    use crate::scene::Camera;
-    use crate::scene::synthetic::moving_scene;
+    use crate::scene::synthetic::{moving_scene, random_blend};
+    use crate::scene::{Camera, MotionSource};
 
     fn frame(eye: DVec3, bounds: &Bounds, bits: u32) -> Frame {
         let camera = Camera::look_at(eye, DVec3::ZERO, DVec3::Y, 0.8, [8, 8]);
@@ -142,5 +143,30 @@ mod tests {
                 assert!(p.cmpge(bounds.low).all() && p.cmple(bounds.high).all(), "{p} outside {bounds:?}");
             }
         }
+    }
+
+    #[test]
+    fn the_box_holds_what_moves_with_several_superpoints() {
+        let mut scene = moving_scene(200, 7, 5, 3, false);
+        let s = scene.deformation.superpoint_deformation_mut().unwrap();
+        // Superpoint 6 goes far away, and has no Gaussian of its own.
+        let motion = s.table.as_mut().unwrap();
+        motion.translation.iter_mut().skip(6).step_by(7).for_each(|t| t[0] += 50.0);
+        let poses = Poses::Table(motion.clone());
+        let mut blend = random_blend(200, 6, 3, 1);
+        blend.index.iter_mut().zip(&mut blend.weight).step_by(3).for_each(|(j, w)| (*j, *w) = (6, 0.005));
+        (s.superpoints.of_gaussian, s.blend) = (blend.of_gaussian(), Some(blend));
+        let bounds = Bounds::of(&scene.deformation, &scene.gaussians.mean, &poses, DVec3::ZERO);
+        let mut last = 0.0_f64;
+        for &time in scene.deformation.key_times() {
+            for p in place_scene(&scene, f64::from(time), MotionSource::Auto).unwrap().mean {
+                assert!(p.cmpge(bounds.low).all() && p.cmple(bounds.high).all(), "{p} outside {bounds:?}");
+                last = last.max(p.x);
+            }
+        }
+        let mut hard = scene.clone();
+        hard.deformation.superpoint_deformation_mut().unwrap().blend = None;
+        let without = Bounds::of(&hard.deformation, &scene.gaussians.mean, &poses, DVec3::ZERO);
+        assert!(last < bounds.high.x && without.high.x < bounds.high.x - 10.0);
     }
 }

@@ -227,3 +227,55 @@ pub enum PropertyLoss {
     /// The paper's equation.
     Paper,
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+    use crate::scene::synthetic::random_blend;
+
+    #[test]
+    fn the_heaviest_superpoint_is_the_first_of_equals() {
+        let blend = Blend { neighbors: 3, index: vec![7, 8, 9, 4, 5, 6], weight: vec![1.0, 3.0, 3.0, 2.0, 0.0, 0.0] };
+        assert_eq!((blend.len(), blend.of_gaussian(), blend.heaviest(2)), (2, vec![8, 4], None));
+        assert_eq!(blend.slots(0).collect::<Vec<_>>(), [(7, 1.0 / 7.0), (8, 3.0 / 7.0), (9, 3.0 / 7.0)]);
+        assert_eq!(blend.soft_count(), 1);
+        let superpoints = Superpoints { of_gaussian: vec![8, 4], position: Vec::new() };
+        assert_eq!(superpoints.slots(Some(&blend), 1).collect::<Vec<_>>(), [(4, 1.0)], "without weight");
+        assert_eq!(superpoints.slots(None, 0).collect::<Vec<_>>(), [(8, 1.0)]);
+        assert_eq!(superpoints.slots(None, 2).count() + superpoints.slots(Some(&blend), 2).count(), 0);
+    }
+
+    #[test]
+    fn superpoints_in_effect_are_one_to_all() {
+        let equal = Blend { neighbors: 4, index: vec![0; 8], weight: vec![0.3; 8] };
+        assert!((equal.mean_superpoints() - 4.0).abs() < 1e-12);
+        assert_eq!(Blend::of_one(&[3, 1]).mean_superpoints(), 1.0);
+    }
+
+    #[test]
+    fn bytes_keep_the_heaviest_superpoint_and_their_own_values() {
+        for neighbors in 1..=Blend::MOST_NEIGHBORS {
+            let blend = random_blend(2000, 9, neighbors, neighbors as u64);
+            let rounded = blend.quantized();
+            assert_eq!(rounded.of_gaussian(), blend.of_gaussian());
+            assert!(blend.levels().is_none() || neighbors == 1, "weights that are no levels");
+            assert!(rounded.levels().is_some());
+            assert_eq!(rounded.quantized(), rounded);
+            for i in 0..blend.len() {
+                for ((_, before), (_, after)) in blend.slots(i).zip(rounded.slots(i)) {
+                    assert!((before - after).abs() < 2.0 / 255.0, "{before} {after}");
+                }
+            }
+        }
+        // The second is heavier by less than a level.
+        let close = Blend { neighbors: 2, index: vec![4, 5], weight: vec![0.4999, 0.5001] };
+        assert_eq!(close.quantized().of_gaussian(), [5]);
+        for level in 0..=255 {
+            assert_eq!(
+                Blend { weight: vec![Blend::weight_of_level(level)], ..Blend::of_one(&[0]) }.levels(),
+                Some(vec![level])
+            );
+        }
+    }
+}

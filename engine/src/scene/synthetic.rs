@@ -6,7 +6,7 @@ mod demo;
 mod hard;
 mod random;
 
-pub use cloud::{moving_scene, random_gaussians, random_network, random_optional, random_scene};
+pub use cloud::{moving_scene, random_blend, random_gaussians, random_network, random_optional, random_scene};
 pub use demo::{DEMO_BACKGROUND, demo_camera, demo_scene};
 pub use hard::{HardCase, hard_cases};
 pub use random::Random;

@@ -188,20 +188,28 @@ impl<'a> Baker<'a> {
             .unwrap_or_else(|d| d)
     }
 
-    /// Whether each superpoint ever moves one of its Gaussians, from where it is at the first candidate, by more than the
-    /// tolerance.
+    /// Whether each superpoint by itself ever moves one of its Gaussians, from where it is at the first candidate, by more than
+    /// the tolerance; or several together do.
     fn moving(&self, tolerance: f64) -> Vec<bool> {
         let first = self.exact(0);
         let mut moving = vec![false; self.count];
+        let moves = |k: usize, one: [DVec3; 2], two: [DVec3; 2]| {
+            one.into_iter().zip(two).any(|(a, b)| self.views[k].movement(a, b) > tolerance)
+        };
         for k in 1..self.motion.times.len() {
             let now = self.exact(k);
-            let moves = |p: &&Probe| {
-                let pairs = p.placed(&first).into_iter().zip(p.placed(&now));
-                pairs.into_iter().any(|(a, b)| self.views[k].movement(a, b) > tolerance)
+            let found = |p: &Probe| -> Vec<usize> {
+                let resting = p.slots().map(|(j, _)| j).filter(|&j| !moving[j]);
+                resting.filter(|&j| moves(k, p.placed_by(&first[j]), p.placed_by(&now[j]))).collect()
             };
-            let resting = self.probes.par_iter().filter(|p| p.slots().any(|(j, _)| !moving[j]));
-            let found: Vec<usize> = resting.filter(moves).flat_map_iter(|p| p.slots().map(|(j, _)| j)).collect();
+            let found: Vec<usize> = self.probes.par_iter().flat_map_iter(found).collect();
             found.into_iter().for_each(|j| moving[j] = true);
+        }
+        for k in (1..self.motion.times.len()).filter(|_| self.probes.iter().any(Probe::is_soft)) {
+            let now = self.exact(k);
+            let resting = self.probes.par_iter().filter(|p| p.is_soft() && p.slots().all(|(j, _)| !moving[j]));
+            let found: Vec<&Probe> = resting.filter(|p| moves(k, p.placed(&first), p.placed(&now))).collect();
+            found.into_iter().flat_map(Probe::slots).for_each(|(j, _)| moving[j] = true);
         }
         moving
     }
@@ -297,8 +305,9 @@ fn promote(v: [f32; 3]) -> DVec3 {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
     use super::*;
-    use crate::reference::exp;
+    use crate::reference::{exp, place_scene};
     use crate::scene::synthetic::random_scene;
+    use crate::scene::{MotionSource, Scene, SuperpointDeformation};
 
     fn cameras() -> Vec<Camera> {
         let at = |i: usize| {
@@ -396,5 +405,58 @@ mod tests {
         let views = Views { cameras: vec![one], near: 0.2, everywhere: false };
         let baked = bake(&mut g, &s, None, &m, &views, 0.1, true).unwrap();
         assert_eq!((baked.still, baked.kept[0], baked.unseen), (2, 0, 0));
+    }
+
+    /// Gaussians 0, 3, … between superpoints 0, which rests, and 1; 1, 4, … with 0 alone; 2, 5, … between 1 and 2.
+    fn blend() -> Blend {
+        let index = (0..60).flat_map(|i| [[0, 1], [0, 2], [1, 2]][i % 3]).collect();
+        let weight = (0..60).flat_map(|i| [[0.21, 0.29], [1.0, 0.0], [0.613, 0.387]][i % 3]).collect();
+        Blend { neighbors: 2, index, weight }
+    }
+
+    /// Largest distance in the views between all Gaussians as trained and as baked, at the candidates, pixels.
+    fn apart(before: &Scene, after: &Scene, views: &Views<Camera>) -> f64 {
+        let times = before.deformation.key_times().to_vec();
+        let of_time = |&t: &f32| {
+            let [a, b] = [before, after].map(|s| place_scene(s, f64::from(t), MotionSource::Auto).unwrap().mean);
+            a.into_iter().zip(b).map(|(a, b)| views.displacement(a, b)).fold(0.0, f64::max)
+        };
+        times.iter().map(of_time).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn the_bound_holds_where_soft_superpoints_take_gaussians() {
+        let (gaussians, mut s, m) = scene();
+        s.of_gaussian = blend().of_gaussian();
+        let trained =
+            SuperpointDeformation { blend: Some(blend()), ..SuperpointDeformation::of_table(s.clone(), m.clone()) };
+        let before = Scene { gaussians: gaussians.clone(), deformation: trained.into(), ..Scene::default() };
+        for (tolerance, bytes) in [(0.01, false), (2.0, true)] {
+            let mut g = gaussians.clone();
+            let baked = bake(&mut g, &s, Some(&blend()), &m, &views(), tolerance, true).unwrap();
+            assert_eq!(baked.rounding_px.is_some(), bytes, "{:?}", baked.rounding_px);
+            let after = Scene { gaussians: g, deformation: baked.deformation, ..Scene::default() };
+            after.deformation.check(60).unwrap();
+            let left = after.deformation.blend().unwrap();
+            assert_eq!(left.levels().is_some(), bytes);
+            // Superpoint 0 rests, but takes part in what moves; Gaussians that move with it alone rest by themselves.
+            assert_eq!((baked.still, baked.kept, after.deformation.superpoint_count()), (0, vec![0, 1, 2], 4));
+            assert_eq!((left.row(1).1, left.heaviest(1), left.heaviest(0)), (&[1.0, 0.0][..], Some(3), Some(1)));
+            let found = apart(&before, &after, &views());
+            assert!(found <= baked.error_px + 1e-3 && baked.error_px <= tolerance, "{found} {}", baked.error_px);
+        }
+    }
+
+    #[test]
+    fn superpoints_without_a_weight_go_and_with_them_the_blend() {
+        let (mut g, s, m) = scene();
+        let blend = Blend { neighbors: 2, index: [2, 1].repeat(60), weight: [0.0, 0.5].repeat(60) };
+        let baked = bake(&mut g, &s, Some(&blend), &m, &views(), 0.1, true).unwrap();
+        assert_eq!((baked.still, baked.kept), (2, vec![1, 0, 1]));
+        let left = baked.deformation.superpoint_deformation().unwrap();
+        assert_eq!((&left.blend, &left.superpoints.of_gaussian), (&None, &vec![0; 60]));
+        let short = Blend { neighbors: 2, ..Blend::of_one(&[0; 60]) };
+        let message = bake(&mut g, &s, Some(&short), &m, &views(), 0.1, true).unwrap_err().to_string();
+        assert!(message.contains("superpoints.blend_index"), "{message}");
     }
 }

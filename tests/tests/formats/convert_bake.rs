@@ -2,7 +2,7 @@
 
 use engine::file;
 use engine::reference::freeze;
-use engine::scene::synthetic::moving_scene;
+use engine::scene::synthetic::{moving_scene, random_blend};
 use engine::scene::{MotionSource, Scene};
 use tools::command::convert::Summary;
 
@@ -54,6 +54,40 @@ fn small_scenes_and_scenes_elsewhere_keep_their_motion() {
         assert_eq!((loss.visible, loss.views.len()), (2, 2), "{}", loss.line());
         assert!(loss.psnr.is_none_or(|psnr| psnr > 40.0), "{}", loss.line());
     }
+}
+
+/// [`table`] with soft superpoints.
+fn soft_table() -> Scene {
+    let mut scene = table(1.0, 0.0);
+    let blend = random_blend(400, 5, 4, 11);
+    let s = scene.deformation.superpoint_deformation_mut().unwrap();
+    (s.superpoints.of_gaussian, s.blend) = (blend.of_gaussian(), Some(blend));
+    scene
+}
+
+#[test]
+fn soft_superpoints_are_baked_within_the_bound() {
+    let scene = soft_table();
+    for (bound, bytes) in [("0.01", false), ("2", true)] {
+        let (after, said) = baked(&scene, &["--views", "0", "--bake-error", bound]);
+        let bake = said.bake.as_ref().unwrap();
+        assert!(bake.error_px > 0.0 && bake.error_px <= bound.parse().unwrap(), "{bake:?}");
+        assert_eq!(bake.rounding_px.is_some(), bytes, "{bake:?}");
+        assert_eq!(after.deformation.blend().unwrap().levels().is_some(), bytes);
+        assert!(far(&after, &scene, MotionSource::Auto) < 0.02 * bound.parse::<f32>().unwrap() + 1e-6, "{bake:?}");
+    }
+}
+
+#[test]
+fn a_moment_of_soft_superpoints_is_frozen_and_files_without_motion_say_what_they_lack() {
+    let folder = tempfile::tempdir().unwrap();
+    let [from, moment, rest] = ["a.safetensors", "b.ply", "c.ply"].map(|name| folder.path().join(name));
+    let scene = soft_table();
+    file::save(&from, &scene).unwrap();
+    summary(&[text(&from), text(&moment), "--time", "0.3", "--views", "0"]).unwrap();
+    assert_eq!(file::load(&moment).unwrap().scene.gaussians, freeze(&scene, 0.3, MotionSource::Auto).unwrap());
+    let said = summary(&[text(&from), text(&rest), "--views", "0"]).unwrap();
+    assert!(said.dropped.iter().any(|part| part.contains("their blend")), "{:?}", said.dropped);
 }
 
 #[test]

@@ -8,7 +8,8 @@ use safetensors::tensor::{Dtype, TensorView};
 use super::*;
 use crate::error::Error;
 use crate::file::tests::{Values, full_scene, gaussians, moving_scene};
-use crate::scene::{Association, Deformation, Motion, Superpoints, Tensor};
+use crate::scene::synthetic::random_blend;
+use crate::scene::{Association, Blend, Deformation, Motion, Superpoints, Tensor};
 
 fn path() -> &'static Path {
     Path::new("test.safetensors")
@@ -79,6 +80,142 @@ fn every_flipped_bit_of_the_header_is_found() {
             damaged[byte] = bytes[byte];
         }
     }
+}
+
+/// [`moving_scene`] with soft superpoints.
+fn soft_scene(n: usize, m: usize, neighbors: usize) -> Scene {
+    let mut scene = moving_scene(n, m, 2);
+    set_blend(&mut scene, random_blend(n, m, neighbors, 3));
+    scene
+}
+
+fn set_blend(scene: &mut Scene, blend: Blend) {
+    let s = scene.deformation.superpoint_deformation_mut().unwrap();
+    (s.superpoints.of_gaussian, s.blend) = (blend.of_gaussian(), Some(blend));
+}
+
+#[test]
+fn soft_superpoints_round_trip_in_the_types_that_hold_them() {
+    let types = |scene: &Scene| {
+        let bytes = encoded(scene);
+        assert_eq!(parse(&bytes, path()).unwrap().0, *scene);
+        let named = tensors(&bytes, path()).unwrap().into_iter().filter(|t| t.name.contains("blend"));
+        named.map(|t| (t.dtype, t.shape)).collect::<Vec<_>>()
+    };
+    let pair = |index: &str, weight: &str, shape: [usize; 2]| [index, weight].map(|t| (t.to_string(), shape.to_vec()));
+    for neighbors in 1..=4 {
+        let mut scene = soft_scene(40, 5, neighbors);
+        assert_eq!(types(&scene), pair("U16", "F32", [40, neighbors]));
+        let rounded = scene.deformation.blend().unwrap().quantized();
+        set_blend(&mut scene, rounded);
+        assert_eq!(types(&scene), pair("U16", "U8", [40, neighbors]));
+    }
+    for (m, index) in [(1 << 16, "U16"), ((1 << 16) + 1, "U32")] {
+        let mut scene = soft_scene(3, m, 2);
+        let last = Blend { neighbors: 1, index: vec![m as u32 - 1; 3], weight: vec![1.0; 3] };
+        set_blend(&mut scene, last);
+        assert_eq!(types(&scene), pair(index, "U8", [3, 1]));
+    }
+}
+
+/// [`moving_tensors`] with a blend of two superpoints, of which there is one.
+fn soft_tensors(index: Dtype, weight: Dtype) -> Vec<Foreign> {
+    let mut tensors = moving_tensors();
+    let levels = if weight == Dtype::F32 { vec![0.25_f32, 0.5, 2.0, 0.0] } else { Vec::new() };
+    let bytes = if weight == Dtype::F32 {
+        levels.iter().flat_map(|w| w.to_le_bytes()).collect()
+    } else {
+        vec![51, 0, 255, 255]
+    };
+    tensors.push(zeros("superpoints.blend_index", index, &[2, 2]));
+    tensors.push(("superpoints.blend_weight", weight, vec![2, 2], bytes));
+    tensors
+}
+
+#[test]
+fn soft_superpoints_of_other_programs_are_read_in_all_types() {
+    for index in [Dtype::U16, Dtype::U32] {
+        for (weight, expected) in [(Dtype::F32, [0.25, 0.5, 2.0, 0.0]), (Dtype::U8, [0.2, 0.0, 1.0, 1.0])] {
+            let (scene, _) = parse(&foreign(&soft_tensors(index, weight), &SPGS), path()).unwrap();
+            let expected = Blend { neighbors: 2, index: vec![0; 4], weight: expected.to_vec() };
+            assert_eq!(scene.deformation.blend(), Some(&expected));
+        }
+    }
+}
+
+#[test]
+fn soft_superpoints_that_make_no_sense_are_named() {
+    let message = |change: fn(&mut Vec<Foreign>)| {
+        let mut tensors = soft_tensors(Dtype::U16, Dtype::F32);
+        change(&mut tensors);
+        parse(&foreign(&tensors, &SPGS), path()).unwrap_err().to_string()
+    };
+    fn set(tensors: &mut Vec<Foreign>, tensor: Foreign) {
+        tensors.retain(|t| t.0 != tensor.0);
+        tensors.push(tensor);
+    }
+    const INDEX: &str = "superpoints.blend_index";
+    const WEIGHT: &str = "superpoints.blend_weight";
+    let weights = |values: [f32; 4]| values.iter().flat_map(|w| w.to_le_bytes()).collect::<Vec<u8>>();
+    assert!(weights([0.0; 4]).len() == 16);
+    let cases: [(&str, fn(&mut Vec<Foreign>)); 12] = [
+        ("tensor `superpoints.blend_weight`: found nothing", |t| t.retain(|t| t.0 != WEIGHT)),
+        ("tensor `superpoints.blend_index`: found nothing", |t| t.retain(|t| t.0 != INDEX)),
+        ("found F32 [2, 2], expected U16 or U32 [2, any]", |t| set(t, floats(INDEX, &[2, 2]))),
+        ("found U16 [3, 2], expected U16 or U32 [2, any]", |t| set(t, zeros(INDEX, Dtype::U16, &[3, 2]))),
+        ("found F32 [2, 3], expected F32 or U8 [2, 2]", |t| set(t, floats(WEIGHT, &[2, 3]))),
+        ("found F16 [2, 2], expected F32 or U8 [2, 2]", |t| set(t, zeros(WEIGHT, Dtype::F16, &[2, 2]))),
+        ("`superpoints.blend_index`: found K = 5, expected K = 1 to 4", |t| {
+            set(t, zeros(INDEX, Dtype::U16, &[2, 5]));
+            set(t, floats(WEIGHT, &[2, 5]));
+        }),
+        ("`superpoints.blend_index`: found K = 0", |t| {
+            set(t, zeros(INDEX, Dtype::U16, &[2, 0]));
+            set(t, floats(WEIGHT, &[2, 0]));
+        }),
+        ("`superpoints.blend_index`: found 256 at element 3, expected indices below M = 1", |t| {
+            set(t, (INDEX, Dtype::U16, vec![2, 2], vec![0, 0, 0, 0, 0, 0, 0, 1]));
+        }),
+        ("`superpoints.blend_weight`: found NaN at element 2", |t| {
+            let bytes = [1.0, 1.0, f32::NAN, 1.0].iter().flat_map(|w| w.to_le_bytes()).collect();
+            set(t, (WEIGHT, Dtype::F32, vec![2, 2], bytes));
+        }),
+        ("`superpoints.blend_weight`: found -1 at element 1", |t| {
+            let bytes = [1.0_f32, -1.0, 1.0, 1.0].iter().flat_map(|w| w.to_le_bytes()).collect();
+            set(t, (WEIGHT, Dtype::F32, vec![2, 2], bytes));
+        }),
+        ("`superpoints.blend_weight`: found a sum of 0 from element 2 on", |t| {
+            set(t, (WEIGHT, Dtype::U8, vec![2, 2], vec![1, 0, 0, 0]));
+        }),
+    ];
+    for (expected, change) in cases {
+        let found = message(change);
+        assert!(found.contains(expected), "{expected} not in: {found}");
+    }
+    let mut scene = soft_scene(6, 3, 2);
+    let own = &mut superpoints(&mut scene).of_gaussian[4];
+    *own = (*own + 1) % 3;
+    let folder = tempfile::tempdir().unwrap();
+    let message = write(&folder.path().join("m.safetensors"), &scene).unwrap_err().to_string();
+    assert!(message.contains("`superpoints.of_gaussian`") && message.contains("at element 4"), "{message}");
+    assert!(message.contains("the largest weight in `superpoints.blend_index`"), "{message}");
+}
+
+#[test]
+fn what_cannot_be_drawn_leaves_its_row_of_the_blend() {
+    let mut scene = soft_scene(30, 4, 3);
+    scene.gaussians.mean[1][0] = f32::NAN;
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("m.safetensors");
+    write(&file, &scene).unwrap();
+    let loaded = crate::file::load(&file).unwrap().scene;
+    let (before, after) = (scene.deformation.blend().unwrap(), loaded.deformation.blend().unwrap());
+    assert_eq!((after.len(), after.row(0), after.row(1)), (29, before.row(0), before.row(2)));
+    loaded.deformation.check(29).unwrap();
+    let described = crate::file::describe(&file).unwrap();
+    let blend = described.blend.clone().unwrap();
+    assert_eq!((blend.neighbors, blend.soft), (3, after.soft_count() as f64 / 29.0));
+    assert!(described.to_string().contains("up to 3 superpoints per Gaussian"), "{described}");
 }
 
 /// A tensor for the foreign writer.

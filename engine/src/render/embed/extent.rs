@@ -84,6 +84,7 @@ fn ball(centres: Vec<DVec3>) -> (DVec3, f64) {
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
+    use crate::scene::Blend;
     use crate::scene::synthetic::{moving_scene, random_scene};
 
     #[test]
@@ -110,6 +111,21 @@ mod tests {
         let (moved, radius) = ball(centres(&scene, Some(&motion)));
         assert!((moved.x - rest.x - f64::from(shift)).abs() < 5.0, "{rest} {moved}");
         assert!(radius > 0.0 && radius < 20.0, "{radius}");
+    }
+
+    #[test]
+    fn soft_superpoints_move_the_ball_by_their_weights() {
+        let mut scene = moving_scene(300, 4, 5, 3, false);
+        let s = scene.deformation.superpoint_deformation_mut().unwrap();
+        let blend = Blend { neighbors: 2, index: [0, 1].repeat(300), weight: [3.0, 1.0].repeat(300) };
+        (s.superpoints.of_gaussian, s.blend) = (blend.of_gaussian(), Some(blend));
+        let mut motion = s.table.clone().unwrap();
+        motion.rotation.fill([0.0; 3]);
+        motion.translation.fill([0.0; 3]);
+        motion.translation.iter_mut().step_by(4).for_each(|t| t[0] = 100.0);
+        let (rest, moved) = (centres(&scene, None), centres(&scene, Some(&motion)));
+        let off = rest.iter().zip(&moved).map(|(a, b)| (*a + DVec3::X * 75.0 - *b).length()).fold(0.0, f64::max);
+        assert!(off < 1e-9 && moved.len() == 3 * rest.len(), "{off}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use glam::{DQuat, DVec3};
 use super::Random;
 use crate::scene::network::DeformSize;
 use crate::scene::parameter::{Optional, PARAMETERS, REQUIRED};
-use crate::scene::{DeformNetwork, Gaussians, Linear, Motion, Scene, SuperpointDeformation, Superpoints};
+use crate::scene::{Blend, DeformNetwork, Gaussians, Linear, Motion, Scene, SuperpointDeformation, Superpoints};
 
 /// Number of Gaussians at which the standard deviations below cover the shells as a trained model would.
 const NOMINAL_COUNT: f64 = 50_000.0;
@@ -137,6 +137,19 @@ fn octave(column: usize) -> usize {
         63 => 0,
         _ => (column - 64) / 2,
     }
+}
+
+/// Soft superpoints of `n` Gaussians, `neighbors` of `m` for each, with weights of any sum: some 0, some equal.
+pub fn random_blend(n: usize, m: usize, neighbors: usize, seed: u64) -> Blend {
+    let mut random = Random::new(seed);
+    let mut weight = |slot: usize| match random.below(6) {
+        0 if slot > 0 => 0.0,
+        1 => 0.5,
+        _ => random.range(0.01, 2.0) as f32,
+    };
+    let weight = (0..n * neighbors).map(|at| weight(at % neighbors)).collect();
+    let mut random = Random::new(seed + 1);
+    Blend { neighbors, index: (0..n * neighbors).map(|_| random.below(m) as u32).collect(), weight }
 }
 
 #[cfg(test)]

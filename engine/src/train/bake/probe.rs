@@ -72,11 +72,21 @@ impl Probe {
         self.rests = self.slots[..self.used].iter().all(|(j, _)| !moving[*j]);
     }
 
+    /// Whether it moves with more than one superpoint.
+    pub(super) fn is_soft(&self) -> bool {
+        self.used > 1
+    }
+
+    /// Where one pose takes the points.
+    pub(super) fn placed_by(&self, pose: &Placing) -> [DVec3; POINTS] {
+        self.points.map(|x| pose.turn * x + pose.shift)
+    }
+
     /// Where `poses` take the points.
     pub(super) fn placed(&self, poses: &[Placing]) -> [DVec3; POINTS] {
         let [mean, end] = self.points;
         if let [(j, _)] = self.slots[..self.used] {
-            return self.points.map(|x| poses[j].turn * x + poses[j].shift);
+            return self.placed_by(&poses[j]);
         }
         let moved: DVec3 = self.slots().map(|(j, w)| w * (poses[j].turn * mean + poses[j].shift)).sum();
         let mut quaternions = [(0.0, DQuat::IDENTITY); Blend::MOST_NEIGHBORS];
