@@ -49,10 +49,6 @@ impl SceneBuffers {
         check_lengths(g)?;
         let source = scene.deformation.motion_source(source)?;
         scene.deformation.check_shapes(g.len())?;
-        if source.is_some() && scene.deformation.blend().is_some() {
-            let expected = "one superpoint for each Gaussian: kernels that blend the poses of several are to come";
-            return Err(Error::usage("superpoints.blend_index", "soft superpoints", expected));
-        }
         if quality.changes_kernels() {
             gpu.ready_for(Suite::Packed)?;
         }

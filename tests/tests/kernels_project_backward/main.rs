@@ -68,11 +68,13 @@ fn assert_gradients(result: &KernelResult<DeformProjectBackward>, input: &Render
     println!("{context}: {visible} of {n} visible;{line}");
 }
 
-/// Static, moving, non-rigid, both, and moving with all optional parameters.
-fn variants(n: usize, degree: u32, seed: u64) -> [(&'static str, RenderInput); 5] {
+/// Static, moving, non-rigid, both, moving with all optional parameters, and by soft superpoints with and without offsets.
+fn variants(n: usize, degree: u32, seed: u64) -> [(&'static str, RenderInput); 7] {
     let input = RenderInput::random(n, degree, seed);
     let moving = input.clone().moving(5, seed + 1);
     let both = moving.clone().nonrigid(seed + 2);
+    let soft = moving.clone().soft(2 + seed as usize % 3, seed + 5);
+    let soft_both = both.clone().soft(3, seed + 6);
     let optional = moving.clone().with_optional(seed + 4);
     [
         ("static", input.clone()),
@@ -80,6 +82,8 @@ fn variants(n: usize, degree: u32, seed: u64) -> [(&'static str, RenderInput); 5
         ("non-rigid", input.nonrigid(seed + 3)),
         ("both", both),
         ("optional parameters", optional),
+        ("soft superpoints", soft),
+        ("soft superpoints, non-rigid", soft_both),
     ]
 }
 

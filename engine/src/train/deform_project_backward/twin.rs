@@ -6,10 +6,11 @@ use super::{DeformProjectBackward, DeformProjectBackwardBuffers, OUTPUT_ADAM};
 use crate::gpu::interface::Call;
 use crate::reference::gradient::project::{OneGaussian, OneGradient, View, backward};
 use crate::reference::gradient::splats::SplatGradient;
-use crate::reference::{Offset, Pose};
+use crate::reference::{Offset, Pose, WeightedPose};
 use crate::render::deform_project::MOTION_TABLE;
 use crate::render::frame::Frame;
 use crate::render::limits::COUNT_FAILED;
+use crate::render::superpoint_motion::{Slot, SuperpointMotion};
 use crate::render::twin::{f32_at, set_f32, struct_at, vec4_at};
 use crate::scene::parameter::{
     LOG_SCALE, MEAN, OPACITY_LOGIT, Optional, PARAMETERS, Present, ROTATION, SH_0, first_plane,
@@ -32,6 +33,7 @@ struct Job {
     adam: bool,
     with_mean_gradient: bool,
     optional: Present,
+    blend: u32,
 }
 
 pub(super) fn deform_project_backward_twin(call: Call<'_, DeformProjectBackward>) {
@@ -48,6 +50,7 @@ pub(super) fn deform_project_backward_twin(call: Call<'_, DeformProjectBackward>
         adam: constants.output == OUTPUT_ADAM,
         with_mean_gradient: constants.mean_gradient == 1,
         optional: Present(constants.optional),
+        blend: constants.blend,
     };
     if b.counters[COUNT_FAILED as usize] != 0 {
         return;
@@ -76,8 +79,12 @@ impl Job {
         if let Some(extra) = b.mean_gradient.as_ref().filter(|_| self.with_mean_gradient) {
             gradient.mean += DVec3::from_array(self.planes(extra, 0, g));
         }
+        // Adam moves it below.
+        let canonical = DVec3::from_array(self.planes(b.mean, 0, g));
         self.parameters(b, g, &gradient);
-        if let Some(pose_gradient) = b.pose_gradient.as_mut().filter(|_| self.moving) {
+        if self.moving && self.blend > 0 {
+            self.blend_gradient(b, &gradient, canonical, g);
+        } else if let Some(pose_gradient) = b.pose_gradient.as_mut().filter(|_| self.moving) {
             let pose = gradient.pose(0);
             let values = [pose.omega.to_array(), pose.translation.to_array()].concat();
             self.write(pose_gradient, b.status, status::POSE, &values, g);
@@ -151,7 +158,7 @@ impl Job {
             let value = |p: u32| self.planes::<1>(words, p as usize, g)[0];
             optional.set(parameter, (first..first + width).map(value).collect());
         }
-        let poses = if self.moving { vec![self.pose(b, g)?.into()] } else { Vec::new() };
+        let poses = if self.moving { self.poses(b, g)? } else { Vec::new() };
         let one = OneGaussian {
             mean: DVec3::from_array(self.planes(b.mean, 0, g)),
             rotation: vec4_at(b.rotation, g).map(f64::from),
@@ -168,20 +175,35 @@ impl Job {
         sane.then_some(one)
     }
 
-    fn pose(&self, b: &Words<'_>, g: usize) -> Option<Pose> {
-        let (superpoint_of_gaussian, pose) = (b.superpoint_of_gaussian.as_ref()?, b.pose.as_ref()?);
-        let Frame { superpoints, first_key: first, second_key: second, .. } = self.frame;
-        let superpoint = superpoint_of_gaussian[g];
-        if superpoint >= superpoints {
-            return None;
-        }
-        let vector = |key: u32, part: u32| {
-            let [x, y, z, _] = vec4_at(pose, (2 * (key * superpoints + superpoint) + part) as usize);
-            DVec3::new(x.into(), y.into(), z.into())
+    /// What moves Gaussian `g`; `None` when a pose is unusable.
+    fn poses(&self, b: &Words<'_>, g: usize) -> Option<Vec<WeightedPose>> {
+        let motion = SuperpointMotion {
+            superpoint_of_gaussian: b.superpoint_of_gaussian.as_deref().unwrap_or_default(),
+            pose: b.pose.as_deref()?,
+            blend: (self.blend, b.blend.as_deref().unwrap_or_default()),
         };
-        let weight = f64::from(self.frame.key_weight);
-        let lerp = |part: u32| vector(first, part) * (1.0 - weight) + vector(second, part) * weight;
-        Some(Pose { rotation: lerp(0), translation: lerp(1) })
+        let vector = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
+        let weighted = |slot: &Slot| {
+            let [rotation, translation] = motion.pose(&self.frame, slot.superpoint)?.map(vector);
+            Some(WeightedPose { weight: slot.weight.into(), pose: Pose { rotation, translation } })
+        };
+        motion.slots(g, self.n).iter().map(weighted).collect()
+    }
+
+    /// Planes of each slot of soft superpoints. The kernel leaves out of a weight's gradient what all slots have in common:
+    /// that of the canonical centre, which no weight moves.
+    fn blend_gradient(&self, b: &mut Words<'_>, gradient: &OneGradient, canonical: DVec3, g: usize) {
+        let moved: DVec3 = gradient.poses.iter().map(|p| p.translation).sum();
+        let common = moved.dot(canonical);
+        let slot = |k: usize| {
+            let pose = gradient.pose(k);
+            let weight = if gradient.poses.is_empty() { 0.0 } else { pose.weight - common };
+            [pose.omega.to_array().as_slice(), &pose.translation.to_array(), &[weight]].concat()
+        };
+        let values: Vec<f64> = (0..self.blend as usize).flat_map(slot).collect();
+        if let Some(pose_gradient) = b.pose_gradient.as_mut() {
+            self.write(pose_gradient, b.status, status::POSE, &values, g);
+        }
     }
 
     fn gradient(&self, b: &Words<'_>, g: usize, one: &OneGaussian) -> OneGradient {
