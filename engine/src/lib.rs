@@ -93,6 +93,7 @@
 //! | splat | a Gaussian projected into an image |
 //! | SH | spherical harmonics: colour that depends on the view direction |
 //! | superpoint | a group of Gaussians that move together rigidly |
+//! | soft superpoints | Gaussians that move with up to four superpoints each, by weights |
 //! | pose | rotation and translation of a superpoint at a time |
 //! | key-time table | poses of all superpoints at key times; between them they are interpolated |
 //! | network F | gives the pose of a superpoint at any time; training bakes it into the key-time table |

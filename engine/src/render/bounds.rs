@@ -154,7 +154,9 @@ mod tests {
         motion.translation.iter_mut().skip(6).step_by(7).for_each(|t| t[0] += 50.0);
         let poses = Poses::Table(motion.clone());
         let mut blend = random_blend(200, 6, 3, 1);
-        blend.index.iter_mut().zip(&mut blend.weight).step_by(3).for_each(|(j, w)| (*j, *w) = (6, 0.005));
+        for (index, weight) in blend.index.chunks_exact_mut(3).zip(blend.weight.chunks_exact_mut(3)) {
+            (index[0], weight[0], weight[1]) = (6, 0.005, 1.0);
+        }
         (s.superpoints.of_gaussian, s.blend) = (blend.of_gaussian(), Some(blend));
         let bounds = Bounds::of(&scene.deformation, &scene.gaussians.mean, &poses, DVec3::ZERO);
         let mut last = 0.0_f64;

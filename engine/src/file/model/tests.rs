@@ -143,9 +143,11 @@ fn soft_superpoints_of_other_programs_are_read_in_all_types() {
     }
 }
 
+type TensorsEdit = fn(&mut Vec<Foreign>);
+
 #[test]
 fn soft_superpoints_that_make_no_sense_are_named() {
-    let message = |change: fn(&mut Vec<Foreign>)| {
+    let message = |change: TensorsEdit| {
         let mut tensors = soft_tensors(Dtype::U16, Dtype::F32);
         change(&mut tensors);
         parse(&foreign(&tensors, &SPGS), path()).unwrap_err().to_string()
@@ -156,9 +158,7 @@ fn soft_superpoints_that_make_no_sense_are_named() {
     }
     const INDEX: &str = "superpoints.blend_index";
     const WEIGHT: &str = "superpoints.blend_weight";
-    let weights = |values: [f32; 4]| values.iter().flat_map(|w| w.to_le_bytes()).collect::<Vec<u8>>();
-    assert!(weights([0.0; 4]).len() == 16);
-    let cases: [(&str, fn(&mut Vec<Foreign>)); 12] = [
+    let cases: [(&str, TensorsEdit); 12] = [
         ("tensor `superpoints.blend_weight`: found nothing", |t| t.retain(|t| t.0 != WEIGHT)),
         ("tensor `superpoints.blend_index`: found nothing", |t| t.retain(|t| t.0 != INDEX)),
         ("found F32 [2, 2], expected U16 or U32 [2, any]", |t| set(t, floats(INDEX, &[2, 2]))),

@@ -69,9 +69,9 @@ impl Left {
         keys: &[usize],
     ) -> SuperpointDeformation {
         let mut left = SuperpointDeformation::of_table(self.superpoints(superpoints), self.motion(motion, keys));
-        if let Some(blend) = blend.map(|blend| self.blend(blend)).filter(|blend| blend.soft_count() > 0) {
+        if let Some(blend) = blend.map(|blend| self.blend(blend)) {
             left.superpoints.of_gaussian = blend.of_gaussian();
-            left.blend = Some(blend);
+            left.blend = (blend.soft_count() > 0).then_some(blend);
         }
         left
     }
