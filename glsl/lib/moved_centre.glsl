@@ -1,6 +1,6 @@
 // Where a Gaussian's superpoints take its centre, as deform_project does. The includer has lib/frame.glsl,
-// lib/quaternion.glsl, the buffers `mean`, `superpoint_of_gaussian`, `pose` and `blend` and the constants MOTION (0: the centre
-// itself) and BLEND. Rust twin: `moved_centre` in engine/src/render/nonrigid_network.rs.
+// lib/quaternion.glsl, the buffers `mean`, `superpoint_of_gaussian`, `pose`, `blend_index` and `blend_weight` and the constants MOTION
+// (0: the centre itself) and BLEND. Rust twin: `moved_centre` in engine/src/render/nonrigid_network.rs.
 #ifndef SPGS_MOVED_CENTRE
 #define SPGS_MOVED_CENTRE
 

@@ -1,6 +1,6 @@
 // Where a Gaussian is at the frame's time: rigidly moved by its superpoint, then shifted by its non-rigid offset. Shared by
-// `deform_project` and its backward, which declare the buffers mean, log_scale, rotation, superpoint_of_gaussian, pose, blend
-// and nonrigid_offset and the constants MOTION, BLEND and NONRIGID. Include lib/frame.glsl, quaternion.glsl and projection.glsl
+// `deform_project` and its backward, which declare the buffers mean, log_scale, rotation, superpoint_of_gaussian, pose,
+// blend_index, blend_weight and nonrigid_offset and the constants MOTION, BLEND and NONRIGID. Include lib/frame.glsl, quaternion.glsl and projection.glsl
 // first.
 #ifndef SPGS_PLACE
 #define SPGS_PLACE

@@ -1,9 +1,9 @@
 // How a Gaussian's superpoints move it. The includer has lib/frame.glsl, lib/quaternion.glsl, the buffers
-// `superpoint_of_gaussian`, `pose` and `blend` and the constant BLEND: 0 when each Gaussian moves with one superpoint, else K,
+// `superpoint_of_gaussian`, `pose`, `blend_index` and `blend_weight` and the constant BLEND: 0 when each Gaussian moves with one superpoint, else K,
 // 2 to 4, of soft superpoints. Rust twin: engine/src/render/superpoint_motion.rs.
 //
-// `blend` holds planes of words: ceil(K / 2) with two u16 superpoints each, then ceil(K / 2) with two unorm16 weights each;
-// the levels of a Gaussian's weights add up to 65535.
+// blend_index uint[ceil(K / 2)][N]: two u16 superpoints per word. blend_weight float[K - 1][N]: all weights but the last, which
+// is what they leave of 1.
 #ifndef SPGS_SUPERPOINT_MOTION
 #define SPGS_SUPERPOINT_MOTION
 
@@ -35,47 +35,50 @@ bool read_pose(uint superpoint, out vec4 turn, out vec3 translation) {
 }
 
 uint blend_superpoint(uint g, uint n, uint slot) {
-    return (blend[(slot / 2u) * n + g] >> (16u * (slot & 1u))) & 0xffffu;
+    return (blend_index[(slot / 2u) * n + g] >> (16u * (slot & 1u))) & 0xffffu;
 }
 
-float blend_weight(uint g, uint n, uint slot) {
+vec4 blend_weights(uint g, uint n) {
     uint slots = BLEND;
-    uint planes = (slots + 1u) / 2u;
-    return float((blend[(planes + slot / 2u) * n + g] >> (16u * (slot & 1u))) & 0xffffu) / 65535.0;
+    vec4 weight = vec4(0.0);
+    float rest = 1.0;
+    for (uint slot = 0u; slot + 1u < slots; slot++) {
+        weight[slot] = blend_weight[slot * n + g];
+        rest -= weight[slot];
+    }
+    weight[slots - 1u] = max(rest, 0.0);
+    return weight;
 }
 
 // The slot with the largest weight, the first of equals.
-uint heaviest_slot(uint g, uint n) {
-    uint slots = BLEND;
+uint heaviest_slot(vec4 weight) {
     uint heaviest = 0u;
-    float most = blend_weight(g, n, 0u);
-    for (uint slot = 1u; slot < slots; slot++) {
-        float weight = blend_weight(g, n, slot);
-        heaviest = weight > most ? slot : heaviest;
-        most = max(weight, most);
+    float most = weight.x;
+    for (uint slot = 1u; slot < 4u; slot++) {
+        heaviest = weight[slot] > most ? slot : heaviest;
+        most = max(weight[slot], most);
     }
     return heaviest;
 }
 
-// Weight with the sign that brings rotation `turn` to the side of the heaviest slot's.
+// A weight with the sign that brings rotation `turn` to the side of the heaviest slot's.
 float signed_weight(float weight, vec4 turn, vec4 heaviest) {
     return dot(turn, heaviest) < 0.0 ? -weight : weight;
 }
 
 // Sum of weighted, sign-aligned rotations (not normalised) and weighted displacement of x by a Gaussian's soft superpoints.
-bool blend_motion(uint g, uint n, vec3 x, out vec4 sum, out vec3 displacement) {
+bool blend_motion(uint g, uint n, vec3 x, vec4 weight, out vec4 sum, out vec3 displacement) {
     uint slots = BLEND;
     sum = vec4(0.0);
     displacement = vec3(0.0);
     vec4 heaviest;
     vec3 translation;
-    bool usable = read_pose(blend_superpoint(g, n, heaviest_slot(g, n)), heaviest, translation);
+    bool usable = read_pose(blend_superpoint(g, n, heaviest_slot(weight)), heaviest, translation);
     for (uint slot = 0u; slot < slots; slot++) {
         vec4 turn;
         usable = read_pose(blend_superpoint(g, n, slot), turn, translation) && usable;
-        float weight = blend_weight(g, n, slot);
-        sum += signed_weight(weight, turn, heaviest) * turn;
-        displacement += weight * (quaternion_displacement(turn, x) + translation);
+        sum += signed_weight(weight[slot], turn, heaviest) * turn;
+        displacement += weight[slot] * (quaternion_displacement(turn, x) + translation);
     }
     return usable;
 }
@@ -90,7 +93,7 @@ bool superpoint_motion(uint g, uint n, vec3 x, out vec3 displacement, out vec4 t
         displacement = usable ? quaternion_displacement(turn, x) + translation : vec3(0.0);
     } else {
         vec4 sum;
-        usable = blend_motion(g, n, x, sum, displacement);
+        usable = blend_motion(g, n, x, blend_weights(g, n), sum, displacement);
         // The heaviest weight is at least 1 / K and nothing points away from it.
         turn = usable ? sum / sqrt(dot(sum, sum)) : vec4(1.0, 0.0, 0.0, 0.0);
         displacement = usable ? displacement : vec3(0.0);

@@ -52,7 +52,8 @@ layout(std430, set = 0, binding = 13) buffer VisibleBlockBlock { uint visible_bl
 layout(std430, set = 0, binding = 14) buffer CountersBlock { uint counters[]; };
 layout(std430, set = 0, binding = 15) readonly buffer NonrigidOffsetBlock { float nonrigid_offset[]; };
 layout(std430, set = 0, binding = 16) readonly buffer OptionalBlock { float optional[]; };
-layout(std430, set = 0, binding = 17) readonly buffer BlendBlock { uint blend[]; };
+layout(std430, set = 0, binding = 17) readonly buffer BlendIndexBlock { uint blend_index[]; };
+layout(std430, set = 0, binding = 18) readonly buffer BlendWeightBlock { float blend_weight[]; };
 
 #include "lib/place.glsl"
 

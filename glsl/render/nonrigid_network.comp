@@ -30,7 +30,8 @@ layout(std430, set = 0, binding = 2) readonly buffer SuperpointOfGaussianBlock {
 layout(std430, set = 0, binding = 3) readonly buffer PoseBlock { vec4 pose[]; };
 layout(std430, set = 0, binding = 4) readonly buffer ParameterBlock { vec4 parameter[]; };
 layout(std430, set = 0, binding = 5) writeonly buffer NonrigidOffsetBlock { float nonrigid_offset[]; }; // [10][N]
-layout(std430, set = 0, binding = 6) readonly buffer BlendBlock { uint blend[]; };
+layout(std430, set = 0, binding = 6) readonly buffer BlendIndexBlock { uint blend_index[]; };
+layout(std430, set = 0, binding = 7) readonly buffer BlendWeightBlock { float blend_weight[]; };
 
 layout(push_constant) uniform Push { float origin_x; float origin_y; float origin_z; } push;
 

@@ -53,7 +53,8 @@ layout(std430, set = 0, binding = 23) buffer DensityBlock { float density[]; };
 layout(std430, set = 0, binding = 24) buffer MaxRadiusBlock { float max_radius[]; };
 layout(std430, set = 0, binding = 25) readonly buffer MeanGradientBlock { float mean_gradient[]; };
 layout(std430, set = 0, binding = 26) buffer OptionalBlock { float optional[]; };
-layout(std430, set = 0, binding = 27) readonly buffer BlendBlock { uint blend[]; };
+layout(std430, set = 0, binding = 27) readonly buffer BlendIndexBlock { uint blend_index[]; };
+layout(std430, set = 0, binding = 28) readonly buffer BlendWeightBlock { float blend_weight[]; };
 
 #include "lib/place.glsl"
 #include "lib/project_backward.glsl"
@@ -221,12 +222,13 @@ void gather_statistics(uint g, uint n, vec2 mean2d, float radius) {
 // Gradient of the canonical centre through the rotations of soft superpoints, less `moved` itself.
 vec3 blend_mean_gradient(uint g, uint n, vec3 moved) {
     uint slots = BLEND;
+    vec4 weight = blend_weights(g, n);
     vec3 sum = vec3(0.0);
     for (uint slot = 0u; slot < slots; slot++) {
         vec4 turn;
         vec3 translation;
         read_pose(blend_superpoint(g, n, slot), turn, translation);
-        sum += blend_weight(g, n, slot) * quaternion_displacement(quaternion_conjugate(turn), moved);
+        sum += weight[slot] * quaternion_displacement(quaternion_conjugate(turn), moved);
     }
     return sum;
 }
@@ -319,23 +321,24 @@ bool write_blend_gradient(uint g, uint n, vec3 canonical, Gradient o) {
     uint slots = BLEND;
     vec4 sum;
     vec3 displacement;
-    bool usable = blend_motion(g, n, canonical, sum, displacement);
+    vec4 weight = blend_weights(g, n);
+    bool usable = blend_motion(g, n, canonical, weight, sum, displacement);
     float norm2 = dot(sum, sum);
     vec4 sum_gradient = usable ? quaternion_product(vec4(0.0, o.omega), sum) * (2.0 / norm2) : vec4(0.0);
     vec4 heaviest;
     vec3 translation;
-    read_pose(blend_superpoint(g, n, heaviest_slot(g, n)), heaviest, translation);
+    read_pose(blend_superpoint(g, n, heaviest_slot(weight)), heaviest, translation);
     bool finite = true;
     for (uint slot = 0u; slot < slots; slot++) {
         vec4 turn;
         read_pose(blend_superpoint(g, n, slot), turn, translation);
-        float weight = usable ? blend_weight(g, n, slot) : 0.0;
+        float own = usable ? weight[slot] : 0.0;
         float side = signed_weight(1.0, turn, heaviest);
         vec3 moved = quaternion_displacement(turn, canonical);
         vec3 omega = 0.5 * side * quaternion_product(sum_gradient, quaternion_conjugate(turn)).yzw
                    + cross(canonical + moved, o.translation);
         float of_weight = dot(o.translation, moved + translation) + side * dot(sum_gradient, turn);
-        finite = write_pose(7u * slot, g, n, weight * omega, weight * o.translation) && finite;
+        finite = write_pose(7u * slot, g, n, own * omega, own * o.translation) && finite;
         pose_gradient[(7u * slot + 6u) * n + g] = checked(finite, usable ? of_weight : 0.0);
     }
     return finite;

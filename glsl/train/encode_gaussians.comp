@@ -17,7 +17,8 @@ layout(std430, set = 0, binding = 1) readonly buffer MeanBlock { float mean[]; }
 layout(std430, set = 0, binding = 2) readonly buffer SuperpointOfGaussianBlock { uint superpoint_of_gaussian[]; };
 layout(std430, set = 0, binding = 3) readonly buffer PoseBlock { vec4 pose[]; };
 layout(std430, set = 0, binding = 4) writeonly buffer EncodingBlock { float encoding[]; };
-layout(std430, set = 0, binding = 5) readonly buffer BlendBlock { uint blend[]; };
+layout(std430, set = 0, binding = 5) readonly buffer BlendIndexBlock { uint blend_index[]; };
+layout(std430, set = 0, binding = 6) readonly buffer BlendWeightBlock { float blend_weight[]; };
 
 layout(push_constant) uniform Push { uint first_row; uint rows; } push;
 

@@ -6,9 +6,9 @@
 
 // The K nearest superpoints of each Gaussian in canonical space, exact, nearest first, ties by lowest index; the row of
 // remembered superpoints is brought up to date (in use first, then those that left, latest first); softmax of the logits;
-// pairs (superpoint, slot and Gaussian) for the sort. With soft superpoints (BLEND, which is NEIGHBORS then) the weights also
-// go to `blend`, as lib/superpoint_motion.glsl has it; this kernel then runs before the frame, and running it again changes
-// nothing.
+// pairs (superpoint, slot and Gaussian) for the sort. With soft superpoints (BLEND, which is NEIGHBORS then) they also
+// go to `blend_index`, as lib/superpoint_motion.glsl has it; this kernel then runs before the frame, and running it again
+// changes nothing.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 layout(constant_id = 3) const uint BLEND = 0u;
@@ -36,7 +36,7 @@ layout(std430, set = 0, binding = 9) writeonly buffer WeightBlock { float weight
 layout(std430, set = 0, binding = 10) writeonly buffer NextSuperpointBlock { uint next_superpoint[]; };
 layout(std430, set = 0, binding = 11) writeonly buffer PairKeyBlock { uint pair_key[]; };
 layout(std430, set = 0, binding = 12) writeonly buffer PairValueBlock { uint pair_value[]; };
-layout(std430, set = 0, binding = 14) writeonly buffer BlendBlock { uint blend[]; };
+layout(std430, set = 0, binding = 14) writeonly buffer BlendIndexBlock { uint blend_index[]; };
 
 const uint INFINITE = 0x7f800000u;
 const uint LARGEST = 0x7f7fffffu;
@@ -165,25 +165,14 @@ void update_row(uint row, uint nearest[MAX_NEIGHBORS]) {
     }
 }
 
-// Superpoints and weights in unorm16. What rounding leaves of the sum goes to the slot `heaviest`.
-void write_blend(uint i, uint nearest[MAX_NEIGHBORS], float value[MAX_NEIGHBORS], uint heaviest) {
+// What lib/superpoint_motion.glsl reads of the superpoints; the weights are in `weight`, of which it leaves out the last plane.
+void write_blend(uint i, uint nearest[MAX_NEIGHBORS]) {
     uint slots = BLEND;
     uint n = step_data.gaussians;
-    uint level[4];
-    int rest = 65535;
-    [[unroll]] for (uint k = 0u; k < 4u; k++) {
-        level[k] = k < slots ? uint(value[k] * 65535.0 + 0.5) : 0u;
-        rest -= int(level[k]);
-    }
-    [[unroll]] for (uint k = 0u; k < 4u; k++) {
-        level[k] += k == heaviest ? uint(rest) : 0u;
-    }
-    uint planes = (slots + 1u) / 2u;
     [[unroll]] for (uint p = 0u; p < 2u; p++) {
-        if (p < planes) {
+        if (2u * p < slots) {
             uint second = 2u * p + 1u < slots ? nearest[2u * p + 1u] : 0u;
-            blend[p * n + i] = nearest[2u * p] | (second << 16u);
-            blend[(planes + p) * n + i] = level[2u * p] | (level[2u * p + 1u] << 16u);
+            blend_index[p * n + i] = nearest[2u * p] | (second << 16u);
         }
     }
 }
@@ -196,7 +185,6 @@ void write_weights(uint i, uint row, uint nearest[MAX_NEIGHBORS]) {
     bool finite = true;
     float top = 0.0;
     uint best = 0u;
-    uint heaviest = 0u;
     [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
         if (k < neighbors) {
             value[k] = logit[row + k];
@@ -204,7 +192,6 @@ void write_weights(uint i, uint row, uint nearest[MAX_NEIGHBORS]) {
             bool larger = k == 0u || value[k] > top;
             top = larger ? value[k] : top;
             best = larger ? nearest[k] : best;
-            heaviest = larger ? k : heaviest;
         }
     }
     float sum = 0.0;
@@ -216,13 +203,12 @@ void write_weights(uint i, uint row, uint nearest[MAX_NEIGHBORS]) {
     }
     [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
         if (k < neighbors) {
-            value[k] = finite ? value[k] / sum : 0.0;
-            weight[k * n + i] = value[k];
+            weight[k * n + i] = finite ? value[k] / sum : 0.0;
         }
     }
     uint blended = BLEND;
     if (blended != 0u) {
-        write_blend(i, nearest, value, finite ? heaviest : 0u);
+        write_blend(i, nearest);
     }
     next_superpoint[i] = finite ? best : nearest[0];
     if (!finite) {

@@ -7,7 +7,7 @@ use engine::render::deform_project::{
 };
 use engine::render::ellipse::Ellipse;
 use engine::render::frame::{Frame, FrameOptions};
-use engine::render::superpoint_motion::pack_blend;
+use engine::render::superpoint_motion::PackedBlend;
 use engine::render::twin::vec4_at;
 use engine::scene::parameter::Optional;
 use engine::scene::synthetic::random_optional;
@@ -136,10 +136,19 @@ impl RenderInput {
         self
     }
 
-    /// Words of [`RenderInput::blend`] and K; none and 0 without.
-    pub fn blend_words(&self) -> (Option<Vec<u32>>, u32) {
-        let words = |blend: &Blend| pack_blend(blend, self.superpoints as usize).expect("few superpoints");
-        (self.blend.as_ref().map(words), self.blend.as_ref().map_or(0, |b| b.neighbors as u32))
+    /// K of soft superpoints, or 0.
+    pub fn blend_slots(&self) -> u32 {
+        self.blend.as_ref().map_or(0, |b| b.neighbors as u32)
+    }
+
+    /// Words of `blend_index` and `blend_weight`.
+    ///
+    /// # Panics
+    /// With too many superpoints.
+    pub fn blend_words(&self) -> [Option<Vec<u32>>; 2] {
+        let Some(blend) = &self.blend else { return [None, None] };
+        let packed = PackedBlend::new(blend, self.superpoints as usize).unwrap();
+        [Some(packed.index), Some(packed.weight.iter().map(|w| w.to_bits()).collect())]
     }
 
     /// Words of [`RenderInput::superpoint_of_gaussian`], where a kernel reads them.
@@ -218,9 +227,10 @@ impl RenderInput {
             motion: moving.into(),
             nonrigid: nonrigid.into(),
             optional: self.optional.present().0,
-            blend: self.blend_words().1,
+            blend: self.blend_slots(),
             ..DeformProjectConstants::default()
         };
+        let [blend_index, blend_weight] = self.blend_words();
         let buffers = DeformProjectBuffers {
             frame: bytemuck::cast_slice(&[*frame]).to_vec(),
             mean: words(&self.mean),
@@ -239,7 +249,8 @@ impl RenderInput {
             counters: vec![0; 8],
             nonrigid_offset: nonrigid.then(|| words(&self.nonrigid_offset)),
             optional: (!self.optional.is_empty()).then(|| words(&self.optional.to_device())),
-            blend: self.blend_words().0,
+            blend_index,
+            blend_weight,
         };
         let push = DeformProjectPush { block_capacity: groups };
         KernelCase { kernel: &DEFORM_PROJECT, constants, push, buffers, groups }

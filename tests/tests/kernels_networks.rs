@@ -257,6 +257,7 @@ fn network_g_matches_its_twin() {
             }
             for stage in stages {
                 let words = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<u32>>();
+                let [blend_index, blend_weight] = input.blend_words();
                 let buffers = NonrigidNetworkBuffers {
                     frame: bytemuck::cast_slice(&[frame]).to_vec(),
                     mean: words(&input.mean),
@@ -264,7 +265,8 @@ fn network_g_matches_its_twin() {
                     pose: (motion == 1).then(|| words(&input.pose)),
                     parameter: parameter.clone(),
                     nonrigid_offset: vec![0; 10 * count],
-                    blend: input.blend_words().0,
+                    blend_index,
+                    blend_weight,
                 };
                 let push = NonrigidPush { origin_x: 0.5, origin_y: -0.25, origin_z: 0.0 };
                 let blend = soft as u32;
@@ -286,13 +288,15 @@ fn encoding_of_gaussians_matches_its_twin() {
         for (motion, soft) in [(0, 0), (1, 0), (1, 2)] {
             let input = if soft > 0 { input.clone().soft(soft, 5) } else { input.clone() };
             let words = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<u32>>();
+            let [blend_index, blend_weight] = input.blend_words();
             let buffers = EncodeGaussiansBuffers {
                 frame: bytemuck::cast_slice(&[frame]).to_vec(),
                 mean: words(&input.mean),
                 superpoint_of_gaussian: input.hard_superpoints().filter(|_| motion == 1),
                 pose: (motion == 1).then(|| words(&input.pose)),
                 encoding: vec![0; 84 * rows as usize],
-                blend: input.blend_words().0,
+                blend_index,
+                blend_weight,
             };
             let (constants, push) =
                 (EncodeGaussiansConstants { motion, blend: soft as u32 }, EncodeGaussiansPush { first_row, rows });

@@ -89,8 +89,10 @@ crate::gpu_buffers! {
         nonrigid_offset: optional Read F32,
         /// `[planes][N]` of the optional parameters.
         optional: optional Read F32,
-        /// `[2·ceil(K/2)][N]`; of soft superpoints ([`super::superpoint_motion`]).
-        blend: optional Read U32,
+        /// `[ceil(K/2)][N]`; of soft superpoints ([`superpoint_motion`](crate::render::superpoint_motion)).
+        blend_index: optional Read U32,
+        /// `[K-1][N]`; of soft superpoints.
+        blend_weight: optional Read F32,
     }
 }
 

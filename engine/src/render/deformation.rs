@@ -8,13 +8,13 @@ use glam::DVec3;
 
 use crate::error::Result;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice, Suite};
-use crate::scene::{Deformation, KeyInterval, Motion, MotionSource, Scene};
+use crate::scene::{Blend, Deformation, KeyInterval, Motion, MotionSource, Scene};
 
 use super::field::FieldBuffers;
 use super::nonrigid_network::NonrigidBuffers;
 use super::quality::Quality;
 use super::scene_buffers::SceneBuffers;
-use super::superpoint_motion::pack_blend;
+use super::superpoint_motion::PackedBlend;
 
 pub(crate) use poses::Poses;
 
@@ -34,6 +34,28 @@ pub(crate) enum Offsets {
     Field(Box<FieldBuffers>),
 }
 
+/// Soft superpoints on the device ([`super::superpoint_motion`]).
+#[derive(Debug, Clone)]
+pub(crate) struct BlendBuffers {
+    /// K.
+    pub(crate) slots: u32,
+    /// `uint[ceil(K/2)][N]`.
+    pub(crate) index: Buffer,
+    /// `float[K-1][N]`.
+    pub(crate) weight: Buffer,
+}
+
+impl BlendBuffers {
+    fn new(gpu: &Gpu, blend: &Blend, superpoints: usize) -> Result<Self> {
+        let packed = PackedBlend::new(blend, superpoints)?;
+        Ok(Self {
+            slots: packed.slots,
+            index: gpu.buffer_with("blend_index", bytemuck::cast_slice(&packed.index))?,
+            weight: gpu.buffer_with("blend_weight", bytemuck::cast_slice(&packed.weight))?,
+        })
+    }
+}
+
 /// A scene's model of motion on the device.
 #[derive(Debug)]
 pub(crate) struct DeformationBuffers {
@@ -41,8 +63,8 @@ pub(crate) struct DeformationBuffers {
     pub(crate) superpoints: u32,
     /// `uint[N]`.
     pub(crate) superpoint_of_gaussian: Buffer,
-    /// K and `uint[2·ceil(K/2)][N]` of soft superpoints.
-    pub(crate) blend: Option<(u32, Buffer)>,
+    /// Soft superpoints.
+    pub(crate) blend: Option<BlendBuffers>,
     /// `[T,M,2]` vec4 of the table, or `[M,2]` of the frame's time.
     pub(crate) pose: Buffer,
     pub(crate) poses: Poses,
@@ -100,13 +122,8 @@ impl DeformationBuffers {
         let (pose, poses) = Poses::new(gpu, &scene.deformation, source, origin, quality)?;
         let of_gaussian = scene.deformation.superpoint_of_gaussian();
         let soft = scene.deformation.superpoint_deformation().and_then(|s| s.blend.as_ref());
-        let blend = match soft.filter(|_| poses.moves()) {
-            Some(blend) => {
-                let words = pack_blend(blend, scene.deformation.superpoint_count())?;
-                Some((blend.neighbors as u32, gpu.buffer_with("blend", bytemuck::cast_slice(&words))?))
-            }
-            None => None,
-        };
+        let soft = soft.filter(|_| poses.moves());
+        let blend = soft.map(|b| BlendBuffers::new(gpu, b, scene.deformation.superpoint_count())).transpose()?;
         Ok(Self {
             blend,
             superpoints: if poses.moves() { scene.deformation.superpoint_count() as u32 } else { 0 },
@@ -142,12 +159,17 @@ impl DeformationBuffers {
 
     /// K of soft superpoints, or 0.
     pub(crate) fn blend_slots(&self) -> u32 {
-        self.blend.as_ref().map_or(0, |(slots, _)| *slots)
+        self.blend.as_ref().map_or(0, |b| b.slots)
     }
 
-    /// Soft superpoints, where the scene has them.
-    pub(crate) fn blend_slice(&self) -> Option<Slice> {
-        self.blend.as_ref().map(|(_, words)| words.whole())
+    /// `uint[ceil(K/2)][N]` of soft superpoints.
+    pub(crate) fn blend_index(&self) -> Option<Slice> {
+        self.blend.as_ref().map(|b| b.index.whole())
+    }
+
+    /// `float[K-1][N]` of soft superpoints.
+    pub(crate) fn blend_weight(&self) -> Option<Slice> {
+        self.blend.as_ref().map(|b| b.weight.whole())
     }
 
     /// `uint[N]`, where each Gaussian moves with one superpoint.
@@ -205,7 +227,7 @@ impl DeformationBuffers {
 
     /// Bytes on the device.
     pub(crate) fn bytes(&self) -> u64 {
-        let blend = self.blend.as_ref().map_or(0, |(_, words)| words.bytes());
+        let blend = self.blend.as_ref().map_or(0, |b| b.index.bytes() + b.weight.bytes());
         self.superpoint_of_gaussian.bytes() + blend + self.pose.bytes() + self.offsets.bytes()
     }
 }

@@ -62,8 +62,10 @@ crate::gpu_buffers! {
         pose: optional Read F32,
         parameter: Read F32,
         nonrigid_offset: Write F32,
-        /// `[2·ceil(K/2)][N]`; of soft superpoints.
-        blend: optional Read U32,
+        /// `[ceil(K/2)][N]`; of soft superpoints ([`superpoint_motion`](crate::render::superpoint_motion)).
+        blend_index: optional Read U32,
+        /// `[K-1][N]`; of soft superpoints.
+        blend_weight: optional Read F32,
     }
 }
 
@@ -152,7 +154,8 @@ impl NonrigidBuffers {
             pose: moves.then(|| pose.whole()),
             parameter: self.parameter.whole(),
             nonrigid_offset: self.offset.whole(),
-            blend: scene.deformation.blend_slice(),
+            blend_index: scene.deformation.blend_index(),
+            blend_weight: scene.deformation.blend_weight(),
         };
         let constants = constants(gpu, moves, scene.deformation.blend_slots());
         record(r, scene.gaussians, constants, scene.origin.as_vec3().to_array(), buffers)?;
@@ -199,12 +202,16 @@ pub(crate) fn moved_centre(frame: &Frame, mean: &[u32], motion: Option<Superpoin
 /// What moves Gaussians, for the twins of kernels that read `moved_centre`.
 pub(crate) fn superpoint_motion<'a>(
     moving: bool,
-    blend: u32,
-    [superpoint_of_gaussian, pose, blend_words]: [Option<&'a [u32]>; 3],
+    slots: u32,
+    [superpoint_of_gaussian, pose, blend_index, blend_weight]: [Option<&'a [u32]>; 4],
 ) -> Option<SuperpointMotion<'a>> {
-    let superpoint_of_gaussian = superpoint_of_gaussian.unwrap_or_default();
-    let blend = (blend, blend_words.unwrap_or_default());
-    pose.filter(|_| moving).map(|pose| SuperpointMotion { superpoint_of_gaussian, pose, blend })
+    pose.filter(|_| moving).map(|pose| SuperpointMotion {
+        superpoint_of_gaussian: superpoint_of_gaussian.unwrap_or_default(),
+        pose,
+        slots,
+        blend_index: blend_index.unwrap_or_default(),
+        blend_weight: blend_weight.unwrap_or_default(),
+    })
 }
 
 /// Element `e` of `[p, sin 2ᵏp, cos 2ᵏp, …, t, sin 2ᵏt, cos 2ᵏt, …]`, p in 10 octaves; twin of `glsl/lib/encoding.glsl`.
@@ -223,7 +230,8 @@ fn nonrigid_network_twin(call: Call<'_, NonrigidNetworkKernel>) {
     let groups = call.group_count();
     let Call { constants, push: p, buffers: b, .. } = call;
     let frame: Frame = struct_at(b.frame, 0);
-    let words = [b.superpoint_of_gaussian.as_deref(), b.pose.as_deref(), b.blend.as_deref()];
+    let words =
+        [b.superpoint_of_gaussian.as_deref(), b.pose.as_deref(), b.blend_index.as_deref(), b.blend_weight.as_deref()];
     let motion = superpoint_motion(constants.motion != 0, constants.blend, words);
     let n = frame.gaussians as usize;
     for g in 0..n.min((groups * NONRIGID_GAUSSIANS) as usize) {

@@ -141,7 +141,8 @@ fn deform_project(
         counters: work.counters.clone(),
         nonrigid_offset,
         optional: scene.optional.as_ref().map(Buffer::whole),
-        blend: scene.deformation.blend_slice(),
+        blend_index: scene.deformation.blend_index(),
+        blend_weight: scene.deformation.blend_weight(),
     };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
     let groups = Groups::Direct(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS).into());

@@ -1,71 +1,89 @@
-//! How a Gaussian's superpoints move it, as `glsl/lib/superpoint_motion.glsl` has it: its twin, and the words of `blend`.
+//! How a Gaussian's superpoints move it, as `glsl/lib/superpoint_motion.glsl` has it: its twin, and the words of `blend_index` and `blend_weight`.
 
 use super::frame::Frame;
 use super::quaternion;
-use super::twin::vec4_at;
+use super::twin::{f32_at, vec4_at};
 use crate::error::{Error, Result};
 use crate::scene::Blend;
 
 /// Largest so(3) vector, radians, and translation, world units.
 const MAX_ABS_POSE: f32 = 1e15;
-/// The level that stands for weight 1.
-const ONE: u32 = 65_535;
-
-/// Planes of `blend` with superpoints, and as many with weights, for K slots.
-pub fn blend_planes(slots: u32) -> u32 {
+/// Planes of `blend_index`, for K slots.
+pub fn index_planes(slots: u32) -> u32 {
     slots.div_ceil(2)
 }
 
-/// Weights as levels of unorm16 that add up to 65535: what rounding leaves goes to the first of the heaviest.
-pub(crate) fn weight_levels(weight: &[f32]) -> Vec<u32> {
-    let sum: f32 = weight.iter().sum();
-    let mut level: Vec<u32> = weight.iter().map(|w| (w / sum * ONE as f32 + 0.5) as u32).collect();
-    let heaviest = heaviest(weight);
-    level[heaviest] = level[heaviest].wrapping_add(ONE.wrapping_sub(level.iter().sum()));
-    level
+/// Planes of `blend_weight`: the last weight is what the others leave of 1.
+pub fn weight_planes(slots: u32) -> u32 {
+    slots.saturating_sub(1)
+}
+
+/// Bytes of both for a Gaussian.
+pub fn blend_bytes(slots: u32) -> u64 {
+    4 * u64::from(index_planes(slots) + weight_planes(slots))
 }
 
 /// The first of the largest.
-fn heaviest<T: PartialOrd + Copy>(weight: &[T]) -> usize {
+fn heaviest(weight: &[f32]) -> usize {
     (1..weight.len()).fold(0, |best, k| if weight[k] > weight[best] { k } else { best })
 }
 
-/// One Gaussian's words of `blend`, plane after plane.
-pub(crate) fn blend_words(index: &[u32], level: &[u32]) -> Vec<u32> {
-    let pairs = |v: &[u32]| v.chunks(2).map(|p| p[0] | p.get(1).copied().unwrap_or(0) << 16).collect::<Vec<_>>();
-    [pairs(index), pairs(level)].concat()
+/// One Gaussian's words of `blend_index`, plane after plane.
+pub(crate) fn index_words(index: &[u32]) -> impl Iterator<Item = u32> + '_ {
+    index.chunks(2).map(|pair| pair[0] | pair.get(1).copied().unwrap_or(0) << 16)
 }
 
-/// `blend uint[2·ceil(K/2)][N]` of a scene with at most 65,536 superpoints.
-///
-/// # Errors
-/// `Limit` beyond.
-pub fn pack_blend(blend: &Blend, superpoints: usize) -> Result<Vec<u32>> {
-    let most = 1 << 16;
-    if superpoints > most {
-        let what = "superpoints of a model with soft superpoints".into();
-        return Err(Error::Limit { what, need: superpoints as u128, have: most as u128 });
-    }
-    let k = blend.neighbors.max(1);
-    let n = blend.index.len() / k;
-    let mut words = vec![0; 2 * k.div_ceil(2) * n];
-    for (g, (index, weight)) in blend.index.chunks_exact(k).zip(blend.weight.chunks_exact(k)).enumerate() {
-        for (plane, word) in blend_words(index, &weight_levels(weight)).into_iter().enumerate() {
-            words[plane * n + g] = word;
+/// Soft superpoints as kernels read them.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PackedBlend {
+    /// K.
+    pub slots: u32,
+    /// `blend_index uint[ceil(K/2)][N]`.
+    pub index: Vec<u32>,
+    /// `blend_weight float[K-1][N]`, normalised.
+    pub weight: Vec<f32>,
+}
+
+impl PackedBlend {
+    /// Of a scene with at most 65,536 superpoints.
+    ///
+    /// # Errors
+    /// `Limit` beyond.
+    pub fn new(blend: &Blend, superpoints: usize) -> Result<Self> {
+        let most = 1 << 16;
+        if superpoints > most {
+            let what = "superpoints of a model with soft superpoints".into();
+            return Err(Error::Limit { what, need: superpoints as u128, have: most as u128 });
         }
+        let (n, slots) = (blend.len(), blend.neighbors as u32);
+        let mut packed = Self {
+            slots,
+            index: vec![0; index_planes(slots) as usize * n],
+            weight: vec![0.0; weight_planes(slots) as usize * n],
+        };
+        for g in 0..n {
+            let words = index_words(blend.row(g).0).enumerate();
+            words.for_each(|(plane, word)| packed.index[plane * n + g] = word);
+            let weights = blend.slots(g).take(weight_planes(slots) as usize).enumerate();
+            weights.for_each(|(plane, (_, weight))| packed.weight[plane * n + g] = weight as f32);
+        }
+        Ok(packed)
     }
-    Ok(words)
 }
 
 /// Superpoints of Gaussians and the table of poses, for twins.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct SuperpointMotion<'a> {
     /// `[N]`; not read with soft superpoints.
     pub superpoint_of_gaussian: &'a [u32],
     /// `vec4[T][M][2]`
     pub pose: &'a [u32],
-    /// K and the planes of `blend`; K = 0 without soft superpoints.
-    pub blend: (u32, &'a [u32]),
+    /// K of soft superpoints, or 0.
+    pub slots: u32,
+    /// `[ceil(K/2)][N]` of soft superpoints.
+    pub blend_index: &'a [u32],
+    /// `[K-1][N]` of soft superpoints.
+    pub blend_weight: &'a [u32],
 }
 
 /// One superpoint's part of a Gaussian's motion.
@@ -84,13 +102,17 @@ fn within(v: [f32; 3]) -> bool {
 impl SuperpointMotion<'_> {
     /// The superpoints of Gaussian `g` of `n`; one of weight 1 without soft superpoints.
     pub fn slots(&self, g: usize, n: usize) -> Vec<Slot> {
-        let (k, words) = self.blend;
-        if k == 0 {
+        if self.slots == 0 {
             return vec![Slot { superpoint: self.superpoint_of_gaussian[g], weight: 1.0 }];
         }
-        let half = |plane: u32, slot: u32| words[(plane + slot / 2) as usize * n + g] >> (16 * (slot & 1)) & 0xffff;
-        let slot = |s: u32| Slot { superpoint: half(0, s), weight: half(blend_planes(k), s) as f32 / ONE as f32 };
-        (0..k).map(slot).collect()
+        let mut rest = 1.0_f32;
+        let slot = |s: u32| {
+            let weight = if s + 1 < self.slots { f32_at(self.blend_weight, s as usize * n + g) } else { rest.max(0.0) };
+            rest -= weight;
+            let superpoint = self.blend_index[(s / 2) as usize * n + g] >> (16 * (s & 1)) & 0xffff;
+            Slot { superpoint, weight }
+        };
+        (0..self.slots).map(slot).collect()
     }
 
     /// so(3) vector and translation of a superpoint at the frame's time.
@@ -118,7 +140,7 @@ impl SuperpointMotion<'_> {
             Some((turn, std::array::from_fn::<f32, 3, _>(|i| shift[i] + translation[i])))
         };
         let moved: Vec<_> = slots.iter().map(moved).collect::<Option<_>>()?;
-        if self.blend.0 == 0 {
+        if self.slots == 0 {
             return Some((moved[0].1, moved[0].0));
         }
         let weight: Vec<f32> = slots.iter().map(|s| s.weight).collect();
@@ -139,28 +161,36 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
+    fn slots(blend: &Blend, g: usize) -> Vec<Slot> {
+        let packed = PackedBlend::new(blend, 65_536).unwrap();
+        let weight: Vec<u32> = packed.weight.iter().map(|w| w.to_bits()).collect();
+        let motion = SuperpointMotion {
+            slots: packed.slots,
+            blend_index: &packed.index,
+            blend_weight: &weight,
+            ..SuperpointMotion::default()
+        };
+        motion.slots(g, blend.len())
+    }
+
     #[test]
-    fn levels_add_up_and_come_back() {
+    fn weights_come_back_normalised() {
         let weight = [0.3, 0.333, 0.1, 0.2];
-        let level = weight_levels(&weight);
-        assert_eq!(level.iter().sum::<u32>(), ONE);
         let blend = Blend { neighbors: 4, index: vec![7, 65_535, 0, 3], weight: weight.to_vec() };
-        let words = pack_blend(&blend, 65_536).unwrap();
-        let motion = SuperpointMotion { superpoint_of_gaussian: &[], pose: &[], blend: (4, &words) };
-        for (slot, (index, w)) in motion.slots(0, 1).iter().zip(blend.index.iter().zip(weight)) {
+        for (slot, (index, w)) in slots(&blend, 0).iter().zip(blend.index.iter().zip(weight)) {
             assert_eq!(slot.superpoint, *index);
-            assert!((slot.weight - w / 0.933).abs() < 3e-5, "{} for {w}", slot.weight);
+            assert!((slot.weight - w / 0.933).abs() < 2e-7, "{} for {w}", slot.weight);
         }
-        assert!(pack_blend(&blend, 65_537).is_err());
+        assert!(PackedBlend::new(&blend, 65_537).is_err());
     }
 
     #[test]
     fn odd_numbers_of_slots_leave_half_a_word() {
         let blend = Blend { neighbors: 3, index: vec![1, 2, 3, 4, 5, 6], weight: vec![1.0, 0.0, 0.0, 0.5, 0.25, 0.25] };
-        let words = pack_blend(&blend, 7).unwrap();
-        assert_eq!(words.len(), 8);
-        let motion = SuperpointMotion { superpoint_of_gaussian: &[], pose: &[], blend: (3, &words) };
-        assert_eq!(motion.slots(1, 2).iter().map(|s| s.superpoint).collect::<Vec<_>>(), [4, 5, 6]);
-        assert_eq!(motion.slots(0, 2)[0].weight, 1.0);
+        let [first, second] = [slots(&blend, 0), slots(&blend, 1)];
+        assert_eq!(second.iter().map(|s| s.superpoint).collect::<Vec<_>>(), [4, 5, 6]);
+        assert_eq!(first[0].weight, 1.0);
+        let one = Blend { neighbors: 1, index: vec![9], weight: vec![0.2] };
+        assert_eq!(slots(&one, 0), [Slot { superpoint: 9, weight: 1.0 }]);
     }
 }

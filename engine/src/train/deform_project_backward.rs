@@ -24,7 +24,7 @@ pub(super) use record::{Output, ProjectBackward};
 
 use crate::gpu::kernel::{Kernel, Tolerance, Workload};
 use crate::render::frame::Frame;
-use crate::render::superpoint_motion::blend_planes;
+use crate::render::superpoint_motion::blend_bytes;
 
 use super::step::Step;
 
@@ -114,8 +114,10 @@ crate::gpu_buffers! {
         mean_gradient: optional Read F32,
         /// `[planes][N]` of the optional parameters.
         optional: optional Update F32,
-        /// `[2·ceil(K/2)][N]`; of soft superpoints.
-        blend: optional Read U32,
+        /// `[ceil(K/2)][N]`; of soft superpoints ([`superpoint_motion`](crate::render::superpoint_motion)).
+        blend_index: optional Read U32,
+        /// `[K-1][N]`; of soft superpoints.
+        blend_weight: optional Read F32,
     }
 }
 
@@ -141,7 +143,7 @@ fn deform_project_backward_bytes(work: &Workload) -> u64 {
     let planes = 11 + 3 * work.get("sh_coefficients").max(1) + work.get("optional_bytes") / 4;
     let words_per_plane = if work.get("gradient_planes") > 0 { 2 } else { 6 };
     let slots = work.get("blend_slots");
-    let soft = 4 * u64::from(blend_planes(slots as u32)) * 2 + 4 * u64::from(SLOT_PLANES) * slots;
+    let soft = blend_bytes(slots as u32) + 4 * u64::from(SLOT_PLANES) * slots;
     let moving = if work.get("superpoints") > 0 { soft.max(4 + 24) } else { 0 };
     let nonrigid = if work.get("nonrigid") > 0 { 80 } else { 0 };
     work.get("gaussians") * (4 * planes * words_per_plane + 4 + moving + nonrigid)

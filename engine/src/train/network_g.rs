@@ -195,7 +195,8 @@ impl NetworkG {
             pose: moving.then(|| Slice::clone(pose)),
             parameter: self.parameter(),
             nonrigid_offset: nonrigid_offset.clone(),
-            blend: None,
+            blend_index: None,
+            blend_weight: None,
         };
         let constants = nonrigid_network::constants(&self.gpu, *moving, 0);
         nonrigid_network::record(r, gaussians, constants, [0.0; 3], buffers)

@@ -107,7 +107,7 @@ impl<'a> Chain<'a> {
             pair_key: vec![0; pairs],
             pair_value: vec![0; pairs],
             status: status::clear().to_vec(),
-            blend: soft.then(|| vec![0; 2 * k.div_ceil(2) * n]),
+            blend_index: soft.then(|| vec![0; k.div_ceil(2) * n]),
         };
         let kernel = &NEAREST_SUPERPOINTS;
         let AssociationConstants { neighbors, slots } = case.constants();
@@ -158,7 +158,7 @@ impl<'a> Chain<'a> {
     fn residual(&self, property_sum: Option<&Vec<u32>>) -> (Vec<u32>, Vec<u32>) {
         let (rows, n) = (&self.rows, self.case.mean.len());
         let (neighbors, slots) = (self.case.neighbors, self.case.slots);
-        let (paper, soft) = (property_sum.is_some(), rows.blend.is_some());
+        let (paper, soft) = (property_sum.is_some(), rows.blend_index.is_some());
         let constants = PropertyResidualConstants { neighbors, slots, paper: paper.into(), defer: soft.into() };
         let buffers = PropertyResidualBuffers {
             step: rows.step.clone(),

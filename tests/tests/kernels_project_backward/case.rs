@@ -81,6 +81,7 @@ pub(super) fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64)
         |count: usize, low: f32, high: f32| words(&(0..count).map(|_| r.range(low, high)).collect::<Vec<_>>());
     let (moment_1, moment_2) = (random(planes * n, -0.01, 0.01), random(planes * n, 1e-4, 1e-2));
     let mean_gradient = random(3 * n, -1e-3, 1e-3);
+    let [blend_index, blend_weight] = input.blend_words();
     let (moving, nonrigid) = (!input.pose.is_empty(), !input.nonrigid_offset.is_empty());
     let band = |degree: u32| (input.degree >= degree).then(|| words(&input.sh[degree as usize]));
     KernelCase {
@@ -92,7 +93,7 @@ pub(super) fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64)
             output,
             mean_gradient: (seed % 2) as u32,
             optional: input.optional.present().0,
-            blend: input.blend_words().1,
+            blend: input.blend_slots(),
         },
         push: (),
         buffers: Buffers {
@@ -116,14 +117,15 @@ pub(super) fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64)
             moment_1: Some(moment_1),
             moment_2: Some(moment_2),
             gradient: (output == OUTPUT_GRADIENT).then(|| vec![0; planes * n]),
-            pose_gradient: moving.then(|| vec![0; n * (SLOT_PLANES * input.blend_words().1).max(6) as usize]),
+            pose_gradient: moving.then(|| vec![0; n * (SLOT_PLANES * input.blend_slots()).max(6) as usize]),
             nonrigid_offset: nonrigid.then(|| words(&input.nonrigid_offset)),
             nonrigid_gradient: nonrigid.then(|| vec![0; 10 * n]),
             density: Some(vec![0; 2 * n]),
             max_radius: Some(vec![0; n]),
             mean_gradient: (seed % 2 == 1).then_some(mean_gradient),
             optional: (!input.optional.is_empty()).then(|| words(&input.optional.to_device())),
-            blend: input.blend_words().0,
+            blend_index,
+            blend_weight,
         },
         groups: (n as u32).div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1),
     }

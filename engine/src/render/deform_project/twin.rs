@@ -106,10 +106,15 @@ fn reaches_image(e: &Ellipse, variance_x: f32, width: u32) -> bool {
 }
 
 /// Displacement of Gaussian `g` from `canonical` and its rotation by its superpoints.
-fn motion_of(b: &Inputs<'_>, frame: &Frame, blend: u32, canonical: [f32; 3], g: usize) -> Option<([f32; 3], [f32; 4])> {
-    let superpoint_of_gaussian = b.superpoint_of_gaussian.as_deref().unwrap_or_default();
-    let blend = (blend, b.blend.as_deref().unwrap_or_default());
-    SuperpointMotion { superpoint_of_gaussian, pose: b.pose.as_deref()?, blend }.displacement(frame, g, canonical)
+fn motion_of(b: &Inputs<'_>, frame: &Frame, slots: u32, canonical: [f32; 3], g: usize) -> Option<([f32; 3], [f32; 4])> {
+    let motion = SuperpointMotion {
+        superpoint_of_gaussian: b.superpoint_of_gaussian.as_deref().unwrap_or_default(),
+        pose: b.pose.as_deref()?,
+        slots,
+        blend_index: b.blend_index.as_deref().unwrap_or_default(),
+        blend_weight: b.blend_weight.as_deref().unwrap_or_default(),
+    };
+    motion.displacement(frame, g, canonical)
 }
 
 /// Log2 of the share of the opacity that the optional parameters leave at the frame's time.

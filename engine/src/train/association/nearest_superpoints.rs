@@ -4,7 +4,7 @@ use super::{MAX_NEIGHBORS, NEW_LOGIT, NO_SUPERPOINT, PAIR_SHIFT};
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 use crate::render::limits::COUNT_FAILED;
-use crate::render::superpoint_motion::{blend_words, weight_levels};
+use crate::render::superpoint_motion::index_words;
 use crate::render::twin;
 use crate::train::status;
 use crate::train::step::Step;
@@ -16,7 +16,7 @@ crate::gpu_constants! {
         neighbors,
         /// K', superpoints remembered per Gaussian.
         slots,
-        /// K, when they are soft superpoints: the kernel writes `blend` and runs before the frame. Else 0.
+        /// K, when they are soft superpoints: the kernel writes `blend_index` and runs before the frame. Else 0.
         blend,
     }
 }
@@ -51,8 +51,8 @@ crate::gpu_buffers! {
         /// `[K + 1][N]` slot and Gaussian ([`PAIR_SHIFT`]).
         pair_value: Write U32,
         status: Atomic U32,
-        /// `[2·ceil(K/2)][N]`, as [`crate::render::superpoint_motion`] says; of soft superpoints.
-        blend: optional Write U32,
+        /// `[ceil(K/2)][N]`, as [`crate::render::superpoint_motion`] says; of soft superpoints.
+        blend_index: optional Write U32,
     }
 }
 
@@ -150,11 +150,8 @@ fn nearest_superpoints_twin(call: Call<'_, NearestSuperpoints>) {
         let a = softmax(&logits);
         let best = (1..k).fold(0, |b, s| if logits[s] > logits[b] { s } else { b });
         b.next_superpoint[i] = if a.is_some() { near[best] } else { near[0] };
-        if let Some(blend) = b.blend.as_deref_mut().filter(|_| constants.blend != 0) {
-            let first = || (0..k).map(|s| if s == 0 { 1.0 } else { 0.0 }).collect();
-            let level = weight_levels(&a.clone().unwrap_or_else(first));
-            let words = blend_words(&near, &level).into_iter().enumerate();
-            words.for_each(|(plane, word)| blend[plane * n + i] = word);
+        if let Some(blend_index) = b.blend_index.as_deref_mut().filter(|_| constants.blend != 0) {
+            index_words(&near).enumerate().for_each(|(plane, word)| blend_index[plane * n + i] = word);
         }
         if a.is_none() {
             status::report(b.status, status::ASSOCIATION, i as u32);

@@ -131,7 +131,7 @@ impl SuperpointState {
             pair_key: self.work.keys[0].whole(),
             pair_value: self.work.values[0].whole(),
             status: b.status.clone(),
-            blend: (blend > 0).then(|| self.work.blend.whole()),
+            blend_index: (blend > 0).then(|| self.work.blend_index.whole()),
         };
         let AssociationConstants { neighbors, slots } = self.constants();
         let constants = NearestSuperpointsConstants { neighbors, slots, blend };

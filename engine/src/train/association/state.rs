@@ -5,8 +5,9 @@ use super::superpoint_sum::SUM_PLANES;
 use super::{AssociationInit, MAX_NEIGHBORS, MAX_SLOTS, NEW_LOGIT, NO_SUPERPOINT, PAIR_SHIFT};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Groups, Memory, Recorder, Slice};
+use crate::render::deformation::BlendBuffers;
 use crate::render::radix_sort::SortPlan;
-use crate::render::superpoint_motion::blend_planes;
+use crate::render::superpoint_motion::index_planes;
 use crate::scene::{Association, Blend, Superpoints};
 use crate::train::farthest_point::FarthestPoint;
 use crate::train::property_loss::PropertyLoss;
@@ -88,8 +89,8 @@ pub struct Rows {
 pub(super) struct Work {
     pub(super) gaussians: u32,
     pub(super) weight: Buffer,
-    /// Soft superpoints: `blend` of the frame, and the property losses' gradient of the logits; tiny otherwise.
-    pub(super) blend: Buffer,
+    /// Soft superpoints: `blend_index` of the frame, and the property losses' gradient of the logits; tiny otherwise.
+    pub(super) blend_index: Buffer,
     pub(super) logit_gradient: Buffer,
     pub(super) next_superpoint: Buffer,
     pub(super) keys: [Buffer; 2],
@@ -289,10 +290,11 @@ impl SuperpointState {
         Ok(())
     }
 
-    /// K and `blend` of soft superpoints.
-    pub fn blend(&self) -> Option<(u32, &Buffer)> {
+    /// `blend_index` and `blend_weight` of soft superpoints: all but the last plane of `weight`.
+    pub(in crate::train) fn blend(&self) -> Option<BlendBuffers> {
         let slots = self.options.blend_slots();
-        (slots > 0).then_some((slots, &self.work.blend))
+        let (index, weight) = (self.work.blend_index.clone(), self.work.weight.clone());
+        (slots > 0).then_some(BlendBuffers { slots, index, weight })
     }
 
     /// Superpoints in use per Gaussian: the first of each row.
@@ -358,7 +360,7 @@ impl Work {
         Ok(Self {
             gaussians,
             weight: device("weight", n * u64::from(options.neighbors))?,
-            blend: device("blend", n * u64::from(2 * blend_planes(options.blend_slots())))?,
+            blend_index: device("blend_index", n * u64::from(index_planes(options.blend_slots())))?,
             logit_gradient: device("logit_gradient", n * u64::from(options.blend_slots()))?,
             next_superpoint: device("next_superpoint", n)?,
             keys: [device("pair_key", pairs)?, device("pair_key", pairs)?],

@@ -92,7 +92,8 @@ impl ProjectBackward<'_> {
             max_radius: parameters.map(|p| p.max_radius.whole()),
             mean_gradient: self.model.mean_gradient.map(Buffer::whole),
             optional: scene.optional.as_ref().map(Buffer::whole),
-            blend: moved.blend_slice(),
+            blend_index: moved.blend_index(),
+            blend_weight: moved.blend_weight(),
         }
     }
 }

@@ -180,7 +180,9 @@ impl Job {
         let motion = SuperpointMotion {
             superpoint_of_gaussian: b.superpoint_of_gaussian.as_deref().unwrap_or_default(),
             pose: b.pose.as_deref()?,
-            blend: (self.blend, b.blend.as_deref().unwrap_or_default()),
+            slots: self.blend,
+            blend_index: b.blend_index.as_deref().unwrap_or_default(),
+            blend_weight: b.blend_weight.as_deref().unwrap_or_default(),
         };
         let vector = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
         let weighted = |slot: &Slot| {

@@ -176,7 +176,7 @@ impl TrainedDeformation for SuperpointTraining {
         buffers.superpoints = self.superpoints.superpoints();
         buffers.poses = Poses::Given;
         buffers.pose = self.pose.clone();
-        buffers.blend = self.superpoints.blend().map(|(slots, words)| (slots, words.clone()));
+        buffers.blend = self.superpoints.blend();
     }
 
     fn record_forward(&self, r: &mut Recorder, inputs: &StepInputs<'_>) -> Result<()> {

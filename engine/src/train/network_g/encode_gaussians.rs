@@ -46,8 +46,10 @@ crate::gpu_buffers! {
         pose: optional Read F32,
         /// `[rows, 84]`.
         encoding: Write F32,
-        /// `[2·ceil(K/2)][N]`; of soft superpoints.
-        blend: optional Read U32,
+        /// `[ceil(K/2)][N]`; of soft superpoints ([`superpoint_motion`](crate::render::superpoint_motion)).
+        blend_index: optional Read U32,
+        /// `[K-1][N]`; of soft superpoints.
+        blend_weight: optional Read F32,
     }
 }
 
@@ -75,7 +77,8 @@ pub(super) fn record(r: &mut Recorder, from: &Inputs<'_>, push: EncodeGaussiansP
         superpoint_of_gaussian: from.moving.then(|| from.superpoint_of_gaussian.clone()),
         pose: from.moving.then(|| from.pose.clone()),
         encoding,
-        blend: None,
+        blend_index: None,
+        blend_weight: None,
     };
     let constants = EncodeGaussiansConstants { motion: from.moving.into(), blend: 0 };
     let groups = Groups::Direct(push.rows.div_ceil(GROUP_GAUSSIANS).into());
@@ -85,7 +88,8 @@ pub(super) fn record(r: &mut Recorder, from: &Inputs<'_>, push: EncodeGaussiansP
 fn encode_gaussians_twin(call: Call<'_, EncodeGaussians>) {
     let Call { constants, push: EncodeGaussiansPush { first_row, rows }, buffers: b, .. } = call;
     let frame: Frame = struct_at(b.frame, 0);
-    let words = [b.superpoint_of_gaussian.as_deref(), b.pose.as_deref(), b.blend.as_deref()];
+    let words =
+        [b.superpoint_of_gaussian.as_deref(), b.pose.as_deref(), b.blend_index.as_deref(), b.blend_weight.as_deref()];
     let motion = superpoint_motion(constants.motion != 0, constants.blend, words);
     for row in 0..rows as usize {
         let centre = moved_centre(&frame, b.mean, motion, first_row as usize + row);
