@@ -4,6 +4,7 @@ pub mod ablation;
 pub mod frame;
 pub mod hard_cases;
 pub mod paper;
+mod prediction;
 mod scene;
 pub mod sort;
 pub mod sweep;

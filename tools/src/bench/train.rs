@@ -78,7 +78,9 @@ pub(crate) fn run(args: &TrainBenchArgs, global: &Global) -> Result<()> {
     args.results.write(&record, || Ok(report::html(&record, &cases)))?;
     if !global.quiet {
         output::line(&format!("device  {}", gpu_session::describe(&gpu)));
-        cases.iter().for_each(|(record, m)| output::line(report::text(record, m, !args.sweep).trim_end()));
+        cases
+            .iter()
+            .for_each(|(record, m)| output::line(report::text(record, m, !args.sweep, args.predict).trim_end()));
     }
     Ok(())
 }

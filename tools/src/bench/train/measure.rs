@@ -6,13 +6,15 @@ use std::time::Instant;
 use engine::error::Result;
 use engine::gpu::Gpu;
 use engine::gpu::kernel::{Kernel, Workload};
-use engine::scene::Gaussians;
+use engine::render::RenderOptions;
+use engine::scene::{Gaussians, Scene};
 use engine::train::config::Config;
 use engine::train::trainer::{StepReport, Trainer, TrainingData};
 use engine::train::usage::TrainingMemory;
 use serde::Serialize;
 
-use crate::report::measure::{OperationRow, Quantiles, operation_rows, with_push};
+use crate::bench::prediction::{Kind, Predicted, predict, subtiles};
+use crate::report::measure::{OperationRow, Quantiles, operation_rows, recorded, with_push};
 use crate::report::processor::processor_seconds;
 
 /// How much to measure.
@@ -47,6 +49,8 @@ pub(crate) struct TrainMeasurement {
     pub(super) copy_gb_per_s: f64,
     /// Amounts of work of the last step.
     pub(super) workload: BTreeMap<&'static str, u64>,
+    /// Times on named GPUs, by the model.
+    pub(crate) predicted: Option<Predicted>,
     /// Device memory, bytes.
     pub(super) memory: TrainingMemory,
     /// Moments and gradients in units of the parameters; at most 4 by design.
@@ -84,7 +88,9 @@ pub(super) fn measure(
     let cpu_ms = busy.and_then(per_step);
     let step_ms = Quantiles::of(step_ms);
     let memory = trainer.memory();
-    let commands = trainer.commands();
+    let (commands, work) = (trainer.commands(), trainer.workload(&last_step));
+    let recorded = recorded(commands, &work, &|label, kernel, push| of_dispatch(&work, label, kernel, push));
+    let predicted = predict(Kind::Step, &recorded, subtile_share(data, first));
     Ok(TrainMeasurement {
         steps: plan.steps,
         step_ms,
@@ -95,12 +101,21 @@ pub(super) fn measure(
         dispatches: commands.map_or(0, engine::gpu::Commands::dispatches),
         barriers: commands.map_or(0, engine::gpu::Commands::barriers),
         copy_gb_per_s,
-        workload: trainer.workload(&last_step).0,
+        predicted,
+        workload: work.0,
         memory,
         state_ratio: memory.state_ratio(),
         first_step,
         last_step,
     })
+}
+
+/// Of the first photo's view and the Gaussians that training starts from, not moved; 1 where the reference rejects them.
+fn subtile_share(data: &TrainingData, first: &Gaussians) -> f64 {
+    let scene = Scene { gaussians: first.clone(), ..Scene::default() };
+    let Some(view) = data.views.first() else { return 1.0 };
+    let share = subtiles::share(&scene, &view.camera, view.time, &RenderOptions::default());
+    share.inspect_err(|e| log::warn!("prediction without subtiles: {e}")).unwrap_or(1.0)
 }
 
 /// The first step and those of the warm-up, in which buffers grow and photos are decoded; returns the first.

@@ -118,6 +118,9 @@ pub struct FrameArgs {
     /// Also measure the error of this view against the f64 reference
     #[arg(long)]
     pub check: bool,
+    /// Print what the predicted times follow from (JSON and report always have it)
+    #[arg(long)]
+    pub predict: bool,
     /// Where the results go
     #[command(flatten)]
     pub results: ResultArgs,
@@ -144,6 +147,9 @@ pub struct TrainBenchArgs {
     /// Steps before measuring [default: 3; --sweep 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
     pub warmup: Option<u32>,
+    /// Print what the predicted times follow from (JSON and report always have it)
+    #[arg(long, conflicts_with = "until_psnr")]
+    pub predict: bool,
     /// Synthetic scenes of 10k, 100k and 300k Gaussians at 200x200, 400x400 and 800x800 pixels
     #[arg(long)]
     pub sweep: bool,
