@@ -36,8 +36,10 @@ pub enum RecordedTask {
         read: u64,
         /// Bytes written.
         written: u64,
-        /// Whether one side is memory that the host writes or reads.
-        with_host: bool,
+        /// Whether they come from memory that the host writes.
+        from_host: bool,
+        /// Whether they go to memory that the host reads.
+        to_host: bool,
     },
     /// Makes what was written visible to the host.
     HostRead,
@@ -45,7 +47,7 @@ pub enum RecordedTask {
 
 impl RecordedOperation {
     fn of(operation: &Operation) -> Self {
-        let with_host = |slice: &Slice| slice.buffer.memory() != Memory::Device;
+        let of_host = |slice: &Slice| slice.buffer.memory() != Memory::Device;
         let task = match &operation.work {
             Work::Dispatch { kernel, constants, push, grid, .. } => RecordedTask::Dispatch {
                 kernel,
@@ -57,16 +59,20 @@ impl RecordedOperation {
                 },
             },
             Work::Fill { slice, .. } | Work::Update { slice, .. } => {
-                RecordedTask::Transfer { read: 0, written: slice.bytes, with_host: with_host(slice) }
+                RecordedTask::Transfer { read: 0, written: slice.bytes, from_host: false, to_host: of_host(slice) }
             }
             Work::Copy { source, destination, .. } => RecordedTask::Transfer {
                 read: source.bytes,
                 written: source.bytes,
-                with_host: with_host(source) || with_host(destination),
+                from_host: of_host(source),
+                to_host: of_host(destination),
             },
-            Work::CopyToImage { slice, .. } => {
-                RecordedTask::Transfer { read: slice.bytes, written: slice.bytes, with_host: with_host(slice) }
-            }
+            Work::CopyToImage { slice, .. } => RecordedTask::Transfer {
+                read: slice.bytes,
+                written: slice.bytes,
+                from_host: of_host(slice),
+                to_host: false,
+            },
             Work::HostRead => RecordedTask::HostRead,
         };
         Self { label: operation.label.clone(), barrier: operation.barrier.is_some(), task }

@@ -32,6 +32,8 @@ pub(super) struct Demand {
     pub(super) bytes: f64,
     /// Of a transfer, whether they go to or come from the host.
     pub(super) over_bus: bool,
+    /// Bytes that the host has written for it beforehand, each time.
+    pub(super) by_host: f64,
     /// Of a dispatch.
     pub(super) dispatch: Option<DispatchDemand>,
 }
@@ -84,6 +86,7 @@ fn demand(r: &Recorded, table: Table, subtile_share: f64) -> Option<Demand> {
         barrier: r.operation.barrier,
         bytes: bytes as f64,
         over_bus,
+        by_host: 0.0,
         dispatch: None,
     };
     match &r.operation.task {
@@ -92,8 +95,11 @@ fn demand(r: &Recorded, table: Table, subtile_share: f64) -> Option<Demand> {
         RecordedTask::Transfer { .. } if r.operation.label == "fill instance_gradient" => {
             Some(plain(GRADIENT_ROW_BYTES * r.work.get("gaussians"), false))
         }
-        RecordedTask::Transfer { read, written, with_host } => {
-            Some(plain(if *with_host { *written } else { read + written }, *with_host))
+        RecordedTask::Transfer { written, from_host: true, .. } => {
+            Some(Demand { by_host: *written as f64, ..plain(*written, true) })
+        }
+        RecordedTask::Transfer { read, written, to_host, .. } => {
+            Some(plain(if *to_host { *written } else { read + written }, *to_host))
         }
         RecordedTask::Dispatch { kernel, constants, groups, .. } => {
             let name = if is_by_instance(r) { "blend_backward_native" } else { kernel.name };

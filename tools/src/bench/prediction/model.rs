@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     fn transfer(bytes: f64, barrier: bool) -> Demand {
-        Demand { label: "copy".into(), barrier, bytes, over_bus: false, dispatch: None }
+        Demand { label: "copy".into(), barrier, bytes, over_bus: false, by_host: 0.0, dispatch: None }
     }
 
     fn kernel(workgroups: f64, instructions: f64) -> Demand {

@@ -32,8 +32,8 @@ pub(crate) struct Profile {
     pub(super) cycles_alone: f64,
     /// From one operation's end over a barrier to the next one's first instruction, µs.
     pub(super) dependency_us: f64,
-    /// Where the figures of the data sheet are from.
-    sheet: &'static str,
+    /// Where the figures of its data sheet are from.
+    pub(super) sheet: &'static str,
     /// What `cycles_alone` is.
     alone_is: &'static str,
 }
@@ -50,7 +50,10 @@ pub(super) const LAUNCH_US: f64 = 0.5;
 pub(super) const ATOMICS_PER_CYCLE: f64 = 64.0;
 /// Submission, and waking up the host at the end, µs.
 pub(super) const HOST_US: f64 = 40.0;
+/// What one thread of the host writes to memory that the device reads, GB/s.
+pub(super) const HOST_WRITES_GB_PER_S: f64 = 10.0;
 
+const SHEET: &str = "data sheet";
 const NVIDIA_ALONE: &str = "median of NAK's static cycles per instruction over kernels without loops, Turing";
 const AMD_ALONE: &str = "median of ACO's latency per instruction over kernels without loops, Navi 31";
 
@@ -68,7 +71,7 @@ pub(crate) const PROFILES: [Profile; 3] = [
         bus_gb_per_s: 55.0,
         cycles_alone: 4.7,
         dependency_us: 1.5,
-        sheet: "NVIDIA H200 SXM data sheet (67 TFLOP/s is 132 SMs, 128 lanes, 1.98 GHz); PCIe 5.0 x16 less protocol",
+        sheet: "NVIDIA H200 SXM data sheet (67 TFLOP/s is 132 SMs of 128 lanes at 1.98 GHz)",
         alone_is: NVIDIA_ALONE,
     },
     Profile {
@@ -83,7 +86,7 @@ pub(crate) const PROFILES: [Profile; 3] = [
         bus_gb_per_s: 26.0,
         cycles_alone: 4.7,
         dependency_us: 1.5,
-        sheet: "NVIDIA Ada GPU architecture white paper; PCIe 4.0 x16 less protocol",
+        sheet: "NVIDIA Ada GPU architecture white paper",
         alone_is: NVIDIA_ALONE,
     },
     Profile {
@@ -98,7 +101,7 @@ pub(crate) const PROFILES: [Profile; 3] = [
         bus_gb_per_s: 26.0,
         cycles_alone: 10.8,
         dependency_us: 2.0,
-        sheet: "AMD product page (61.4 TFLOP/s counts dual issue, which is left out here); PCIe 4.0 x16 less protocol",
+        sheet: "AMD product page (61.4 TFLOP/s counts dual issue, which is left out here)",
         alone_is: AMD_ALONE,
     },
 ];
@@ -129,12 +132,12 @@ impl Profile {
     pub(crate) fn constants(&self) -> Vec<Constant> {
         let row = |name, value, unit, source| Constant { name, value, unit, source };
         vec![
-            row("memory bandwidth, peak", self.gb_per_s, "GB/s", self.sheet),
+            row("memory bandwidth, peak", self.gb_per_s, "GB/s", SHEET),
             row("of it that copies reach", COPY_SHARE, "", "assumption (4.3 of 4.8 TB/s was published for an H200)"),
-            row("SMs or CUs", self.processors, "", self.sheet),
-            row("schedulers of each", self.schedulers, "", self.sheet),
-            row("boost clock", self.clock_ghz, "GHz", self.sheet),
-            row("f32 rate, peak (not used)", self.tflops, "TFLOP/s", self.sheet),
+            row("SMs or CUs", self.processors, "", SHEET),
+            row("schedulers of each", self.schedulers, "", SHEET),
+            row("boost clock", self.clock_ghz, "GHz", SHEET),
+            row("f32 rate, peak (not used)", self.tflops, "TFLOP/s", SHEET),
             row("issue slots that are used", ISSUE_SHARE, "", "assumption"),
             row("cycles per instruction, alone", self.cycles_alone, "", self.alone_is),
             row("round trip to memory", MEMORY_US, "µs", "assumption, between an L2 hit and DRAM"),
@@ -146,7 +149,8 @@ impl Profile {
             ),
             row("between independent operations", LAUNCH_US, "µs", "assumption"),
             row("atomics per cycle", ATOMICS_PER_CYCLE, "", "assumption"),
-            row("to and from the host", self.bus_gb_per_s, "GB/s", self.sheet),
+            row("to and from the host", self.bus_gb_per_s, "GB/s", "PCIe 5.0 (H200) or 4.0, 16 lanes, less protocol"),
+            row("written by the host", HOST_WRITES_GB_PER_S, "GB/s", "assumption: memcpy by one thread"),
             row("submission and wake-up of the host", HOST_US, "µs", "assumption"),
         ]
     }

@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use super::times::{Goal, Kind, OnGpu, Operation, Predicted};
+use crate::report::measure::OperationRow;
 use crate::report::page::{Align, Page, Table};
 
 const MODEL: &str = "A model, not a measurement: bytes over bandwidth, instructions over issue rate, atomics, latency of one \
@@ -19,6 +20,7 @@ pub(crate) fn text(p: &Predicted, inputs: bool) -> String {
     if inputs {
         let _ = writeln!(t, "\n{MODEL}\n\n{}", facts(p));
         let _ = writeln!(t, "\n{}", constants(p).text());
+        p.gpus.iter().for_each(|g| t.push_str(&format!("data sheet of {}: {}\n", g.gpu, g.data_sheet)));
         for a in &p.loops {
             let _ = writeln!(t, "assumed: {} takes {}", a.round, a.instructions);
         }
@@ -37,12 +39,36 @@ pub(crate) fn section(page: &mut Page, p: &Predicted) {
     page.facts(&rows);
     page.text(&facts(p));
     page.table(&constants(p));
+    let sheets: Vec<(&str, String)> = p.gpus.iter().map(|g| (g.gpu, g.data_sheet.to_owned())).collect();
+    page.facts(&sheets);
     let assumed: Vec<String> = p.loops.iter().map(|a| format!("{}: {}", a.round, a.instructions)).collect();
     page.text(&format!("Assumed of loops: {}.", assumed.join("; ")));
     for gpu in &p.gpus {
         page.subheading(&format!("Predicted on {}", gpu.gpu));
         page.table(&operations(gpu));
     }
+}
+
+/// Measured operations beside the predicted ones of the same name, on the GPU of the device's name or the first one.
+pub(crate) fn beside(p: &Predicted, device: &str, rows: &[OperationRow]) -> Table {
+    let (l, r) = (Align::Left, Align::Right);
+    let Some((gpu, _)) = p.beside(device) else { return Table::new(&[("operation", l)]) };
+    let predicted = format!("predicted on {}, µs", gpu.gpu);
+    let mut table = Table::new(&[("operation", l), ("measured here, µs", r), (&predicted, r), ("limited by", l)]);
+    for row in rows {
+        // Rows of several dispatches are called `kernel ×n`.
+        let name = row.label.split(" ×").next().unwrap_or_default();
+        let same = |o: &&Operation| o.demand.label == name || row.kernel == Some(name) && o.demand.is_of(name);
+        let us: f64 = gpu.operations.iter().filter(same).map(|o| o.cost.us).sum();
+        let longest = gpu.operations.iter().filter(same).max_by(|a, b| a.cost.us.total_cmp(&b.cost.us));
+        table.row([
+            row.label.clone(),
+            format!("{:.1}", row.us),
+            longest.map_or("–".into(), |_| format!("{us:.2}")),
+            longest.map_or(String::new(), |o| o.cost.limited_by.to_owned()),
+        ]);
+    }
+    table
 }
 
 /// The figure of a GPU.

@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::demand::{self, Demand};
 use super::loops::LOOPS;
 use super::model::{Cost, costs};
-use super::profile::{Constant, HOST_US, PROFILES, Profile};
+use super::profile::{Constant, HOST_US, HOST_WRITES_GB_PER_S, PROFILES, Profile};
 use crate::report::measure::Recorded;
 
 /// What was recorded.
@@ -51,7 +51,7 @@ pub(crate) struct OnGpu {
     pub(crate) gpu: &'static str,
     /// On the device, milliseconds.
     pub(crate) device_ms: f64,
-    /// From submission to completion, one at a time, milliseconds.
+    /// With what the host does before and after, one at a time, milliseconds.
     pub(crate) one_at_a_time_ms: f64,
     /// Of frames in flight or steps, per second.
     pub(crate) per_second: f64,
@@ -59,6 +59,8 @@ pub(crate) struct OnGpu {
     pub(crate) goal: Option<Goal>,
     /// Dispatches and transfers in order.
     pub(crate) operations: Vec<Operation>,
+    /// Where the figures of its data sheet are from.
+    pub(crate) data_sheet: &'static str,
     /// Constants of the GPU.
     pub(crate) constants: Vec<Constant>,
 }
@@ -121,8 +123,9 @@ fn on_gpu(of: Kind, profile: &'static Profile, recorded: &[Recorded], share: f64
     let demands = demand::of_recording(recorded, profile.table, share);
     let costs = costs(profile, &demands);
     let device_us: f64 = costs.iter().map(|c| c.us).sum();
-    let one_at_a_time_us = device_us + HOST_US;
-    // Each step waits for the one before; frames do not.
+    let by_host: f64 = demands.iter().map(|d| d.by_host).sum();
+    let one_at_a_time_us = device_us + HOST_US + by_host / HOST_WRITES_GB_PER_S / 1e3;
+    // Each step waits for the one before, and its photo is written in between; frames do not.
     let per_second = 1e6 / if of == Kind::Step { one_at_a_time_us } else { device_us };
     let goal = (is_goal && profile.name == GOAL_GPU).then(|| match of {
         Kind::Frame => Goal { what: format!("at least {GOAL_FPS} FPS"), met: per_second >= GOAL_FPS },
@@ -137,6 +140,55 @@ fn on_gpu(of: Kind, profile: &'static Profile, recorded: &[Recorded], share: f64
         per_second,
         goal,
         operations: demands.into_iter().zip(costs).map(|(demand, cost)| Operation { demand, cost }).collect(),
+        data_sheet: profile.sheet,
         constants: profile.constants(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+    use engine::gpu::kernel::Workload;
+    use engine::gpu::{RecordedOperation, RecordedTask};
+
+    use super::*;
+
+    fn transfer(bytes: u64, from_host: bool, gaussians: u64) -> Recorded {
+        let task = RecordedTask::Transfer { read: bytes, written: bytes, from_host, to_host: false };
+        let operation = RecordedOperation { label: "copy".into(), barrier: true, task };
+        let work = Workload([("gaussians", gaussians), ("pixels", GOAL_PIXELS), ("moving", 1)].into());
+        Recorded { operation, work }
+    }
+
+    #[test]
+    fn the_goal_is_judged_where_it_is_stated_for_and_nowhere_else() {
+        let of = |kind, bytes, gaussians| {
+            let p = predict(kind, &[transfer(bytes, false, gaussians)], 0.5).unwrap();
+            p.gpus.iter().map(|g| g.goal.as_ref().map(|g| g.met)).collect::<Vec<_>>()
+        };
+        assert_eq!(of(Kind::Frame, 1 << 20, GOAL_GAUSSIANS), [Some(true), None, None]);
+        assert_eq!(of(Kind::Frame, 1 << 30, GOAL_GAUSSIANS), [Some(false), None, None]);
+        assert_eq!(of(Kind::Step, 1 << 30, GOAL_GAUSSIANS), [Some(true), None, None]);
+        assert_eq!(of(Kind::Step, 1 << 32, GOAL_GAUSSIANS), [Some(false), None, None]);
+        assert_eq!(of(Kind::Frame, 1 << 20, GOAL_GAUSSIANS + 1), [None, None, None]);
+        assert!(predict(Kind::Frame, &[], 0.5).is_none());
+    }
+
+    #[test]
+    fn a_step_waits_for_what_the_host_writes() {
+        let of = |from_host| predict(Kind::Step, &[transfer(10_000_000, from_host, 1)], 0.5).unwrap().gpus.remove(0);
+        let (device, host) = (of(false), of(true));
+        assert!((device.one_at_a_time_ms - device.device_ms - HOST_US / 1e3).abs() < 1e-9);
+        // 10 MB at 10 GB/s are a millisecond.
+        assert!((host.one_at_a_time_ms - host.device_ms - HOST_US / 1e3 - 1.0).abs() < 1e-9);
+        assert!((host.per_second - 1e3 / host.one_at_a_time_ms).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_device_is_put_beside_its_own_prediction() {
+        let p = predict(Kind::Frame, &[transfer(1, false, 1)], 0.5).unwrap();
+        let of = |device| p.beside(device).map(|(gpu, own)| (gpu.gpu, own)).unwrap();
+        assert_eq!(of("NVIDIA GeForce RTX 4090"), ("RTX 4090", true));
+        assert_eq!(of("llvmpipe"), ("H200", false));
     }
 }

@@ -19,11 +19,11 @@ use crate::report::processor::processor_seconds;
 
 /// How much to measure.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Plan {
+pub(crate) struct Plan {
     /// Measured steps.
-    pub(super) steps: u32,
+    pub(crate) steps: u32,
     /// Steps before.
-    pub(super) warmup: u32,
+    pub(crate) warmup: u32,
 }
 
 /// Everything measured of one training set.
@@ -32,15 +32,15 @@ pub(crate) struct TrainMeasurement {
     /// Measured steps.
     pub(super) steps: u32,
     /// Host time of a step, milliseconds.
-    pub(super) step_ms: Quantiles,
+    pub(crate) step_ms: Quantiles,
     /// Processor time (user and system, all threads) of a step, milliseconds, mean; absent where the system does not tell.
     pub(super) cpu_ms: Option<f64>,
     /// Device time of a step (sum over its operations), milliseconds; absent without timestamps.
-    pub(super) device_ms: Option<Quantiles>,
+    pub(crate) device_ms: Option<Quantiles>,
     /// Steps per second (from the median).
-    pub(super) steps_per_second: f64,
+    pub(crate) steps_per_second: f64,
     /// One row per kernel or transfer, in order of first use; times of its dispatches added up.
-    pub(super) kernels: Vec<OperationRow>,
+    pub(crate) kernels: Vec<OperationRow>,
     /// Dispatches of a step.
     pub(super) dispatches: usize,
     /// Barriers of a step.
@@ -89,8 +89,7 @@ pub(super) fn measure(
     let step_ms = Quantiles::of(step_ms);
     let memory = trainer.memory();
     let (commands, work) = (trainer.commands(), trainer.workload(&last_step));
-    let recorded = recorded(commands, &work, &|label, kernel, push| of_dispatch(&work, label, kernel, push));
-    let predicted = predict(Kind::Step, &recorded, subtile_share(data, first));
+    let predicted = predicted(&trainer, &last_step, first, data);
     Ok(TrainMeasurement {
         steps: plan.steps,
         step_ms,
@@ -110,12 +109,22 @@ pub(super) fn measure(
     })
 }
 
-/// Of the first photo's view and the Gaussians that training starts from, not moved; 1 where the reference rejects them.
-fn subtile_share(data: &TrainingData, first: &Gaussians) -> f64 {
-    let scene = Scene { gaussians: first.clone(), ..Scene::default() };
-    let Some(view) = data.views.first() else { return 1.0 };
-    let share = subtiles::share(&scene, &view.camera, view.time, &RenderOptions::default());
-    share.inspect_err(|e| log::warn!("prediction without subtiles: {e}")).unwrap_or(1.0)
+/// The prediction of a trainer's last step. How far splats reach is counted for the first photo's view of `gaussians`, not moved;
+/// every subtile counts where the reference rejects what the trainer only leaves out.
+pub(crate) fn predicted(
+    trainer: &Trainer,
+    step: &StepReport,
+    gaussians: &Gaussians,
+    data: &TrainingData,
+) -> Option<Predicted> {
+    let work = trainer.workload(step);
+    let of_dispatch = |label: &str, kernel: &Kernel, push: &[u8]| of_dispatch(&work, label, kernel, push);
+    let recorded = recorded(trainer.commands(), &work, &of_dispatch);
+    let view = data.views.first()?;
+    let still = Scene { gaussians: gaussians.clone(), ..Scene::default() };
+    let share = subtiles::share(&still, &view.camera, view.time, &RenderOptions::default());
+    let share = share.inspect_err(|e| log::warn!("prediction without subtiles: {e}")).unwrap_or(1.0);
+    predict(Kind::Step, &recorded, share)
 }
 
 /// The first step and those of the warm-up, in which buffers grow and photos are decoded; returns the first.

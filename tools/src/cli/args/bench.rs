@@ -44,6 +44,11 @@ pub enum BenchMode {
     Paper(PaperArgs),
     /// Measure the radix sort by itself, beside the rate of copies
     Sort(SortArgs),
+    /// Test and measure everything on a GPU in at most eight minutes, beside what was predicted
+    ///
+    /// Kernels against their CPU twins, frames and steps of 120k moving Gaussians and of bench_s50k, sorts, a training run on
+    /// dnerf_lego, the paper's protocol. Each has a part of the time; what fails or has no data does not stop the others.
+    GpuDay(GpuDayArgs),
     /// Run the paper's ablations on a data set, beside the paper's rows
     ///
     /// One training run per setting.
@@ -240,6 +245,20 @@ pub struct SortArgs {
     /// Where the results go
     #[command(flatten)]
     pub results: ResultArgs,
+}
+
+/// `spgs bench gpu-day`.
+#[derive(Debug, Args)]
+pub struct GpuDayArgs {
+    /// Folder for index.html, gpu_day.json and a JSON file of each step; existing ones are replaced
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Folder that holds `bench_s50k` and `dnerf_lego`; steps whose data is not there are skipped
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+    /// Seconds for all steps together; it says what it leaves out for them
+    #[arg(long, value_name = "S", default_value_t = 440.0, value_parser = super::options::eight_minutes)]
+    pub budget: f64,
 }
 
 /// `spgs bench ablation`.
