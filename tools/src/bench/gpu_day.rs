@@ -56,8 +56,8 @@ pub fn run(args: &GpuDayArgs, global: &Global) -> Result<ExitCode> {
     if let Some(data) = args.data.as_deref().filter(|d| !d.is_dir()) {
         return Err(Error::usage("--data", format!("{}, which is no folder", data.display()), "a folder of data sets"));
     }
-    create_folder(&args.out)?;
     let gpu = gpu_session::open_untested(global)?;
+    create_folder(&args.out)?;
     let (device, begin) = (gpu_session::describe(&gpu), provenance::record(Some("gpu_day"), &gpu, json!({})));
     drop(gpu);
     let clock = Clock::start(args.budget);

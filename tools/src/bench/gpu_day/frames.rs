@@ -90,7 +90,7 @@ fn measure(
     let per_pass = f64::from(PAPER_FRAMES.min(frames));
     let plan = Plan { camera, times, frames, warmup: WARMUP, paper_protocol: per_pass >= f64::from(FRAMES) };
     let found = frame::measure_scene(gpu, (scene, name), &options, &plan, &|| context.tick())?;
-    Ok(Done::Ran(outcome(gpu, found, reduced)))
+    Ok(Done::Ran(Box::new(outcome(gpu, found, reduced))))
 }
 
 /// So many that three passes over them fit into half of what is left.

@@ -86,7 +86,7 @@ pub(super) struct Outcome {
 /// What a step gives back.
 pub(super) enum Done {
     /// It has run.
-    Ran(Outcome),
+    Ran(Box<Outcome>),
     /// It could not, for this reason.
     Skipped(String),
 }

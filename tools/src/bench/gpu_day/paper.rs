@@ -67,5 +67,5 @@ pub(super) fn run(context: &Context<'_>) -> Result<Done> {
     let mut record = provenance::record(Some("paper"), &gpu, numbers);
     record["predicted"] = serde_json::json!(predicted);
     let section = Box::new(move |page: &mut Page| paper::section(page, &found));
-    Ok(Done::Ran(Outcome { record, figures, reduced, failure: None, section }))
+    Ok(Done::Ran(Box::new(Outcome { record, figures, reduced, failure: None, section })))
 }

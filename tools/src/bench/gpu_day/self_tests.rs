@@ -64,7 +64,7 @@ pub(super) fn run(context: &Context<'_>) -> Result<Done> {
         page.table(&table(&rows));
         Ok(())
     });
-    Ok(Done::Ran(Outcome { record, figures, reduced: left_out, failure, section }))
+    Ok(Done::Ran(Box::new(Outcome { record, figures, reduced: left_out, failure, section })))
 }
 
 fn name(size: Option<u32>, suite: Suite) -> String {

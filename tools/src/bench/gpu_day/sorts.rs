@@ -43,5 +43,5 @@ pub(super) fn run(context: &Context<'_>) -> Result<Done> {
         page.table(&sort::table(&rows));
         Ok(())
     });
-    Ok(Done::Ran(Outcome { record, figures, reduced, failure: None, section }))
+    Ok(Done::Ran(Box::new(Outcome { record, figures, reduced, failure: None, section })))
 }

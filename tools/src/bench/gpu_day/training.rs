@@ -71,5 +71,5 @@ pub(super) fn run(context: &Context<'_>) -> Result<Done> {
         }
         Ok(())
     });
-    Ok(Done::Ran(Outcome { record, figures, reduced, failure: None, section }))
+    Ok(Done::Ran(Box::new(Outcome { record, figures, reduced, failure: None, section })))
 }

@@ -73,7 +73,7 @@ fn measure(context: &Context<'_>, gpu: &Gpu, case: &Case, mut reduced: Vec<Strin
         }
         Ok(())
     });
-    Ok(Done::Ran(Outcome { record, figures, reduced, failure: None, section }))
+    Ok(Done::Ran(Box::new(Outcome { record, figures, reduced, failure: None, section })))
 }
 
 /// So many that both passes fit into half of what is left.
