@@ -56,16 +56,17 @@ pub fn run(args: &GpuDayArgs, global: &Global) -> Result<ExitCode> {
     if let Some(data) = args.data.as_deref().filter(|d| !d.is_dir()) {
         return Err(Error::usage("--data", format!("{}, which is no folder", data.display()), "a folder of data sets"));
     }
+    let steps = chosen(&args.only)?;
     let gpu = gpu_session::open_untested(global)?;
     create_folder(&args.out)?;
     let (device, begin) = (gpu_session::describe(&gpu), provenance::record(Some("gpu_day"), &gpu, json!({})));
     drop(gpu);
     let clock = Clock::start(args.budget);
-    let mut finished = Vec::with_capacity(STEPS.len());
-    for (i, step) in STEPS.iter().enumerate() {
-        let weights: f64 = STEPS[i..].iter().map(|s| s.weight).sum();
+    let mut finished = Vec::with_capacity(steps.len());
+    for (i, step) in steps.iter().enumerate() {
+        let weights: f64 = steps[i..].iter().map(|s| s.weight).sum();
         let share = clock.share(step.weight / weights);
-        let title = format!("{}/{} {}", i + 1, STEPS.len(), step.title);
+        let title = format!("{}/{} {}", i + 1, steps.len(), step.title);
         let bar = progress::budget(&title, share, global.quiet);
         let context = Context { global, data: args.data.as_deref(), clock: clock.part(share), bar };
         let done = if share.as_secs_f64() < clock::LEAST_S {
@@ -97,6 +98,15 @@ pub fn run(args: &GpuDayArgs, global: &Global) -> Result<ExitCode> {
         output::line(&format!("written {} and a JSON file for each step beside it", page.display()));
     }
     Ok(failure.map_or(ExitCode::SUCCESS, ExitCode::from))
+}
+
+/// The steps of these names, in their own order; all where none is named.
+fn chosen(only: &[String]) -> Result<Vec<&'static Step>> {
+    if let Some(unknown) = only.iter().find(|name| STEPS.iter().all(|s| s.name != name.as_str())) {
+        let names = STEPS.map(|s| s.name).join(", ");
+        return Err(Error::usage("--only", unknown.clone(), format!("some of {names}")));
+    }
+    Ok(STEPS.iter().filter(|s| only.is_empty() || only.iter().any(|name| name == s.name)).collect())
 }
 
 fn summary(mut record: Value, budget_s: f64, seconds: f64, steps: &[Finished]) -> Value {

@@ -256,6 +256,9 @@ pub struct GpuDayArgs {
     /// Folder that holds `bench_s50k` and `dnerf_lego`; steps whose data is not there are skipped
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,
+    /// Run only these steps: self_test, synthetic_frame, synthetic_train, bench_s50k_frame, … [default: all]
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
+    pub only: Vec<String>,
     /// Seconds for all steps together; it says what it leaves out for them
     #[arg(long, value_name = "S", default_value_t = 440.0, value_parser = super::options::eight_minutes)]
     pub budget: f64,
