@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use engine::error::Result;
 use engine::gpu::Gpu;
-use engine::render::{RenderOptions, Renderer};
+use engine::render::{Quality, RenderOptions, Renderer};
 use engine::scene::{Camera, Scene};
 
 use super::clock::{Context, affordable};
@@ -34,11 +34,16 @@ pub(super) fn synthetic(context: &Context<'_>) -> Result<Done> {
     let left = context.clock.left().mul_f64(SHARE_OF_ONE);
     let size = affordable(&gpu, left, &SYNTHETIC, cost, |size| {
         let (scene, view) = made(size);
-        Renderer::new(&gpu, &scene, &RenderOptions::default())?.draw(&view, 0.5).map(|_| context.tick())
+        Renderer::new(&gpu, &scene, &options(&scene))?.draw(&view, 0.5).map(|_| context.tick())
     })?;
     let (scene, view) = made(size);
     let reduced = smaller(size).into_iter().collect();
     measure(context, &gpu, (&scene, &synthetic_name()), view, reduced)
+}
+
+/// As `spgs bench frame` draws a scene without options.
+pub(super) fn options(scene: &Scene) -> RenderOptions {
+    RenderOptions { quality: Quality::HIGH.for_scene(scene), ..RenderOptions::default() }
 }
 
 /// Work of a size, in any unit.
@@ -81,20 +86,20 @@ fn measure(
     camera: Camera,
     mut reduced: Vec<String>,
 ) -> Result<Done> {
-    let options = RenderOptions::default();
+    let options = options(scene);
     let times = scene.time_range();
     let frames = frames_within(context, gpu, scene, &camera, times[1])?;
     if frames < FRAMES {
         reduced.push(format!("{frames} frames of {FRAMES}, to stay within the time"));
     }
-    let plan = Plan { camera, times, frames, warmup: WARMUP, paper_protocol: frames == FRAMES };
+    let plan = Plan { camera, times, frames, warmup: WARMUP.min(frames / 2), paper_protocol: frames == FRAMES };
     let found = frame::measure_scene(gpu, (scene, name), &options, &plan, &|| context.tick())?;
     Ok(Done::Ran(Box::new(outcome(gpu, found, reduced))))
 }
 
 /// So many that all passes over them fit into half of what is left.
 fn frames_within(context: &Context<'_>, gpu: &Gpu, scene: &Scene, view: &Camera, time: f64) -> Result<u32> {
-    let mut renderer = Renderer::new(gpu, scene, &RenderOptions::default())?;
+    let mut renderer = Renderer::new(gpu, scene, &options(scene))?;
     renderer.draw(view, time)?;
     let start = Instant::now();
     renderer.draw(view, time)?;
@@ -120,9 +125,8 @@ fn outcome(gpu: &Gpu, mut found: Found, reduced: Vec<String>) -> Outcome {
     let section = Box::new(move |page: &mut Page| {
         page.text(summary::text(&found.measured).lines().next().unwrap_or_default());
         if let Some(p) = &found.predicted {
-            page.subheading("Operations, measured here beside predicted");
+            page.text(&prediction::report::facts(p));
             page.table(&prediction::report::beside(p, &device, &found.measured.operations));
-            prediction::report::section(page, p);
         }
         Ok(())
     });

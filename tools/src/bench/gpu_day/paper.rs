@@ -1,10 +1,9 @@
 //! The paper's protocol, `spgs bench paper`, on the synthetic scene of the goal.
 
 use engine::error::Result;
-use engine::render::RenderOptions;
 
 use super::clock::Context;
-use super::frames::{SYNTHETIC, smaller};
+use super::frames::{SYNTHETIC, options, smaller};
 use super::outcome::{Done, Figure, Outcome};
 use crate::bench::paper::{self, Subject};
 use crate::bench::prediction::{Kind, predict, subtiles};
@@ -32,7 +31,7 @@ pub(super) fn run(context: &Context<'_>) -> Result<Done> {
         name: synthetic_name(),
         path,
         path_name,
-        options: RenderOptions::default(),
+        options: options(&scene),
         view: 0,
         frames: FRAMES,
         warmup: WARMUP,

@@ -4,6 +4,7 @@ use engine::error::Result;
 use serde_json::Value;
 
 use super::outcome::{Figure, Finished, State};
+use crate::bench::prediction;
 use crate::report::page::{Align, Page, Standing, Table};
 
 /// One row per figure: measured, predicted, how far apart.
@@ -101,5 +102,7 @@ pub(super) fn html(record: &Value, mut steps: Vec<Finished>) -> Result<String> {
             section(&mut page)?;
         }
     }
+    page.heading("What the predictions assume");
+    prediction::report::model(&mut page);
     Ok(page.finish())
 }

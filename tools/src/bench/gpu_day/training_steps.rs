@@ -51,7 +51,7 @@ fn measure(context: &Context<'_>, gpu: &Gpu, case: &Case, mut reduced: Vec<Strin
     if steps < STEPS {
         reduced.push(format!("{steps} steps of {STEPS}, to stay within the time"));
     }
-    let plan = Plan { steps, warmup: WARMUP };
+    let plan = Plan { steps, warmup: WARMUP.min(steps / 2) };
     let (mut numbers, measured) = train::measure_case(gpu, case, plan, copy_bandwidth(gpu)?, &|| context.tick())?;
     let figures = figures(
         measured.predicted.as_ref(),
@@ -67,9 +67,8 @@ fn measure(context: &Context<'_>, gpu: &Gpu, case: &Case, mut reduced: Vec<Strin
     let device = gpu.info().name.clone();
     let section = Box::new(move |page: &mut Page| {
         if let Some(p) = &measured.predicted {
-            page.subheading("Kernels, measured here beside predicted");
+            page.text(&prediction::report::facts(p));
             page.table(&prediction::report::beside(p, &device, &measured.kernels));
-            prediction::report::section(page, p);
         }
         Ok(())
     });

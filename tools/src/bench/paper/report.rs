@@ -14,9 +14,9 @@ use crate::report::page::{Align, Axis, Chart, Mark, Page, Series, Standing, Tabl
 use crate::report::paper;
 
 /// Everything that was found.
-pub(in crate::bench) struct Found {
-    pub(in crate::bench) rates: Rates,
-    pub(in crate::bench) measured: Measurement,
+pub(crate) struct Found {
+    pub(crate) rates: Rates,
+    pub(crate) measured: Measurement,
     pub(super) roofline: Roofline,
     pub(super) curves: Vec<Curve>,
     pub(super) benchmark: Benchmark,
@@ -103,7 +103,7 @@ fn curve_table(curve: &Curve) -> Table {
 }
 
 /// What was reduced for the time, if anything was.
-pub(in crate::bench) fn reduction(found: &Found) -> Option<String> {
+pub(crate) fn reduction(found: &Found) -> Option<String> {
     let frames = found.rates.paper_frames;
     (frames < PAPER_FRAMES).then(|| {
         format!("{frames} of the {PAPER_FRAMES} frames of the paper's protocol, to stay within the time (--budget)")
@@ -203,7 +203,7 @@ pub(super) fn html(record: &Value, found: &Found) -> Result<String> {
 }
 
 /// Tables and charts.
-pub(in crate::bench) fn section(page: &mut Page, found: &Found) -> Result<()> {
+pub(crate) fn section(page: &mut Page, found: &Found) -> Result<()> {
     page.heading("Frames per second");
     page.table(&speed_table(found)?);
     page.subheading("Frame times over the path, ms");

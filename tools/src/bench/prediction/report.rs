@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use super::profile::PROFILES;
 use super::times::{Goal, Kind, OnGpu, Operation, Predicted};
 use crate::report::measure::OperationRow;
 use crate::report::page::{Align, Page, Table};
@@ -19,8 +20,8 @@ pub(crate) fn text(p: &Predicted, inputs: bool) -> String {
     }
     if inputs {
         let _ = writeln!(t, "\n{MODEL}\n\n{}", facts(p));
-        let _ = writeln!(t, "\n{}", constants(p).text());
-        p.gpus.iter().for_each(|g| t.push_str(&format!("data sheet of {}: {}\n", g.gpu, g.data_sheet)));
+        let _ = writeln!(t, "\n{}", constants().text());
+        PROFILES.iter().for_each(|p| t.push_str(&format!("data sheet of {}: {}\n", p.name, p.sheet)));
         for a in &p.loops {
             let _ = writeln!(t, "assumed: {} takes {}", a.round, a.instructions);
         }
@@ -34,13 +35,10 @@ pub(crate) fn text(p: &Predicted, inputs: bool) -> String {
 /// The prediction as a section of a page.
 pub(crate) fn section(page: &mut Page, p: &Predicted) {
     page.subheading("Predicted");
-    page.text(MODEL);
     let rows: Vec<(&str, String)> = p.gpus.iter().map(|g| (g.gpu, line(p.of, g))).collect();
     page.facts(&rows);
     page.text(&facts(p));
-    page.table(&constants(p));
-    let sheets: Vec<(&str, String)> = p.gpus.iter().map(|g| (g.gpu, g.data_sheet.to_owned())).collect();
-    page.facts(&sheets);
+    model(page);
     let assumed: Vec<String> = p.loops.iter().map(|a| format!("{}: {}", a.round, a.instructions)).collect();
     page.text(&format!("Assumed of loops: {}.", assumed.join("; ")));
     for gpu in &p.gpus {
@@ -71,6 +69,14 @@ pub(crate) fn beside(p: &Predicted, device: &str, rows: &[OperationRow]) -> Tabl
     table
 }
 
+/// The model and its constants.
+pub(crate) fn model(page: &mut Page) {
+    page.text(MODEL);
+    page.table(&constants());
+    let sheets: Vec<(&str, String)> = PROFILES.iter().map(|p| (p.name, p.sheet.to_owned())).collect();
+    page.facts(&sheets);
+}
+
 /// The figure of a GPU.
 pub(crate) fn line(of: Kind, gpu: &OnGpu) -> String {
     let (device, alone, rate) = (gpu.device_ms, gpu.one_at_a_time_ms, gpu.per_second);
@@ -87,7 +93,8 @@ fn verdict(goal: &Goal) -> String {
     format!("; goal {}: {}", goal.what, if goal.met { "reached" } else { "MISSED" })
 }
 
-fn facts(p: &Predicted) -> String {
+/// What was recorded and counted, and what was not.
+pub(crate) fn facts(p: &Predicted) -> String {
     let uncounted = p.gpus.first().map_or(Vec::new(), |g| uncounted(&g.operations));
     let mut text = format!(
         "Recorded: {} dispatches, {} barriers. Counted on the CPU for the first view: splats reach {:.0} % of the 8×8 subtiles of their tiles.",
@@ -111,19 +118,18 @@ fn uncounted(operations: &[Operation]) -> Vec<&str> {
 }
 
 /// One row per constant, one column per GPU.
-fn constants(p: &Predicted) -> Table {
-    let mut columns = vec![("constant".to_owned(), Align::Left)];
-    columns.extend(p.gpus.iter().map(|g| (g.gpu.to_owned(), Align::Right)));
-    columns.extend([("unit".to_owned(), Align::Left), ("source".to_owned(), Align::Left)]);
+fn constants() -> Table {
+    let mut columns = vec![("constant", Align::Left)];
+    columns.extend(PROFILES.iter().map(|p| (p.name, Align::Right)));
+    columns.extend([("unit", Align::Left), ("source", Align::Left)]);
     let mut table = Table::new(&columns);
-    let rows = p.gpus.first().map_or(0, |g| g.constants.len());
-    for i in 0..rows {
-        let each: Vec<_> = p.gpus.iter().map(|g| &g.constants[i]).collect();
-        let mut sources: Vec<&str> = each.iter().map(|c| c.source).collect();
+    let all = PROFILES.map(|p| p.constants());
+    for (i, first) in all[0].iter().enumerate() {
+        let mut sources: Vec<&str> = all.iter().map(|constants| constants[i].source).collect();
         sources.dedup();
-        let mut cells = vec![each[0].name.to_owned()];
-        cells.extend(each.iter().map(|c| c.value.to_string()));
-        cells.extend([each[0].unit.to_owned(), sources.join("; ")]);
+        let mut cells = vec![first.name.to_owned()];
+        cells.extend(all.iter().map(|constants| constants[i].value.to_string()));
+        cells.extend([first.unit.to_owned(), sources.join("; ")]);
         table.row(cells);
     }
     table
