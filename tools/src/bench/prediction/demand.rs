@@ -186,3 +186,75 @@ impl Demand {
         compiled.and_then(|c| c.split_once('[')).is_some_and(|(name, _)| name == kernel)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+    use engine::gpu::RecordedOperation;
+    use engine::gpu::kernel::Workload;
+
+    use super::*;
+
+    fn work() -> Workload {
+        let all = [("instances", 5000), ("visible", 1000), ("tiles", 100), ("gaussians", 2000), ("keys", 9000)];
+        Workload(all.into())
+    }
+
+    fn dispatch(name: &str, groups: Option<u64>) -> Recorded {
+        let kernel = engine::kernels().find(|k| k.name == name).unwrap();
+        let task =
+            RecordedTask::Dispatch { kernel, constants: vec![0; kernel.spec.len() - 1], push: Vec::new(), groups };
+        Recorded { operation: RecordedOperation { label: name.into(), barrier: true, task }, work: work() }
+    }
+
+    fn transfer(label: &str, from_host: bool) -> Recorded {
+        let task = RecordedTask::Transfer { read: 70, written: 70, from_host, to_host: false };
+        Recorded { operation: RecordedOperation { label: label.into(), barrier: false, task }, work: work() }
+    }
+
+    fn of(recorded: &[Recorded]) -> Vec<Demand> {
+        of_recording(recorded, Table::Nvidia, 0.5)
+    }
+
+    #[test]
+    fn gradients_by_instance_become_those_of_float_atomics() {
+        let step = [
+            transfer("fill instance_gradient", false),
+            dispatch("blend_backward", Some(7)),
+            dispatch("sum_instance_gradients", Some(7)),
+        ];
+        let demands = of(&step);
+        let labels: Vec<&str> = demands.iter().map(|d| d.label.as_str()).collect();
+        assert_eq!(labels, ["fill instance_gradient", "blend_backward_native"]);
+        assert_eq!(demands[0].bytes, 48.0 * 2000.0);
+        assert!(demands[1].is_of("blend_backward_native") && demands[1].dispatch.as_ref().unwrap().atomics > 0.0);
+        // A recording with float atomics stays as it is.
+        let native = [dispatch("blend_backward_native", Some(7)), dispatch("sum_instance_gradients", Some(7))];
+        let demands = of(&native);
+        assert_eq!((demands.len(), demands[0].label.as_str()), (2, "blend_backward_native"));
+    }
+
+    #[test]
+    fn grids_are_those_of_the_predicted_device() {
+        let groups = |name, recorded| of(&[dispatch(name, recorded)])[0].dispatch.as_ref().unwrap().workgroups;
+        // Four subgroups of 32 lanes in a workgroup: a tile each.
+        assert_eq!(groups("blend", Some(25)), 100.0);
+        assert_eq!(groups("sort_scatter", None), 3.0);
+        assert_eq!(groups("emit_tiles", None), 4.0);
+        assert_eq!(groups("tile_ranges", None), 20.0);
+        assert_eq!(groups("compact", Some(8)), 8.0);
+    }
+
+    #[test]
+    fn what_the_host_writes_goes_over_the_bus_once() {
+        let [from_host, here] = [true, false].map(|from_host| of(&[transfer("copy", from_host)]).remove(0));
+        assert_eq!((from_host.bytes, from_host.by_host, from_host.over_bus), (70.0, 70.0, true));
+        assert_eq!((here.bytes, here.by_host, here.over_bus), (140.0, 0.0, false));
+    }
+
+    #[test]
+    fn loops_that_nobody_counted_are_told() {
+        let uncounted = |name| of(&[dispatch(name, Some(1))])[0].dispatch.as_ref().unwrap().uncounted_loop;
+        assert!(uncounted("compact") && !uncounted("blend") && !uncounted("tile_ranges"));
+    }
+}

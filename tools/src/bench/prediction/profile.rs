@@ -117,10 +117,10 @@ pub(crate) struct Constant {
 }
 
 impl Profile {
-    /// The profile of a device by the name that its driver gives.
+    /// The profile of a device by the name that its driver gives; a part of a GPU (MIG) has none.
     pub(crate) fn of_device(name: &str) -> Option<&'static Self> {
         let name = name.to_lowercase();
-        PROFILES.iter().find(|p| name.contains(p.contains))
+        PROFILES.iter().find(|p| name.contains(p.contains) && !name.contains("mig "))
     }
 
     /// Schedulers of the whole device.
@@ -168,6 +168,7 @@ mod tests {
         assert_eq!(name("NVIDIA H200"), Some("H200"));
         assert_eq!(name("NVIDIA GeForce RTX 4090"), Some("RTX 4090"));
         assert_eq!(name("AMD Radeon RX 7900 XTX (RADV NAVI31)"), Some("RX 7900 XTX"));
+        assert_eq!(name("NVIDIA H200 MIG 1g.18gb"), None);
         assert_eq!(name("llvmpipe (LLVM 15.0.6, 256 bits)"), None);
     }
 
