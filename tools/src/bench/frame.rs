@@ -13,6 +13,7 @@ use super::scene::{self, DEFAULT_SIZE};
 use crate::cli::args::{FrameArgs, Global};
 use crate::cli::{camera, gpu_session, model, output, progress};
 use crate::report::measure::{self, Measurement, PAPER_FRAMES, Plan};
+use crate::report::page::field;
 use crate::report::{provenance, summary};
 
 /// A measured scene and what was predicted of it.
@@ -54,7 +55,8 @@ pub(super) fn measure_scene(
 pub(super) fn html(record: &Value, found: &Found) -> String {
     let mut page = summary::begin_page(record, &found.measured);
     if let Some(predicted) = &found.predicted {
-        prediction::report::section(&mut page, predicted);
+        let device = field(record, "/device/name");
+        prediction::report::section(&mut page, predicted, &device, &found.measured.operations);
     }
     page.finish()
 }

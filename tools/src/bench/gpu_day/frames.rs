@@ -125,7 +125,7 @@ fn outcome(gpu: &Gpu, mut found: Found, reduced: Vec<String>) -> Outcome {
     let section = Box::new(move |page: &mut Page| {
         page.text(summary::text(&found.measured).lines().next().unwrap_or_default());
         if let Some(p) = &found.predicted {
-            page.text(&prediction::report::facts(p));
+            prediction::report::summary(page, p);
             page.table(&prediction::report::beside(p, &device, &found.measured.operations));
         }
         Ok(())

@@ -1,5 +1,5 @@
-//! The self-test of the device: every kernel of frames, networks, fields and training against its CPU twin, at every subgroup size that
-//! the device can be pinned to.
+//! The self-test of the device: kernels of frames, networks, fields and training against their CPU twins, at every subgroup size that
+//! the device can be pinned to. What no suite of it runs (LPIPS, stores into a host's image) is for the integration tests.
 
 use std::time::Instant;
 

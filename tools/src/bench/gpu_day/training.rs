@@ -67,7 +67,7 @@ pub(super) fn run(context: &Context<'_>) -> Result<Done> {
         page.text(&format!("{views}. The prediction is of the last step, measured is the median of all."));
         page.table(&train::milestones(&timed));
         if let Some(p) = &predicted {
-            page.text(&prediction::report::facts(p));
+            prediction::report::summary(page, p);
         }
         Ok(())
     });

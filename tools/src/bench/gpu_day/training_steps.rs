@@ -67,7 +67,7 @@ fn measure(context: &Context<'_>, gpu: &Gpu, case: &Case, mut reduced: Vec<Strin
     let device = gpu.info().name.clone();
     let section = Box::new(move |page: &mut Page| {
         if let Some(p) = &measured.predicted {
-            page.text(&prediction::report::facts(p));
+            prediction::report::summary(page, p);
             page.table(&prediction::report::beside(p, &device, &measured.kernels));
         }
         Ok(())

@@ -32,12 +32,11 @@ pub(crate) fn text(p: &Predicted, inputs: bool) -> String {
     t
 }
 
-/// The prediction as a section of a page.
-pub(crate) fn section(page: &mut Page, p: &Predicted) {
+/// The prediction as a section of a page, beside the operations that this device was measured with.
+pub(crate) fn section(page: &mut Page, p: &Predicted, device: &str, measured: &[OperationRow]) {
     page.subheading("Predicted");
-    let rows: Vec<(&str, String)> = p.gpus.iter().map(|g| (g.gpu, line(p.of, g))).collect();
-    page.facts(&rows);
-    page.text(&facts(p));
+    summary(page, p);
+    page.table(&beside(p, device, measured));
     model(page);
     let assumed: Vec<String> = p.loops.iter().map(|a| format!("{}: {}", a.round, a.instructions)).collect();
     page.text(&format!("Assumed of loops: {}.", assumed.join("; ")));
@@ -45,6 +44,13 @@ pub(crate) fn section(page: &mut Page, p: &Predicted) {
         page.subheading(&format!("Predicted on {}", gpu.gpu));
         page.table(&operations(gpu));
     }
+}
+
+/// The figure of each GPU, and what was recorded.
+pub(crate) fn summary(page: &mut Page, p: &Predicted) {
+    let rows: Vec<(&str, String)> = p.gpus.iter().map(|g| (g.gpu, line(p.of, g))).collect();
+    page.facts(&rows);
+    page.text(&facts(p));
 }
 
 /// Measured operations beside the predicted ones of the same name, on the GPU of the device's name or the first one.
@@ -78,7 +84,7 @@ pub(crate) fn model(page: &mut Page) {
 }
 
 /// The figure of a GPU.
-pub(crate) fn line(of: Kind, gpu: &OnGpu) -> String {
+fn line(of: Kind, gpu: &OnGpu) -> String {
     let (device, alone, rate) = (gpu.device_ms, gpu.one_at_a_time_ms, gpu.per_second);
     let figure = match of {
         Kind::Frame => {
@@ -94,7 +100,7 @@ fn verdict(goal: &Goal) -> String {
 }
 
 /// What was recorded and counted, and what was not.
-pub(crate) fn facts(p: &Predicted) -> String {
+fn facts(p: &Predicted) -> String {
     let uncounted = p.gpus.first().map_or(Vec::new(), |g| uncounted(&g.operations));
     let mut text = format!(
         "Recorded: {} dispatches, {} barriers. Counted on the CPU for the first view: splats reach {:.0} % of the 8×8 subtiles of their tiles.",

@@ -75,6 +75,7 @@ fn facts(m: &TrainMeasurement) -> Vec<(&'static str, String)> {
 pub(super) fn html(record: &Value, cases: &[(Value, TrainMeasurement)]) -> String {
     let mut page = Page::new(&format!("spgs bench train: {}", page::field(record, "/device/name")));
     page.provenance(record);
+    let device = page::field(record, "/device/name");
     if cases.len() > 1 {
         page.table(&sweep_table(cases));
     }
@@ -84,7 +85,7 @@ pub(super) fn html(record: &Value, cases: &[(Value, TrainMeasurement)]) -> Strin
         page.subheading("Device time of each kernel in a step, median, µs");
         operations(&mut page, &m.kernels);
         if let Some(predicted) = &m.predicted {
-            prediction::report::section(&mut page, predicted);
+            prediction::report::section(&mut page, predicted, &device, &m.kernels);
         }
     }
     page.finish()
