@@ -86,9 +86,11 @@ fn the_modes_of_bench_say_how_they_are_called_now() {
         assert!(mistake(old, 2).contains(new), "{}", mistake(old, 2));
     }
     assert!(mistake(&["bench", "--synthetic", "5", "sweep"], 2).contains("--synthetic in front of `sweep`"));
+    let all = ok(&["bench", "--help"]);
     for mode in ["frame", "train", "sweep", "paper", "sort", "ablation", "hard-cases"] {
-        assert!(ok(&["bench", "--help"]).contains(mode) && ok(&["bench", mode, "--help"]).contains("--json"), "{mode}");
+        assert!(all.contains(mode) && ok(&["bench", mode, "--help"]).contains("--json"), "{mode}");
     }
+    assert!(all.contains("gpu-day") && ok(&["bench", "gpu-day", "--help"]).contains("--budget"), "{all}");
 }
 
 #[test]
@@ -227,6 +229,30 @@ fn demo_and_bench_report_what_they_measured() {
     assert!(rows.iter().any(|r| r["kernel"] == "blend" && r["bytes"].as_u64().unwrap() > 0));
     let html = std::fs::read_to_string(&page).unwrap();
     assert!(html.contains("<svg") && html.contains("blend") && !html.contains("http"), "a self-contained page");
+    assert!(html.contains("Predicted on H200") && printed.contains("predicted, not measured"), "{printed}");
+    prediction(&record["predicted"], measured);
+}
+
+/// A prediction is of what was recorded, and its parts add up.
+fn prediction(predicted: &serde_json::Value, measured: &serde_json::Value) {
+    assert_eq!(predicted["dispatches"], measured["dispatches"]);
+    assert_eq!(predicted["barriers"], measured["barriers"]);
+    let share = predicted["subtile_share"].as_f64().unwrap();
+    assert!((0.25..=1.0).contains(&share), "{share}");
+    let gpus = predicted["gpus"].as_array().unwrap();
+    assert_eq!(
+        gpus.iter().map(|g| g["gpu"].as_str().unwrap()).collect::<Vec<_>>(),
+        ["H200", "RTX 4090", "RX 7900 XTX"]
+    );
+    for gpu in gpus {
+        let operations = gpu["operations"].as_array().unwrap();
+        let us: f64 = operations.iter().map(|o| o["us"].as_f64().unwrap()).sum();
+        assert!((us / 1e3 - gpu["device_ms"].as_f64().unwrap()).abs() < 1e-9 && us > 10.0, "{us}");
+        let blend = operations.iter().find(|o| o["label"] == "blend").unwrap();
+        assert!(blend["dispatch"]["issued"].as_f64() > blend["dispatch"]["instructions"].as_f64(), "{blend}");
+        assert!(gpu["constants"].as_array().unwrap().iter().all(|c| !c["source"].as_str().unwrap().is_empty()));
+        assert!(gpu["goal"].is_null(), "the goal is of another scene");
+    }
 }
 
 #[test]
@@ -252,6 +278,7 @@ fn bench_measures_training_of_a_synthetic_scene_and_of_photos() {
         let row = rows.iter().find(|r| r["kernel"] == name).unwrap_or_else(|| panic!("no row for {name}"));
         assert!(row["bytes"].as_u64().unwrap() > 0 && row["us"].as_f64().unwrap() > 0.0, "{row}");
     }
+    prediction(&measured["predicted"], measured);
     let html = std::fs::read_to_string(&page).unwrap();
     assert!(
         html.contains("<svg") && html.contains("linear_forward") && !html.contains("http"),

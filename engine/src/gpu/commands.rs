@@ -74,6 +74,10 @@ impl Commands {
         self.sequence.push_constants()
     }
 
+    pub(super) fn recorded_operations(&self) -> &[super::operation::Operation] {
+        &self.sequence.operations
+    }
+
     /// Which bytes each operation touches, for tests of the plan.
     pub fn uses(&self) -> Vec<(&str, &[Use], bool)> {
         self.sequence.uses()

@@ -35,6 +35,7 @@ pub mod product;
 pub mod proof;
 pub mod queue_family;
 pub mod reconvergence;
+mod recorded;
 mod recorder;
 mod sequence;
 #[doc(hidden)]
@@ -59,6 +60,7 @@ pub use host::{HostCommandBuffer, HostDevice, HostImage, ImageUse, QueueLock};
 pub use kernel::Kernel;
 pub use memory::{Buffer, Memory, Slice};
 pub use options::{GpuOptions, SelfTest};
+pub use recorded::{RecordedOperation, RecordedTask};
 pub use recorder::{Groups, Recorder, SLICE_ALIGNMENT};
 pub use sequence::Sequence;
 pub use statistics::{CompiledKernel, Statistic};

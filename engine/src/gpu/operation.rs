@@ -28,6 +28,8 @@ pub(super) enum Work {
     },
     Dispatch {
         kernel: &'static Kernel,
+        /// Specialisation constants from id 1 on.
+        constants: Vec<u32>,
         pipeline: Pipeline,
         push: Vec<u8>,
         slices: Vec<Slice>,

@@ -223,7 +223,8 @@ impl Recorder {
         let watch = self.gpu.1.clone().filter(|_| !to_image);
         let gpu = self.gpu.clone();
         let before = watch.as_ref().map(|w| w.before(&gpu, self, kernel, buffers, &grid)).transpose()?;
-        let work = Work::Dispatch { kernel, pipeline, push: push.to_vec(), slices, grid, to_image };
+        let work =
+            Work::Dispatch { kernel, constants: spec.to_vec(), pipeline, push: push.to_vec(), slices, grid, to_image };
         self.push(label.to_owned(), work, uses);
         match (watch, before) {
             (Some(watch), Some(before)) => watch.after(&gpu, self, (label, kernel), (spec, push), buffers, before),

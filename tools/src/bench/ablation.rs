@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use self::plan::{Plan, Variant, plans};
-use crate::bench::train::session::{Session, Timed};
+use crate::bench::train::session::{Session, Timed, Until};
 use crate::cli::args::{AblationArgs, Global};
 use crate::cli::{gpu_session, output, progress};
 use crate::report::measure::Quantiles;
@@ -139,7 +139,7 @@ impl Runs<'_> {
             (0..config.iterations).for_each(|_| (self.tick)());
             return Ok(score.clone());
         }
-        let (timed, trainer) = self.session.run(config, None, 1, self.tick)?;
+        let (timed, trainer) = self.session.run(config, Until::default(), 1, self.tick)?;
         let mut score = Score::from(&timed);
         if let Some(motion) = variant.playback {
             let scene = match motion {

@@ -6,13 +6,60 @@ use engine::image::{Difference, difference};
 use engine::reference::{self, ReferenceOptions};
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::{Camera, Scene};
-use serde_json::json;
+use serde_json::{Value, json};
 
+use super::prediction::{self, Kind, Predicted, predict, subtiles};
 use super::scene::{self, DEFAULT_SIZE};
 use crate::cli::args::{FrameArgs, Global};
 use crate::cli::{camera, gpu_session, model, output, progress};
-use crate::report::measure::{self, PAPER_FRAMES, Plan};
+use crate::report::measure::{self, Measurement, PAPER_FRAMES, Plan};
+use crate::report::page::field;
 use crate::report::{provenance, summary};
+
+/// A measured scene and what was predicted of it.
+pub(super) struct Found {
+    /// Scene, view, measurement and prediction, for a record.
+    pub(super) numbers: Value,
+    pub(super) measured: Measurement,
+    pub(super) predicted: Option<Predicted>,
+}
+
+/// Measures a scene and predicts its frame. `tick` is called after each frame.
+///
+/// # Errors
+/// Those of rendering.
+pub(super) fn measure_scene(
+    gpu: &Gpu,
+    (scene, name): (&Scene, &str),
+    options: &RenderOptions,
+    plan: &Plan,
+    tick: &dyn Fn(),
+) -> Result<Found> {
+    let measured = measure::measure(gpu, scene, options, plan, tick)?;
+    // Where the reference rejects what the renderer only leaves out, every subtile counts.
+    let share = subtiles::share(scene, &plan.camera, plan.times[1], options);
+    let share = share.inspect_err(|e| log::warn!("prediction without subtiles: {e}")).unwrap_or(1.0);
+    let predicted = predict(Kind::Frame, &measured.recorded, share);
+    let (width, height) = (plan.camera.width, plan.camera.height);
+    let numbers = json!({
+        "scene": provenance::scene(name, scene),
+        "view": { "name": plan.camera.name, "width": width, "height": height, "times": plan.times },
+        "measurement": measured,
+        "predicted": predicted,
+        "quality": options.quality,
+    });
+    Ok(Found { numbers, measured, predicted })
+}
+
+/// The page of a record.
+pub(super) fn html(record: &Value, found: &Found) -> String {
+    let mut page = summary::begin_page(record, &found.measured);
+    if let Some(predicted) = &found.predicted {
+        let device = field(record, "/device/name");
+        prediction::report::section(&mut page, predicted, &device, &found.measured.operations);
+    }
+    page.finish()
+}
 
 /// Measures and reports.
 ///
@@ -33,26 +80,25 @@ pub fn run(args: &FrameArgs, global: &Global) -> Result<()> {
     let plan = Plan { camera: view, times, frames, warmup, paper_protocol: args.paper_protocol };
     let total = 3 * u64::from(frames) + if args.paper_protocol { u64::from(PAPER_FRAMES) } else { 0 };
     let bar = progress::bar(total, global.quiet);
-    let measured = measure::measure(&gpu, &scene, &options, &plan, &|| bar.inc(1))?;
+    let mut found = measure_scene(&gpu, (&scene, &name), &options, &plan, &|| bar.inc(1))?;
     bar.finish_and_clear();
     let error = if args.check { Some(check(&gpu, &scene, &options, &plan)?) } else { None };
     gpu_session::report_validation(&gpu);
-    let (width, height) = (plan.camera.width, plan.camera.height);
-    let numbers = json!({
-        "scene": provenance::scene(&name, &scene),
-        "view": { "name": plan.camera.name, "width": width, "height": height, "times": times },
-        "measurement": measured,
-        "error_against_f64": error,
-        "quality": options.quality,
-    });
-    let record = provenance::record(None, &gpu, numbers);
-    args.results.write(&record, || Ok(summary::html(&record, &measured)))?;
+    found.numbers["error_against_f64"] = json!(error);
+    let record = provenance::record(None, &gpu, found.numbers.take());
+    args.results.write(&record, || Ok(html(&record, &found)))?;
     if !global.quiet {
         output::line(&format!("device  {}", gpu_session::describe(&gpu)));
         output::line(&format!("scene   {name}: {}", model::describe(&scene)));
-        output::line(&format!("view    {width}x{height} pixels, t from {} to {}", times[0], times[1]));
+        output::line(&format!(
+            "view    {}x{} pixels, t from {} to {}",
+            plan.camera.width, plan.camera.height, times[0], times[1]
+        ));
         output::line(&format!("quality {}", options.quality.describe()));
-        output::line(summary::text(&measured).trim_end());
+        output::line(summary::text(&found.measured).trim_end());
+        if let Some(predicted) = &found.predicted {
+            output::line(prediction::report::text(predicted, args.predict).trim_end());
+        }
         if let Some(e) = error {
             output::line(&format!(
                 "error   against the f64 reference at t = {}: PSNR {:.1} dB, largest {:.2e}, 99.9 % within {:.2e}",

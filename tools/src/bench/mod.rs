@@ -2,8 +2,10 @@
 
 pub mod ablation;
 pub mod frame;
+pub mod gpu_day;
 pub mod hard_cases;
 pub mod paper;
+mod prediction;
 mod scene;
 pub mod sort;
 pub mod sweep;
@@ -28,6 +30,7 @@ pub fn run(args: &BenchArgs, global: &Global) -> Result<ExitCode> {
         Some(BenchMode::Paper(args)) => paper::run(args, global),
         Some(BenchMode::Ablation(args)) => ablation::run(args, global),
         Some(BenchMode::Sort(args)) => sort::run(args, global),
+        Some(BenchMode::GpuDay(args)) => return gpu_day::run(args, global),
         Some(BenchMode::HardCases(args)) => return hard_cases::run(args, global),
     };
     done.map(|()| ExitCode::SUCCESS)

@@ -20,15 +20,15 @@ const BYTES_PER_KEY: f64 = 4.0 + 4.0 * 16.0;
 
 /// A sort of so many keys.
 #[derive(Debug, Clone, Serialize)]
-struct Row {
-    keys: usize,
+pub(super) struct Row {
+    pub(super) keys: usize,
     dispatches: usize,
     /// Device time, milliseconds.
     ms: Quantiles,
-    keys_per_s: f64,
+    pub(super) keys_per_s: f64,
     /// Bytes that must be moved over the median time, GB/s.
     gb_per_s: f64,
-    of_copy_bandwidth: f64,
+    pub(super) of_copy_bandwidth: f64,
 }
 
 /// Measures and reports.
@@ -45,8 +45,7 @@ pub fn run(args: &SortArgs, global: &Global) -> Result<()> {
     }
     bar.finish_and_clear();
     gpu_session::report_validation(&gpu);
-    let record =
-        provenance::record(Some("sort"), &gpu, json!({ "copy_gb_per_s": copy, "key_bits": KEY_BITS, "sorts": rows }));
+    let record = provenance::record(Some("sort"), &gpu, numbers(copy, &rows));
     args.results.write(&record, || html(&record, &rows))?;
     if !global.quiet {
         output::line(&format!("device  {}", gpu_session::describe(&gpu)));
@@ -56,7 +55,11 @@ pub fn run(args: &SortArgs, global: &Global) -> Result<()> {
     Ok(())
 }
 
-fn measure(gpu: &Gpu, count: usize, runs: u32, copy: f64, tick: &dyn Fn()) -> Result<Row> {
+/// Sorts `count` keys `runs` times after a first, checked one. `copy`: rate of copies, GB/s; `tick` is called after each.
+///
+/// # Errors
+/// Those of the device; `Kernel` when the keys come back unsorted.
+pub(super) fn measure(gpu: &Gpu, count: usize, runs: u32, copy: f64, tick: &dyn Fn()) -> Result<Row> {
     let mut random = Random::new(count as u64);
     let keys: Vec<u32> = (0..count).map(|_| random.bits() as u32).collect();
     let mut sort = DeviceSort::new(gpu, &keys, KEY_BITS)?;
@@ -82,6 +85,11 @@ fn measure(gpu: &Gpu, count: usize, runs: u32, copy: f64, tick: &dyn Fn()) -> Re
     })
 }
 
+/// For a record.
+pub(super) fn numbers(copy: f64, rows: &[Row]) -> Value {
+    json!({ "copy_gb_per_s": copy, "key_bits": KEY_BITS, "sorts": rows })
+}
+
 /// The result must be the keys in order, and of equal ones the first first.
 fn check(keys: &[u32], [sorted, positions]: &[Vec<u32>; 2]) -> Result<()> {
     let mut expected: Vec<u64> = keys.iter().zip(0..).map(|(&key, at)| u64::from(key) << 32 | at).collect();
@@ -103,7 +111,8 @@ fn check(keys: &[u32], [sorted, positions]: &[Vec<u32>; 2]) -> Result<()> {
     }
 }
 
-fn table(rows: &[Row]) -> Table {
+/// One row per size.
+pub(super) fn table(rows: &[Row]) -> Table {
     let columns = ["keys", "dispatches", "ms", "million keys/s", "GB/s", "of copy"];
     let mut table = Table::new(&columns.map(|c| (c, Align::Right)));
     for row in rows {

@@ -6,6 +6,8 @@ pub(crate) mod session;
 mod start;
 mod until;
 
+use std::path::Path;
+
 use engine::data::dataset::{self, DatasetOptions};
 use engine::error::{Error, Result};
 use engine::gpu::Gpu;
@@ -14,7 +16,9 @@ use engine::train::config::Config;
 use engine::train::trainer::{Trainer, TrainingData};
 use serde_json::{Value, json};
 
-use self::measure::{Plan, TrainMeasurement};
+use self::measure::TrainMeasurement;
+pub(super) use self::measure::{Plan, predicted};
+pub(super) use self::until::table as milestones;
 use super::scene::{self, DEFAULT_SIZE, SYNTHETIC_SEED};
 use crate::cli::args::{Global, TrainBenchArgs};
 use crate::cli::{gpu_session, model, output, progress};
@@ -69,8 +73,7 @@ pub(crate) fn run(args: &TrainBenchArgs, global: &Global) -> Result<()> {
         } else {
             synthetic(&gpu, args.scene.superpoints, args.background, n, size)?
         };
-        let measured = measure::measure(&gpu, &case.config, &case.data, &case.first, plan, copy, &|| bar.inc(1))?;
-        cases.push((case_record(&case, &measured), measured));
+        cases.push(measure_case(&gpu, &case, plan, copy, &|| bar.inc(1))?);
     }
     bar.finish_and_clear();
     gpu_session::report_validation(&gpu);
@@ -78,9 +81,23 @@ pub(crate) fn run(args: &TrainBenchArgs, global: &Global) -> Result<()> {
     args.results.write(&record, || Ok(report::html(&record, &cases)))?;
     if !global.quiet {
         output::line(&format!("device  {}", gpu_session::describe(&gpu)));
-        cases.iter().for_each(|(record, m)| output::line(report::text(record, m, !args.sweep).trim_end()));
+        cases
+            .iter()
+            .for_each(|(record, m)| output::line(report::text(record, m, !args.sweep, args.predict).trim_end()));
     }
     Ok(())
+}
+
+/// Measures a training set: its record, and what was measured. `copy`: rate of copies, GB/s; `tick` is called after each step.
+pub(super) fn measure_case(
+    gpu: &Gpu,
+    case: &Case,
+    plan: Plan,
+    copy: f64,
+    tick: &dyn Fn(),
+) -> Result<(Value, TrainMeasurement)> {
+    let measured = measure::measure(gpu, &case.config, &case.data, &case.first, plan, copy, tick)?;
+    Ok((case_record(case, &measured), measured))
 }
 
 /// A configuration whose steps are all alike: no density control, all SH degrees and the motion from the first step.
@@ -104,9 +121,14 @@ fn posed(args: &TrainBenchArgs) -> Result<Case> {
     if args.size.asked() != [None; 2] {
         return Err(Error::usage("bench train", "--width or --height", "photos at their own size"));
     }
+    photos_of_model(path, args.scene.level, photos, args.background)
+}
+
+/// A model, disturbed, and photos of it.
+pub(super) fn photos_of_model(path: &Path, level: Option<u32>, photos: &Path, background: [f32; 3]) -> Result<Case> {
     let data = dataset::load(photos, &DatasetOptions::default())?;
-    let first = start::disturbed(&model::load_level(path, args.scene.level)?.scene.gaussians, SYNTHETIC_SEED);
-    let config = config(&first, args.background, 0);
+    let first = start::disturbed(&model::load_level(path, level)?.scene.gaussians, SYNTHETIC_SEED);
+    let config = config(&first, background, 0);
     let name = format!("{} from a disturbed {}", photos.display(), path.display());
     let data = TrainingData { views: data.train.into(), extent: data.extent, is_static: true };
     Ok(Case { name, data, first, config, _folder: None })

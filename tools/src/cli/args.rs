@@ -16,8 +16,8 @@ mod train;
 mod view;
 
 pub use bench::{
-    AblationArgs, BenchArgs, BenchMode, FrameArgs, HardCasesArgs, PaperArgs, SceneArgs, SortArgs, SweepArgs,
-    TrainBenchArgs,
+    AblationArgs, BenchArgs, BenchMode, FrameArgs, GpuDayArgs, HardCasesArgs, PaperArgs, SceneArgs, SortArgs,
+    SweepArgs, TrainBenchArgs,
 };
 pub use compare::CompareArgs;
 pub use convert::ConvertArgs;

@@ -39,6 +39,11 @@ pub fn options(global: &Global) -> GpuOptions {
     with_device(global, GpuOptions::default())
 }
 
+/// The same without any test of the device, for all that there is to measure: who calls it tests by itself.
+pub fn open_untested(global: &Global) -> Result<Gpu> {
+    Gpu::open(&with_device(global, GpuOptions { training: true, self_test: SelfTest::Skip, ..measuring() }))
+}
+
 fn open_with(global: &Global, options: GpuOptions) -> Result<Gpu> {
     Gpu::new(&with_device(global, options))
 }

@@ -1,6 +1,7 @@
 //! A progress bar with remaining time, for work on many frames; nothing when quiet or when nobody looks.
 
 use std::io::IsTerminal as _;
+use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
@@ -24,6 +25,12 @@ pub fn training(total: u64, done: u64, quiet: bool) -> ProgressBar {
     let bar = shown(Some(total), quiet, "{bar:30} {pos}/{len}, {per_sec}, {eta} left; {msg}").with_position(done);
     bar.reset_eta();
     bar
+}
+
+/// A bar over the time that a step has, in milliseconds.
+pub fn budget(title: &str, time: Duration, quiet: bool) -> ProgressBar {
+    let bar = shown(Some(time.as_millis() as u64), quiet, "{msg:34} {bar:30} {elapsed} gone, at most {eta} left");
+    bar.with_message(title.to_owned())
 }
 
 fn shown(total: Option<u64>, quiet: bool, template: &str) -> ProgressBar {

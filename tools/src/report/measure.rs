@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use engine::error::Result;
 use engine::gpu::kernel::{Kernel, Workload};
-use engine::gpu::{Commands, Gpu, Memory, Timing};
+use engine::gpu::{Commands, Gpu, Memory, RecordedOperation, RecordedTask, Timing};
 use engine::render::{FrameStatistics, MemoryUse, RenderOptions, Renderer};
 use engine::scene::{Camera, Scene};
 use serde::Serialize;
@@ -84,6 +84,32 @@ pub struct OperationRow {
     pub of_copy_bandwidth: Option<f64>,
 }
 
+/// One operation as it was recorded, with its amounts of work.
+#[derive(Debug, Clone)]
+pub struct Recorded {
+    /// What was recorded.
+    pub operation: RecordedOperation,
+    /// Of the last frame or step, with the numbers in its push constants.
+    pub work: Workload,
+}
+
+/// The operations of a recording; `work` gives a dispatch's amounts of work by label, kernel and push constants.
+pub(crate) fn recorded(
+    commands: Option<&Commands>,
+    all: &Workload,
+    work: &dyn Fn(&str, &Kernel, &[u8]) -> Workload,
+) -> Vec<Recorded> {
+    let operations = commands.map(Commands::recorded).unwrap_or_default();
+    let with_work = |operation: RecordedOperation| {
+        let work = match &operation.task {
+            RecordedTask::Dispatch { kernel, push, .. } => work(&operation.label, kernel, push),
+            _ => all.clone(),
+        };
+        Recorded { operation, work }
+    };
+    operations.into_iter().map(with_work).collect()
+}
+
 /// Everything measured.
 #[derive(Debug, Clone, Serialize)]
 pub struct Measurement {
@@ -113,6 +139,9 @@ pub struct Measurement {
     pub workload: BTreeMap<&'static str, u64>,
     /// Counts of the last frame.
     pub statistics: FrameStatistics,
+    /// What was recorded for a frame, for predictions.
+    #[serde(skip)]
+    pub recorded: Vec<Recorded>,
     /// Device memory, bytes.
     pub memory: MemoryUse,
     /// Model and buffers that grow with the Gaussians, per Gaussian.
@@ -149,7 +178,7 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
     let frame_ms = Quantiles::of(frame_ms);
     let memory = renderer.memory();
     let count = scene.gaussians.len().max(1) as f64;
-    let commands = renderer.commands();
+    let (commands, workload) = (renderer.commands(), renderer.workload(&statistics));
     Ok(Measurement {
         frames: plan.frames,
         frame_ms,
@@ -162,7 +191,8 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
         dispatches: commands.map_or(0, Commands::dispatches),
         barriers: commands.map_or(0, Commands::barriers),
         copy_gb_per_s,
-        workload: renderer.workload(&statistics).0,
+        recorded: recorded(commands, &workload, &|label, kernel, push| of_dispatch(&workload, label, kernel, push)),
+        workload: workload.0,
         statistics,
         memory,
         bytes_per_gaussian: (memory.scene + memory.per_gaussian) as f64 / count,
@@ -240,9 +270,14 @@ fn profile(
     let medians: Vec<f64> = samples.into_iter().map(|s| Quantiles::of(s).median).collect();
     let total: f64 = medians.iter().sum();
     let timed = labels.into_iter().zip(medians).collect();
-    let work = |label: &str, kernel: &Kernel, push: &[u8]| with_push(&with_keys(&workload, label), kernel, push);
+    let work = |label: &str, kernel: &Kernel, push: &[u8]| of_dispatch(&workload, label, kernel, push);
     let rows = operation_rows(timed, renderer.commands(), copy_gb_per_s, &work, &|label, _| label.to_owned());
     Ok((rows, (!totals.is_empty() && total > 0.0).then(|| Quantiles::of(totals))))
+}
+
+/// A dispatch's amounts of work: the frame's, the numbers in its push constants, and how many keys a sort has.
+fn of_dispatch(frame: &Workload, label: &str, kernel: &Kernel, push: &[u8]) -> Workload {
+    with_push(&with_keys(frame, label), kernel, push)
 }
 
 /// Operations of one name, added up.

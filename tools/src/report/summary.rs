@@ -59,8 +59,8 @@ pub(crate) fn text_row(row: &OperationRow) -> String {
     format!("{:24} {:>10.1} {:>5.1} % {bytes:>12} {rate:>9} {share:>8}\n", row.label, row.us, 100.0 * row.share)
 }
 
-/// A page without references to anything outside.
-pub fn html(record: &Value, m: &Measurement) -> String {
+/// A page without references to anything outside, to be finished by the caller.
+pub fn begin_page(record: &Value, m: &Measurement) -> Page {
     let field = |pointer: &str| page::field(record, pointer);
     let mut page = Page::new(&format!("spgs bench: {}", field("/device/name")));
     page.provenance(record);
@@ -97,7 +97,7 @@ pub fn html(record: &Value, m: &Measurement) -> String {
     ]);
     page.heading("Device time of each operation, median, µs");
     operations(&mut page, &m.operations);
-    page.finish()
+    page
 }
 
 /// Bars and table of operations.

@@ -12,7 +12,7 @@ use serde::Serialize;
 use crate::report::measure::PAPER_FRAMES;
 
 /// A view of the path and its time.
-pub(super) type Stop = (Camera, f64);
+pub(crate) type Stop = (Camera, f64);
 
 /// Passes over the path at most.
 const MAX_PASSES: u32 = 50;
@@ -21,7 +21,7 @@ const FRAMES: usize = 1000;
 
 /// Host times of frames, one at a time, milliseconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub(super) struct Percentiles {
+pub(crate) struct Percentiles {
     pub(super) p1: f64,
     pub(super) p5: f64,
     pub(super) p50: f64,
@@ -61,27 +61,27 @@ impl Percentiles {
 
 /// Both protocols.
 #[derive(Debug, Clone, Serialize)]
-pub(super) struct Rates {
+pub(crate) struct Rates {
     /// Paper: one view, t from 0 to 1, frames in flight, no frame is waited for alone.
-    pub(super) paper_fps: f64,
+    pub(crate) paper_fps: f64,
     /// Frames of it: 1000, or fewer where the time is short.
-    pub(super) paper_frames: u32,
+    pub(crate) paper_frames: u32,
     /// The view of it.
-    pub(super) paper_view: String,
+    pub(crate) paper_view: String,
     /// Honest: the whole path, each view at its own time, one frame at a time, submission to completion.
-    pub(super) path: Percentiles,
+    pub(crate) path: Percentiles,
     /// Passes over the path, after one for warm-up.
-    pub(super) passes: u32,
+    pub(crate) passes: u32,
     /// Frames per second over the path, from the mean.
-    pub(super) path_fps: f64,
+    pub(crate) path_fps: f64,
     /// Frames per second of the slowest 1 %.
-    pub(super) low_1_percent_fps: f64,
+    pub(crate) low_1_percent_fps: f64,
     /// Frames per second over the path with frames in flight; absent where views differ in size.
-    pub(super) path_fps_in_flight: Option<f64>,
+    pub(crate) path_fps_in_flight: Option<f64>,
     /// Frames in flight.
-    pub(super) frames_in_flight: usize,
+    pub(crate) frames_in_flight: usize,
     /// Frames before anything was measured.
-    pub(super) warmup_frames: u32,
+    pub(crate) warmup_frames: u32,
 }
 
 /// How many frames of `ms` fit into `time`; at least 3.

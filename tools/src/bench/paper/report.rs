@@ -14,9 +14,9 @@ use crate::report::page::{Align, Axis, Chart, Mark, Page, Series, Standing, Tabl
 use crate::report::paper;
 
 /// Everything that was found.
-pub(super) struct Found {
-    pub(super) rates: Rates,
-    pub(super) measured: Measurement,
+pub(crate) struct Found {
+    pub(crate) rates: Rates,
+    pub(crate) measured: Measurement,
     pub(super) roofline: Roofline,
     pub(super) curves: Vec<Curve>,
     pub(super) benchmark: Benchmark,
@@ -102,15 +102,17 @@ fn curve_table(curve: &Curve) -> Table {
     table
 }
 
+/// What was reduced for the time, if anything was.
+pub(crate) fn reduction(found: &Found) -> Option<String> {
+    let frames = found.rates.paper_frames;
+    (frames < PAPER_FRAMES).then(|| {
+        format!("{frames} of the {PAPER_FRAMES} frames of the paper's protocol, to stay within the time (--budget)")
+    })
+}
+
 /// What was reduced and what to beware of.
 fn notes(found: &Found) -> Vec<String> {
-    let mut notes = Vec::new();
-    if found.rates.paper_frames < PAPER_FRAMES {
-        notes.push(format!(
-            "reduced: {} of the {PAPER_FRAMES} frames of the paper's protocol, to stay within the time (--budget)",
-            found.rates.paper_frames
-        ));
-    }
+    let mut notes: Vec<String> = reduction(found).iter().map(|what| format!("reduced: {what}")).collect();
     notes.push(format!(
         "warm-up {} frames, then {} passes over the path ({} frames)",
         found.rates.warmup_frames, found.rates.passes, found.rates.path.frames
@@ -196,6 +198,12 @@ pub(super) fn html(record: &Value, found: &Found) -> Result<String> {
         ),
     ]);
     notes(found).iter().for_each(|n| page.note(n));
+    section(&mut page, found)?;
+    Ok(page.finish())
+}
+
+/// Tables and charts.
+pub(crate) fn section(page: &mut Page, found: &Found) -> Result<()> {
     page.heading("Frames per second");
     page.table(&speed_table(found)?);
     page.subheading("Frame times over the path, ms");
@@ -213,7 +221,7 @@ pub(super) fn html(record: &Value, found: &Found) -> Result<String> {
         page.chart(&curve_chart(curve))?;
         page.table(&curve_table(curve));
     }
-    Ok(page.finish())
+    Ok(())
 }
 
 /// Measured points, and the steepest line that the theory allows through the last one.

@@ -22,7 +22,7 @@ const BLEND_FLOPS: f64 = 20.0;
 
 /// One operation against its bound.
 #[derive(Debug, Clone, Serialize)]
-pub(super) struct RooflineRow {
+pub(crate) struct RooflineRow {
     /// Label of the operation.
     pub(super) label: String,
     /// Measured, microseconds.
@@ -46,7 +46,7 @@ impl RooflineRow {
 
 /// The frame against its bound.
 #[derive(Debug, Clone, Serialize)]
-pub(super) struct Roofline {
+pub(crate) struct Roofline {
     /// Measured rate of copies, bytes read plus bytes written, GB/s.
     pub(super) copy_gb_per_s: f64,
     /// Measured rate of f32 multiply-adds, GFLOP/s.

@@ -33,7 +33,7 @@ const SLACK: f64 = 0.15;
 
 /// One measured size.
 #[derive(Debug, Clone, Copy, Serialize)]
-pub(super) struct Point {
+pub(crate) struct Point {
     /// Gaussians, superpoints or pixels.
     pub(super) x: f64,
     /// Host time of a frame, one at a time, median, milliseconds.
@@ -48,7 +48,7 @@ pub(super) struct Point {
 
 /// A curve.
 #[derive(Debug, Clone, Serialize)]
-pub(super) struct Curve {
+pub(crate) struct Curve {
     /// What is varied.
     pub(super) name: &'static str,
     /// What is not, in words.

@@ -6,22 +6,24 @@ use std::time::Instant;
 use engine::error::Result;
 use engine::gpu::Gpu;
 use engine::gpu::kernel::{Kernel, Workload};
-use engine::scene::Gaussians;
+use engine::render::RenderOptions;
+use engine::scene::{Gaussians, Scene};
 use engine::train::config::Config;
 use engine::train::trainer::{StepReport, Trainer, TrainingData};
 use engine::train::usage::TrainingMemory;
 use serde::Serialize;
 
-use crate::report::measure::{OperationRow, Quantiles, operation_rows, with_push};
+use crate::bench::prediction::{Kind, Predicted, predict, subtiles};
+use crate::report::measure::{OperationRow, Quantiles, operation_rows, recorded, with_push};
 use crate::report::processor::processor_seconds;
 
 /// How much to measure.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Plan {
+pub(crate) struct Plan {
     /// Measured steps.
-    pub(super) steps: u32,
+    pub(crate) steps: u32,
     /// Steps before.
-    pub(super) warmup: u32,
+    pub(crate) warmup: u32,
 }
 
 /// Everything measured of one training set.
@@ -30,15 +32,15 @@ pub(crate) struct TrainMeasurement {
     /// Measured steps.
     pub(super) steps: u32,
     /// Host time of a step, milliseconds.
-    pub(super) step_ms: Quantiles,
+    pub(crate) step_ms: Quantiles,
     /// Processor time (user and system, all threads) of a step, milliseconds, mean; absent where the system does not tell.
     pub(super) cpu_ms: Option<f64>,
     /// Device time of a step (sum over its operations), milliseconds; absent without timestamps.
-    pub(super) device_ms: Option<Quantiles>,
+    pub(crate) device_ms: Option<Quantiles>,
     /// Steps per second (from the median).
-    pub(super) steps_per_second: f64,
+    pub(crate) steps_per_second: f64,
     /// One row per kernel or transfer, in order of first use; times of its dispatches added up.
-    pub(super) kernels: Vec<OperationRow>,
+    pub(crate) kernels: Vec<OperationRow>,
     /// Dispatches of a step.
     pub(super) dispatches: usize,
     /// Barriers of a step.
@@ -47,6 +49,8 @@ pub(crate) struct TrainMeasurement {
     pub(super) copy_gb_per_s: f64,
     /// Amounts of work of the last step.
     pub(super) workload: BTreeMap<&'static str, u64>,
+    /// Times on named GPUs, by the model.
+    pub(crate) predicted: Option<Predicted>,
     /// Device memory, bytes.
     pub(super) memory: TrainingMemory,
     /// Moments and gradients in units of the parameters; at most 4 by design.
@@ -84,7 +88,8 @@ pub(super) fn measure(
     let cpu_ms = busy.and_then(per_step);
     let step_ms = Quantiles::of(step_ms);
     let memory = trainer.memory();
-    let commands = trainer.commands();
+    let (commands, work) = (trainer.commands(), trainer.workload(&last_step));
+    let predicted = predicted(&trainer, &last_step, first, data);
     Ok(TrainMeasurement {
         steps: plan.steps,
         step_ms,
@@ -95,12 +100,31 @@ pub(super) fn measure(
         dispatches: commands.map_or(0, engine::gpu::Commands::dispatches),
         barriers: commands.map_or(0, engine::gpu::Commands::barriers),
         copy_gb_per_s,
-        workload: trainer.workload(&last_step).0,
+        predicted,
+        workload: work.0,
         memory,
         state_ratio: memory.state_ratio(),
         first_step,
         last_step,
     })
+}
+
+/// The prediction of a trainer's last step. How far splats reach is counted for the first photo's view of `gaussians`, not moved;
+/// every subtile counts where the reference rejects what the trainer only leaves out.
+pub(crate) fn predicted(
+    trainer: &Trainer,
+    step: &StepReport,
+    gaussians: &Gaussians,
+    data: &TrainingData,
+) -> Option<Predicted> {
+    let work = trainer.workload(step);
+    let of_dispatch = |label: &str, kernel: &Kernel, push: &[u8]| of_dispatch(&work, label, kernel, push);
+    let recorded = recorded(trainer.commands(), &work, &of_dispatch);
+    let view = data.views.first()?;
+    let still = Scene { gaussians: gaussians.clone(), ..Scene::default() };
+    let share = subtiles::share(&still, &view.camera, view.time, &RenderOptions::default());
+    let share = share.inspect_err(|e| log::warn!("prediction without subtiles: {e}")).unwrap_or(1.0);
+    predict(Kind::Step, &recorded, share)
 }
 
 /// The first step and those of the warm-up, in which buffers grow and photos are decoded; returns the first.

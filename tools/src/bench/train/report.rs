@@ -5,11 +5,12 @@ use std::fmt::Write as _;
 use serde_json::Value;
 
 use super::measure::TrainMeasurement;
+use crate::bench::prediction;
 use crate::report::page::{self, Align, Page, Table};
 use crate::report::summary::{MIB, operations, text_row};
 
 /// What `bench train` prints of a training set; with `rows` also its kernels.
-pub(super) fn text(record: &Value, m: &TrainMeasurement, rows: bool) -> String {
+pub(super) fn text(record: &Value, m: &TrainMeasurement, rows: bool, inputs: bool) -> String {
     let mut t = format!("scene   {}\n", title(record));
     for (name, value) in facts(m) {
         let _ = writeln!(t, "{name:7} {value}");
@@ -20,6 +21,9 @@ pub(super) fn text(record: &Value, m: &TrainMeasurement, rows: bool) -> String {
         let _ =
             writeln!(t, "{:24} {:>10} {:>7} {:>12} {:>9} {:>8}", "kernel", "us", "share", "bytes", "GB/s", "of copy");
         m.kernels.iter().for_each(|row| t.push_str(&text_row(row)));
+    }
+    if let Some(predicted) = &m.predicted {
+        t.push_str(&prediction::report::text(predicted, inputs));
     }
     t
 }
@@ -71,6 +75,7 @@ fn facts(m: &TrainMeasurement) -> Vec<(&'static str, String)> {
 pub(super) fn html(record: &Value, cases: &[(Value, TrainMeasurement)]) -> String {
     let mut page = Page::new(&format!("spgs bench train: {}", page::field(record, "/device/name")));
     page.provenance(record);
+    let device = page::field(record, "/device/name");
     if cases.len() > 1 {
         page.table(&sweep_table(cases));
     }
@@ -79,6 +84,9 @@ pub(super) fn html(record: &Value, cases: &[(Value, TrainMeasurement)]) -> Strin
         page.facts(&facts(m));
         page.subheading("Device time of each kernel in a step, median, µs");
         operations(&mut page, &m.kernels);
+        if let Some(predicted) = &m.predicted {
+            prediction::report::section(&mut page, predicted, &device, &m.kernels);
+        }
     }
     page.finish()
 }

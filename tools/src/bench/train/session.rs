@@ -13,7 +13,7 @@ use engine::scene::{MotionSource, Scene};
 use engine::train::config::Config;
 use engine::train::evaluate;
 use engine::train::start;
-use engine::train::trainer::{Trainer, TrainingData};
+use engine::train::trainer::{StepReport, Trainer, TrainingData};
 use serde::Serialize;
 
 use crate::report::benchmark::Benchmark;
@@ -32,6 +32,15 @@ pub(crate) struct Session<'a> {
     held_out: ImageLoader,
     /// Which held-out views are evaluated.
     views: Vec<usize>,
+}
+
+/// What ends a run before its last iteration.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Until {
+    /// So many dB on the held-out views.
+    pub(crate) psnr: Option<f64>,
+    /// This time of the clock; what is there then is evaluated.
+    pub(crate) end: Option<Instant>,
 }
 
 /// State of a run at an evaluation.
@@ -62,6 +71,9 @@ pub(crate) struct Timed {
     pub(crate) iterations_per_second: f64,
     /// M; 0 when nothing moves.
     pub(crate) superpoints: u32,
+    /// The last step.
+    #[serde(skip)]
+    pub(crate) last_step: Option<StepReport>,
     /// Training time at which the asked-for PSNR was reached, between two evaluations by interpolation.
     pub(crate) seconds_to_psnr: Option<f64>,
 }
@@ -116,14 +128,14 @@ impl<'a> Session<'a> {
         self.training.views.iter().map(timed).collect()
     }
 
-    /// Trains to the end of `config`, or until `until` dB are reached on the held-out views; evaluates `evaluations` times.
+    /// Trains to the end of `config` or until `until`; evaluates `evaluations` times, and at the end.
     ///
     /// # Errors
     /// Those of training.
     pub(crate) fn run(
         &self,
         config: &Config,
-        until: Option<f64>,
+        until: Until,
         evaluations: u64,
         tick: &dyn Fn(),
     ) -> Result<(Timed, Trainer)> {
@@ -132,32 +144,34 @@ impl<'a> Session<'a> {
         let every = config.iterations.div_ceil(evaluations.clamp(1, EVALUATIONS)).max(1);
         let (mut seconds, mut step_ms) = (0.0, Vec::new());
         let mut milestones: Vec<Milestone> = Vec::new();
-        let mut superpoints = 0;
+        let (mut superpoints, mut last_step) = (0, None);
         while !trainer.is_done() {
             let start = Instant::now();
             let step = trainer.step()?;
             let taken = start.elapsed().as_secs_f64();
             seconds += taken;
             step_ms.push(1e3 * taken);
-            superpoints = step.superpoints;
+            (superpoints, last_step) = (step.superpoints, Some(step));
             tick();
-            if step.iteration.is_multiple_of(every) || trainer.is_done() {
+            let is_late = until.end.is_some_and(|end| Instant::now() >= end);
+            if step.iteration.is_multiple_of(every) || trainer.is_done() || is_late {
                 let [psnr, ssim] = self.score(&trainer.scene()?, config, MotionSource::Auto)?;
                 let (iteration, gaussians) = (step.iteration, trainer.gaussians());
                 milestones.push(Milestone { iteration, seconds, psnr, ssim, gaussians });
-                if until.is_some_and(|wanted| psnr >= wanted) {
+                if is_late || until.psnr.is_some_and(|wanted| psnr >= wanted) {
                     break;
                 }
             }
         }
         let steps = step_ms.len() as f64;
         let timed = Timed {
-            seconds_to_psnr: until.and_then(|wanted| reached(&milestones, wanted)),
+            seconds_to_psnr: until.psnr.and_then(|wanted| reached(&milestones, wanted)),
             milestones,
             step_ms: Quantiles::of(step_ms),
             seconds,
             iterations_per_second: steps / seconds.max(1e-9),
             superpoints,
+            last_step,
         };
         Ok((timed, trainer))
     }
@@ -171,6 +185,11 @@ impl<'a> Session<'a> {
             RenderOptions { background: config.background, near: config.near, motion, ..RenderOptions::default() };
         let scores = evaluate::evaluate(self.gpu, scene, &self.held_out, &self.views, &options, |_, _, _| Ok(()))?;
         Ok(evaluate::mean(&scores))
+    }
+
+    /// What is trained on.
+    pub(crate) fn training(&self) -> &TrainingData {
+        &self.training
     }
 
     /// The device.

@@ -3,7 +3,7 @@
 use engine::error::{Error, Result};
 use serde_json::{Value, json};
 
-use super::session::{Milestone, Session, Timed};
+use super::session::{Milestone, Session, Timed, Until};
 use crate::cli::args::{Global, TrainBenchArgs};
 use crate::cli::{gpu_session, output, progress};
 use crate::report::page::{Align, Axis, Chart, Mark, Page, Series, Table, field};
@@ -23,7 +23,7 @@ pub(super) fn run(args: &TrainBenchArgs, global: &Global, wanted: f64) -> Result
     let session = Session::new(&gpu, path, args.downscale)?;
     let config = session.config(args.iterations.unwrap_or(ITERATIONS));
     let bar = progress::training(config.iterations, 0, global.quiet);
-    let (timed, _) = session.run(&config, Some(wanted), EVALUATIONS, &|| bar.inc(1))?;
+    let (timed, _) = session.run(&config, Until { psnr: Some(wanted), end: None }, EVALUATIONS, &|| bar.inc(1))?;
     bar.finish_and_clear();
     gpu_session::report_validation(&gpu);
     let numbers = json!({
@@ -59,7 +59,8 @@ fn verdict(timed: &Timed, wanted: f64) -> String {
     }
 }
 
-fn table(timed: &Timed) -> Table {
+/// One row per evaluation.
+pub(crate) fn table(timed: &Timed) -> Table {
     let columns = ["iteration", "seconds", "PSNR, dB", "SSIM", "Gaussians"].map(|n| (n, Align::Right));
     let mut table = Table::new(&columns);
     for m in &timed.milestones {

@@ -44,6 +44,11 @@ pub enum BenchMode {
     Paper(PaperArgs),
     /// Measure the radix sort by itself, beside the rate of copies
     Sort(SortArgs),
+    /// Test and measure everything on a GPU in at most eight minutes, beside what was predicted
+    ///
+    /// Kernels against their CPU twins, frames and steps of 120k moving Gaussians and of bench_s50k, sorts, a training run on
+    /// dnerf_lego, the paper's protocol. Each has a part of the time; what fails or has no data does not stop the others.
+    GpuDay(GpuDayArgs),
     /// Run the paper's ablations on a data set, beside the paper's rows
     ///
     /// One training run per setting.
@@ -118,6 +123,9 @@ pub struct FrameArgs {
     /// Also measure the error of this view against the f64 reference
     #[arg(long)]
     pub check: bool,
+    /// Print what the predicted times follow from (JSON and report always have it)
+    #[arg(long)]
+    pub predict: bool,
     /// Where the results go
     #[command(flatten)]
     pub results: ResultArgs,
@@ -144,6 +152,9 @@ pub struct TrainBenchArgs {
     /// Steps before measuring [default: 3; --sweep 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
     pub warmup: Option<u32>,
+    /// Print what the predicted times follow from (JSON and report always have it)
+    #[arg(long, conflicts_with = "until_psnr")]
+    pub predict: bool,
     /// Synthetic scenes of 10k, 100k and 300k Gaussians at 200x200, 400x400 and 800x800 pixels
     #[arg(long)]
     pub sweep: bool,
@@ -234,6 +245,23 @@ pub struct SortArgs {
     /// Where the results go
     #[command(flatten)]
     pub results: ResultArgs,
+}
+
+/// `spgs bench gpu-day`.
+#[derive(Debug, Args)]
+pub struct GpuDayArgs {
+    /// Folder for index.html, gpu_day.json and a JSON file of each step; existing ones are replaced
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Folder that holds `bench_s50k` and `dnerf_lego`; steps whose data is not there are skipped
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+    /// Run only these steps: self_test, synthetic_frame, synthetic_train, bench_s50k_frame, … [default: all]
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
+    pub only: Vec<String>,
+    /// Seconds for all steps together; it says what it leaves out for them
+    #[arg(long, value_name = "S", default_value_t = 440.0, value_parser = super::options::eight_minutes)]
+    pub budget: f64,
 }
 
 /// `spgs bench ablation`.

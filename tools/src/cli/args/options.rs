@@ -173,6 +173,12 @@ pub(super) fn color(text: &str) -> std::result::Result<[f32; 3], String> {
     }
 }
 
+/// Parses seconds up to eight minutes.
+pub(super) fn eight_minutes(text: &str) -> std::result::Result<f64, String> {
+    let fits = |v: &f64| (1.0..=480.0).contains(v);
+    text.parse().ok().filter(fits).ok_or_else(|| "expected seconds, 1 to 480".into())
+}
+
 /// Parses a length of time, seconds.
 pub(super) fn seconds(text: &str) -> std::result::Result<f64, String> {
     let fits = |v: &f64| (0.0..=1.0e6).contains(v);

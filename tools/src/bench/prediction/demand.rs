@@ -1,0 +1,260 @@
+//! What an operation asks of a GPU: workgroups, bytes, instructions, atomics, round trips. Recorded on whatever device ran it,
+//! and carried over to the one that is predicted.
+
+use engine::gpu::RecordedTask;
+use serde::Serialize;
+
+use super::instructions::{Table, has_loop};
+use super::loops::{self, Body, Known, SUBTILES};
+use crate::report::measure::Recorded;
+
+/// Round trips to memory of every kernel: one for counts or indices, one for the data that they lead to. Assumption.
+const ROUND_TRIPS: f64 = 2.0;
+/// Keys of a partition of a sort, and elements of a block of a scan: what indirect dispatches are sized by.
+const PARTITION: u64 = 4096;
+const SCAN_BLOCK: u64 = 256;
+/// Threads of the workgroups that blend, and that sum over superpoints.
+const BLEND_THREADS: f64 = 128.0;
+const SUM_THREADS: u64 = 256;
+/// Rows and columns of a tile of a matrix product.
+const PRODUCT_TILE: u64 = 32;
+/// Bytes of a Gaussian's sums of gradients.
+const GRADIENT_ROW_BYTES: u64 = 48;
+
+/// What an operation asks of a GPU.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct Demand {
+    /// Its label in timings.
+    pub(super) label: String,
+    /// Whether it waits for what is before it.
+    pub(super) barrier: bool,
+    /// Bytes read and written that an ideal implementation moves.
+    pub(super) bytes: f64,
+    /// Of a transfer, whether they go to or come from the host.
+    pub(super) over_bus: bool,
+    /// Bytes that the host has written for it beforehand, each time.
+    pub(super) by_host: f64,
+    /// Of a dispatch.
+    pub(super) dispatch: Option<DispatchDemand>,
+}
+
+/// What a dispatch asks of a GPU.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct DispatchDemand {
+    /// Workgroups there, and subgroups in all of them.
+    pub(super) workgroups: f64,
+    pub(super) subgroups: f64,
+    /// Invocations of a subgroup.
+    pub(super) lanes: f64,
+    /// The pipeline of `spgs-dev isa` whose instructions were taken, and how many it has.
+    pub(super) compiled: String,
+    pub(super) instructions: f64,
+    /// Subgroups in flight on a scheduler, by its registers and shared memory.
+    pub(super) resident: f64,
+    /// Instructions of all subgroups, in units of 32 lanes, with the rounds of loops.
+    pub(super) issued: f64,
+    /// Instructions of the subgroup that has most.
+    pub(super) longest: f64,
+    /// Round trips to memory, one after the other, of the subgroup that has most.
+    pub(super) round_trips: f64,
+    /// 32-bit atomics.
+    pub(super) atomics: f64,
+    /// It has a loop whose rounds nobody counted: the instructions are a lower bound.
+    pub(super) uncounted_loop: bool,
+}
+
+/// The demand of each operation of a recording.
+pub(super) fn of_recording(recorded: &[Recorded], table: Table, subtile_share: f64) -> Vec<Demand> {
+    let native = recorded.iter().any(is_by_instance);
+    let carried = recorded.iter().filter(|r| !(native && sums_instances(r)));
+    carried.filter_map(|r| demand(r, table, subtile_share)).collect()
+}
+
+/// Gradients by instance, which a CPU and `--deterministic` have; the GPUs predicted here add them with float atomics.
+fn is_by_instance(r: &Recorded) -> bool {
+    matches!(&r.operation.task, RecordedTask::Dispatch { kernel, .. } if kernel.name == "blend_backward")
+}
+
+/// The kernel that such gradients need besides.
+fn sums_instances(r: &Recorded) -> bool {
+    matches!(&r.operation.task, RecordedTask::Dispatch { kernel, .. } if kernel.name == "sum_instance_gradients")
+}
+
+fn demand(r: &Recorded, table: Table, subtile_share: f64) -> Option<Demand> {
+    let plain = |bytes: u64, over_bus| Demand {
+        label: r.operation.label.clone(),
+        barrier: r.operation.barrier,
+        bytes: bytes as f64,
+        over_bus,
+        by_host: 0.0,
+        dispatch: None,
+    };
+    match &r.operation.task {
+        // Waiting for the host is counted once, in the constant for submission.
+        RecordedTask::HostRead => None,
+        RecordedTask::Transfer { .. } if r.operation.label == "fill instance_gradient" => {
+            Some(plain(GRADIENT_ROW_BYTES * r.work.get("gaussians"), false))
+        }
+        RecordedTask::Transfer { written, from_host: true, .. } => {
+            Some(Demand { by_host: *written as f64, ..plain(*written, true) })
+        }
+        RecordedTask::Transfer { read, written, to_host, .. } => {
+            Some(plain(if *to_host { *written } else { read + written }, *to_host))
+        }
+        RecordedTask::Dispatch { kernel, constants, groups, .. } => {
+            let name = if is_by_instance(r) { "blend_backward_native" } else { kernel.name };
+            let mut demand = plain((kernel.bytes)(&r.work), false);
+            demand.label = demand.label.replace("blend_backward", name).replace("native_native", "native");
+            let lanes = table.subgroup_size(name);
+            let workgroups = workgroups(r, name, *groups, lanes) as f64;
+            let uncounted = loops::of_kernel(name).next().is_none() && has_loop(kernel.spirv);
+            demand.dispatch = dispatch(r, (name, constants), table, (workgroups, kernel.local_size), subtile_share)
+                .map(|d| DispatchDemand { uncounted_loop: uncounted, ..d });
+            Some(demand)
+        }
+    }
+}
+
+/// Instructions, round trips and atomics; `None` for a kernel that no table has.
+fn dispatch(
+    r: &Recorded,
+    (name, constants): (&str, &[u32]),
+    table: Table,
+    (workgroups, local_size): (f64, u32),
+    subtile_share: f64,
+) -> Option<DispatchDemand> {
+    let lanes = f64::from(table.subgroup_size(name));
+    let subgroups = workgroups * (f64::from(local_size) / lanes).ceil();
+    let compiled = table.compiled(name, constants)?;
+    let known = Known { work: &r.work, subgroups, lanes, subtile_share };
+    let (mut total, mut longest, mut round_trips) =
+        (subgroups * compiled.instructions, compiled.instructions, ROUND_TRIPS);
+    for l in loops::of_kernel(name) {
+        let body = match l.body {
+            Body::Of(instructions) => instructions,
+            Body::Share(share) => share * compiled.instructions,
+        };
+        let trips = (l.trips)(&known);
+        // The first round is in the program's own count.
+        total += body * (trips.total - subgroups).max(0.0);
+        longest += body * (trips.longest - 1.0).max(0.0);
+        round_trips += l.loads * trips.longest;
+    }
+    Some(DispatchDemand {
+        workgroups,
+        subgroups,
+        lanes,
+        compiled: compiled.name.clone(),
+        instructions: compiled.instructions,
+        resident: compiled.resident.max(1.0),
+        issued: total * lanes / 32.0,
+        longest: longest * lanes / 32.0,
+        round_trips,
+        atomics: loops::atomics(name, constants, &known),
+        uncounted_loop: false,
+    })
+}
+
+/// Workgroups on the predicted device: those of indirect dispatches follow from the counts, and some grids from the
+/// subgroup size.
+fn workgroups(r: &Recorded, name: &str, recorded: Option<u64>, lanes: u32) -> u64 {
+    let of = |what: &str| r.work.get(what);
+    let tiles = |rows: u64, columns: u64| rows.div_ceil(PRODUCT_TILE) * columns.div_ceil(PRODUCT_TILE);
+    match name {
+        "sort_scatter" => of("keys").div_ceil(PARTITION).max(1),
+        "sum_tile_counts" | "emit_tiles" => of("visible").div_ceil(SCAN_BLOCK).max(1),
+        "tile_ranges" => of("instances").div_ceil(SCAN_BLOCK).max(1),
+        _ if name.starts_with("blend") => {
+            (of("tiles") as f64 * SUBTILES * f64::from(lanes) / BLEND_THREADS).ceil() as u64
+        }
+        "linear_forward" => tiles(of("rows"), of("outputs")),
+        "linear_backward_input" => tiles(of("rows"), of("inputs")),
+        "linear_backward_weight" => {
+            tiles(of("outputs"), of("inputs")) * of("rows").div_ceil(of("rows_per_slice").max(1))
+        }
+        "superpoint_sum" if recorded.is_some_and(|groups| groups < of("superpoints")) => {
+            of("superpoints").div_ceil(SUM_THREADS / u64::from(lanes))
+        }
+        _ => recorded.unwrap_or(1),
+    }
+}
+
+impl Demand {
+    /// Whether it is a dispatch of this kernel.
+    pub(super) fn is_of(&self, kernel: &str) -> bool {
+        let compiled = self.dispatch.as_ref().map(|d| d.compiled.as_str());
+        compiled.and_then(|c| c.split_once('[')).is_some_and(|(name, _)| name == kernel)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+    use engine::gpu::RecordedOperation;
+    use engine::gpu::kernel::Workload;
+
+    use super::*;
+
+    fn work() -> Workload {
+        let all = [("instances", 5000), ("visible", 1000), ("tiles", 100), ("gaussians", 2000), ("keys", 9000)];
+        Workload(all.into())
+    }
+
+    fn dispatch(name: &str, groups: Option<u64>) -> Recorded {
+        let kernel = engine::kernels().find(|k| k.name == name).unwrap();
+        let task =
+            RecordedTask::Dispatch { kernel, constants: vec![0; kernel.spec.len() - 1], push: Vec::new(), groups };
+        Recorded { operation: RecordedOperation { label: name.into(), barrier: true, task }, work: work() }
+    }
+
+    fn transfer(label: &str, from_host: bool) -> Recorded {
+        let task = RecordedTask::Transfer { read: 70, written: 70, from_host, to_host: false };
+        Recorded { operation: RecordedOperation { label: label.into(), barrier: false, task }, work: work() }
+    }
+
+    fn of(recorded: &[Recorded]) -> Vec<Demand> {
+        of_recording(recorded, Table::Nvidia, 0.5)
+    }
+
+    #[test]
+    fn gradients_by_instance_become_those_of_float_atomics() {
+        let step = [
+            transfer("fill instance_gradient", false),
+            dispatch("blend_backward", Some(7)),
+            dispatch("sum_instance_gradients", Some(7)),
+        ];
+        let demands = of(&step);
+        let labels: Vec<&str> = demands.iter().map(|d| d.label.as_str()).collect();
+        assert_eq!(labels, ["fill instance_gradient", "blend_backward_native"]);
+        assert_eq!(demands[0].bytes, 48.0 * 2000.0);
+        assert!(demands[1].is_of("blend_backward_native") && demands[1].dispatch.as_ref().unwrap().atomics > 0.0);
+        // A recording with float atomics stays as it is.
+        let native = [dispatch("blend_backward_native", Some(7)), dispatch("sum_instance_gradients", Some(7))];
+        let demands = of(&native);
+        assert_eq!((demands.len(), demands[0].label.as_str()), (2, "blend_backward_native"));
+    }
+
+    #[test]
+    fn grids_are_those_of_the_predicted_device() {
+        let groups = |name, recorded| of(&[dispatch(name, recorded)])[0].dispatch.as_ref().unwrap().workgroups;
+        // Four subgroups of 32 lanes in a workgroup: a tile each.
+        assert_eq!(groups("blend", Some(25)), 100.0);
+        assert_eq!(groups("sort_scatter", None), 3.0);
+        assert_eq!(groups("emit_tiles", None), 4.0);
+        assert_eq!(groups("tile_ranges", None), 20.0);
+        assert_eq!(groups("compact", Some(8)), 8.0);
+    }
+
+    #[test]
+    fn what_the_host_writes_goes_over_the_bus_once() {
+        let [from_host, here] = [true, false].map(|from_host| of(&[transfer("copy", from_host)]).remove(0));
+        assert_eq!((from_host.bytes, from_host.by_host, from_host.over_bus), (70.0, 70.0, true));
+        assert_eq!((here.bytes, here.by_host, here.over_bus), (140.0, 0.0, false));
+    }
+
+    #[test]
+    fn loops_that_nobody_counted_are_told() {
+        let uncounted = |name| of(&[dispatch(name, Some(1))])[0].dispatch.as_ref().unwrap().uncounted_loop;
+        assert!(uncounted("compact") && !uncounted("blend") && !uncounted("tile_ranges"));
+    }
+}

@@ -1,0 +1,288 @@
+//! What the compilers' tables do not say: how often loops run, and the atomics. A table counts a loop's body once.
+//!
+//! Trips follow from the frame's counted work (instances, visible Gaussians, keys …). Instructions per trip and the spread
+//! between lanes are assumptions, read off the GLSL; they are printed with every prediction.
+
+use engine::gpu::kernel::Workload;
+
+/// How much longer the longest list of a tile is than the mean one: assumption.
+const LONGEST_TILE: f64 = 3.0;
+/// How much more work the busiest lane of a subgroup has than the mean one: assumption.
+const BUSIEST_LANE: f64 = 3.0;
+/// Subtiles of 8×8 pixels, one per subgroup of 32 lanes with two pixels each, in a tile.
+pub(super) const SUBTILES: f64 = 4.0;
+/// Keys of a partition of the radix sort.
+const PARTITION: f64 = 4096.0;
+/// The push constant `totals_row` of a sort without `sort_spine`.
+const NOT_PRESCANNED: u64 = u32::MAX as u64;
+/// Most tiles of a splat that one thread emits.
+const SERIAL_TILES: f64 = 16.0;
+/// Depth of one round of a matrix product.
+const PRODUCT_DEPTH: f64 = 64.0;
+
+/// What is known of a dispatch.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Known<'a> {
+    /// Amounts of work, with the numbers of its push constants.
+    pub(super) work: &'a Workload,
+    /// Subgroups of the dispatch.
+    pub(super) subgroups: f64,
+    /// Lanes of a subgroup.
+    pub(super) lanes: f64,
+    /// Of the four subtiles of a tile that a splat's ellipse reaches, the share that it reaches.
+    pub(super) subtile_share: f64,
+}
+
+impl Known<'_> {
+    fn of(&self, name: &str) -> f64 {
+        self.work.get(name) as f64
+    }
+
+    /// Whether `sort_spine` has added up the partitions of a sort beforehand.
+    fn is_prescanned(&self) -> bool {
+        self.work.0.get("totals_row").is_some_and(|row| *row != NOT_PRESCANNED)
+    }
+
+    /// Tiles of a splat.
+    fn tiles_per_splat(&self) -> f64 {
+        self.of("instances") / self.of("visible").max(1.0)
+    }
+
+    /// Splats of a tile.
+    fn splats_per_tile(&self) -> f64 {
+        self.of("instances") / self.of("tiles").max(1.0)
+    }
+}
+
+/// Rounds of a loop: of all subgroups together, and of the one that has most.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Trips {
+    pub(super) total: f64,
+    pub(super) longest: f64,
+}
+
+fn each(subgroups: f64, trips: f64) -> Trips {
+    Trips { total: subgroups * trips, longest: trips }
+}
+
+/// Instructions of one round.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Body {
+    /// So many.
+    Of(f64),
+    /// This share of the whole program.
+    Share(f64),
+}
+
+/// A loop.
+pub(super) struct Loop {
+    kernels: &'static [&'static str],
+    /// A round, in words.
+    pub(super) round: &'static str,
+    pub(super) body: Body,
+    /// Round trips to memory that one round waits for.
+    pub(super) loads: f64,
+    pub(super) trips: fn(&Known<'_>) -> Trips,
+}
+
+impl Loop {
+    /// The kernels that have it.
+    pub(super) fn kernels(&self) -> &'static [&'static str] {
+        self.kernels
+    }
+}
+
+impl Body {
+    /// For people.
+    pub(super) fn describe(self) -> String {
+        match self {
+            Self::Of(instructions) => format!("{instructions} instructions"),
+            Self::Share(share) => format!("{share} of the program's instructions"),
+        }
+    }
+}
+
+const BLEND: &[&str] = &["blend", "blend_packed", "blend_rgba8", "blend_rgba16f", "blend_rgba32f"];
+const BLEND_BACKWARD: &[&str] = &["blend_backward", "blend_backward_native"];
+
+fn batches(k: &Known<'_>) -> Trips {
+    let total = SUBTILES * (k.of("instances") / k.lanes + 0.5 * k.of("tiles"));
+    Trips { total, longest: (LONGEST_TILE * k.splats_per_tile() / k.lanes).ceil() }
+}
+
+fn hits(k: &Known<'_>) -> Trips {
+    let total = SUBTILES * k.of("instances") * k.subtile_share;
+    Trips { total, longest: LONGEST_TILE * k.splats_per_tile() * k.subtile_share }
+}
+
+fn pairs(k: &Known<'_>) -> Trips {
+    let pairs = k.of("gaussians") * k.of("neighbors").max(1.0);
+    let longest = LONGEST_TILE * pairs / k.of("superpoints").max(1.0) / 256.0;
+    Trips { total: pairs / k.lanes, longest }
+}
+
+/// The loops that take time in frames and training steps.
+pub(super) const LOOPS: &[Loop] = &[
+    Loop {
+        kernels: BLEND,
+        round: "a batch of splats tested against a subtile",
+        body: Body::Of(70.0),
+        loads: 2.0,
+        trips: batches,
+    },
+    Loop {
+        kernels: BLEND,
+        round: "a splat blended into a subtile's pixels, none left out for being hidden",
+        body: Body::Of(44.0),
+        loads: 0.0,
+        trips: hits,
+    },
+    Loop {
+        kernels: BLEND_BACKWARD,
+        round: "a batch of splats tested against a subtile",
+        body: Body::Of(90.0),
+        loads: 3.0,
+        trips: batches,
+    },
+    Loop {
+        kernels: BLEND_BACKWARD,
+        round: "a splat replayed on a subtile's pixels and summed over the subgroup",
+        body: Body::Of(125.0),
+        loads: 0.0,
+        trips: hits,
+    },
+    Loop {
+        kernels: &["deform_project"],
+        round: "a row of tiles counted, as many as the busiest lane has",
+        body: Body::Of(45.0),
+        loads: 0.0,
+        trips: |k| each(k.subgroups, BUSIEST_LANE * k.tiles_per_splat().sqrt()),
+    },
+    Loop {
+        kernels: &["emit_tiles"],
+        round: "a tile instance written, as many as the busiest lane has",
+        body: Body::Of(45.0),
+        loads: 0.0,
+        trips: |k| each(k.subgroups, (BUSIEST_LANE * k.tiles_per_splat()).min(SERIAL_TILES)),
+    },
+    Loop {
+        kernels: &["sort_scatter"],
+        round: "a partition's digit counts added up, four loads at a time",
+        body: Body::Of(7.0),
+        loads: 0.25,
+        trips: |k| each(k.subgroups, if k.is_prescanned() { 0.0 } else { (k.of("keys") / PARTITION).ceil() }),
+    },
+    Loop {
+        kernels: &["sort_histogram"],
+        round: "a key counted",
+        body: Body::Of(12.0),
+        loads: 0.25,
+        trips: |k| each(k.subgroups, PARTITION / 256.0),
+    },
+    Loop {
+        kernels: &["nearest_superpoints"],
+        round: "a superpoint tried; a shuffle takes four issue slots",
+        body: Body::Of(35.0),
+        loads: 1.0 / 32.0,
+        trips: |k| each(k.subgroups, k.of("superpoints")),
+    },
+    Loop {
+        kernels: &["superpoint_sum"],
+        round: "a pair of a Gaussian and a superpoint added",
+        body: Body::Of(60.0),
+        loads: 2.0,
+        trips: pairs,
+    },
+    Loop {
+        kernels: &["sum_instance_gradients"],
+        round: "an instance's row added, as many as the busiest lane has",
+        body: Body::Of(8.0),
+        loads: 1.0,
+        trips: |k| each(k.subgroups, BUSIEST_LANE * k.tiles_per_splat()),
+    },
+    Loop {
+        kernels: &["linear_forward"],
+        round: "64 inputs of a layer",
+        body: Body::Share(0.5),
+        loads: 1.0,
+        trips: |k| each(k.subgroups, (k.of("inputs") / PRODUCT_DEPTH).ceil()),
+    },
+    Loop {
+        kernels: &["linear_backward_input"],
+        round: "64 outputs of a layer",
+        body: Body::Share(0.5),
+        loads: 1.0,
+        trips: |k| each(k.subgroups, (k.of("outputs") / PRODUCT_DEPTH).ceil()),
+    },
+    Loop {
+        kernels: &["linear_backward_weight"],
+        round: "64 rows of a batch",
+        body: Body::Share(0.5),
+        loads: 1.0,
+        trips: |k| each(k.subgroups, (k.of("rows_per_slice") / PRODUCT_DEPTH).ceil()),
+    },
+    Loop {
+        kernels: &["deform_network"],
+        round: "a multiply-add of network F",
+        body: Body::Of(1.5),
+        loads: 0.0,
+        trips: |k| {
+            let total = k.of("network_products") * k.of("superpoints") / k.lanes;
+            Trips { total, longest: total / k.subgroups.max(1.0) }
+        },
+    },
+];
+
+/// The loops of a kernel.
+pub(super) fn of_kernel(kernel: &str) -> impl Iterator<Item = &'static Loop> {
+    LOOPS.iter().filter(move |l| l.kernels.contains(&kernel))
+}
+
+/// 32-bit atomics of a dispatch: of a sort's counts, one per key; of gradients, ten sums per splat and subtile.
+pub(super) fn atomics(kernel: &str, constants: &[u32], k: &Known<'_>) -> f64 {
+    match kernel {
+        // HAS_NEXT
+        "sort_scatter" if constants.get(1) == Some(&0) => 0.0,
+        "sort_scatter" | "sort_histogram" => k.of("keys"),
+        "compact" => k.of("visible"),
+        "emit_tiles" => k.of("instances"),
+        "blend_backward_native" => 10.0 * hits(k).total,
+        _ => 0.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+    use super::*;
+
+    fn work() -> Workload {
+        Workload([("instances", 6400), ("tiles", 100), ("visible", 1600), ("keys", 5000), ("superpoints", 7)].into())
+    }
+
+    #[test]
+    fn loops_are_of_kernels_of_the_engine() {
+        for l in LOOPS {
+            for kernel in l.kernels {
+                assert!(engine::kernels().any(|k| k.name == *kernel), "{kernel}");
+            }
+            let work = work();
+            let known = Known { work: &work, subgroups: 10.0, lanes: 32.0, subtile_share: 0.5 };
+            let trips = (l.trips)(&known);
+            assert!(trips.total >= 0.0 && trips.longest.is_finite(), "{}: {trips:?}", l.round);
+        }
+    }
+
+    #[test]
+    fn trips_follow_the_counted_work() {
+        let work = work();
+        let known = Known { work: &work, subgroups: 10.0, lanes: 32.0, subtile_share: 0.5 };
+        assert_eq!(hits(&known), Trips { total: 4.0 * 6400.0 * 0.5, longest: 96.0 });
+        assert_eq!(batches(&known), Trips { total: 4.0 * 250.0, longest: 6.0 });
+        assert_eq!(atomics("sort_scatter", &[1, 1, 1], &known), 5000.0);
+        assert_eq!(atomics("sort_scatter", &[1, 0, 1], &known), 0.0);
+        assert_eq!(atomics("blend_backward_native", &[], &known), 10.0 * 12800.0);
+        let partitions = of_kernel("sort_scatter").next().unwrap();
+        assert_eq!((partitions.trips)(&known).longest, 2.0);
+    }
+}
