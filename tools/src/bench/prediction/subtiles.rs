@@ -2,7 +2,7 @@
 
 use engine::error::Result;
 use engine::reference::gradient::image::visible_splats;
-use engine::reference::{self, DeformationAt, ReferenceOptions, Splat};
+use engine::reference::{self, Blend64, DeformationAt, ReferenceOptions, Splat};
 use engine::render::RenderOptions;
 use engine::render::ellipse::{Ellipse, pixels_of_interval};
 use engine::scene::{Camera, Scene};
@@ -18,7 +18,8 @@ const SUBTILES_OF_TILE: u64 = 4;
 pub(crate) fn share(scene: &Scene, camera: &Camera, time: f64, options: &RenderOptions) -> Result<f64> {
     let poses = reference::poses(scene, time, options.motion)?;
     let group = scene.deformation.superpoint_of_gaussian();
-    let deformation = DeformationAt { group, poses: poses.as_deref(), offsets: None, time };
+    let blend = Blend64::of(scene);
+    let deformation = DeformationAt { group, blend: blend.as_ref(), poses: poses.as_deref(), offsets: None, time };
     let near = ReferenceOptions { near: options.near.into(), ..ReferenceOptions::default() };
     let splats = visible_splats(&in_f64(scene), &deformation, camera, &near)?;
     let size = [camera.width, camera.height];
