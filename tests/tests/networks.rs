@@ -281,6 +281,7 @@ impl PassG {
             superpoint_of_gaussian: &self.group,
             pose: &self.pose,
             moving: true,
+            blend: None,
         };
         let c = &self.common;
         let from = network_g::Backward {

@@ -2,7 +2,7 @@
 //! the Gaussians left as they are.
 
 use super::blend_backward::{self, BackwardInput, BackwardTarget, ROW_WORDS};
-use super::deform_project_backward::{Output, ProjectBackward};
+use super::deform_project_backward::{Output, ProjectBackward, SLOT_PLANES};
 use super::deformation::ProjectInputs;
 use super::status;
 use super::step::Step;
@@ -47,8 +47,10 @@ pub struct SceneGradients {
     /// `[N,2]` of the projected centre, px; 0 for what is not drawn.
     pub mean2d: Vec<[f32; 2]>,
     /// `[N,6]` by a left tangent of the rotation of each Gaussian's superpoint, and of its translation; empty when nothing
-    /// moves.
+    /// moves, and with soft superpoints.
     pub pose: Vec<[f32; 6]>,
+    /// `[N,K,7]` of soft superpoints: the same of each slot, then dL/dw of its weight, less what is common to all slots.
+    pub blend: Vec<[f32; 7]>,
 }
 
 /// Gradients of L given `image_gradient` = dL/d(r, g, b, A) at each pixel, `[H,W,4]`. Poses come from the scene's table.
@@ -138,7 +140,8 @@ impl Run<'_> {
         let splat_gradient = device("splat_gradient", n * u64::from(ROW_WORDS))?;
         let planes = planes(scene.sh_degree, scene.present);
         let gradient = device("gradient", n * u64::from(planes))?;
-        let pose_gradient = device("pose_gradient", 6 * n)?;
+        let pose_planes = u64::from((SLOT_PLANES * scene.deformation.blend_slots()).max(6));
+        let pose_gradient = device("pose_gradient", pose_planes * n)?;
 
         let mut r = gpu.recorder("scene gradients");
         record_forward(gpu, &mut r, scene, &work, &frame, &shape)?;
@@ -179,7 +182,7 @@ impl Run<'_> {
         }
         let part = |buffer: &Buffer, count: u64| Ok::<_, Error>(floats(words(gpu, &buffer.slice(0, 4 * count))?));
         let gradient = part(&gradient, n * u64::from(planes))?;
-        let pose = if scene.deformation.moves() { part(&pose_gradient, 6 * n)? } else { Vec::new() };
+        let pose = if scene.deformation.moves() { part(&pose_gradient, pose_planes * n)? } else { Vec::new() };
         let splats = part(&work.splats, 12 * n)?;
         let tile_count = words(gpu, &work.tile_count.slice(0, 4 * n))?;
         let rows = part(&splat_gradient, n * u64::from(ROW_WORDS))?;
@@ -213,8 +216,11 @@ fn unpack(planes: &[f32], pose: &[f32], n: usize, scene: &SceneBuffers) -> Resul
             [first_plane(parameter, scene.present), PARAMETERS[parameter].width].map(|plane| plane as usize);
         Ok::<_, Error>((0..n).flat_map(|g| (first..first + width).map(move |p| planes[p * n + g])).collect())
     })?;
-    let pose_rows = if pose.is_empty() { 0 } else { n };
+    let slots = scene.deformation.blend_slots() as usize;
+    let pose_rows = if pose.is_empty() || slots > 0 { 0 } else { n };
+    let slot = |g: usize, k: usize| std::array::from_fn(|p| pose[(k * SLOT_PLANES as usize + p) * n + g]);
+    let blend = (0..n * slots).map(|at| slot(at / slots, at % slots)).collect();
     let Gaussians { mean, log_scale, rotation, opacity_logit, sh, optional, .. } = of_parameters;
     let pose = (0..pose_rows).map(|g| std::array::from_fn(|k| pose[k * n + g])).collect();
-    Ok(SceneGradients { mean, rotation, log_scale, opacity_logit, sh, optional, mean2d: Vec::new(), pose })
+    Ok(SceneGradients { mean, rotation, log_scale, opacity_logit, sh, optional, mean2d: Vec::new(), pose, blend })
 }

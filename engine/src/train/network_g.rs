@@ -47,6 +47,30 @@ pub struct Inputs<'a> {
     pub pose: &'a Slice,
     /// Whether the superpoints move; else the centres are the input.
     pub moving: bool,
+    /// Soft superpoints, in place of `superpoint_of_gaussian`.
+    pub blend: Option<&'a BlendSlices>,
+}
+
+/// Soft superpoints ([`crate::render::superpoint_motion`]).
+#[derive(Debug, Clone)]
+pub struct BlendSlices {
+    /// K.
+    pub slots: u32,
+    /// `uint[ceil(K/2)][N]`.
+    pub index: Slice,
+    /// `float[K-1][N]`.
+    pub weight: Slice,
+}
+
+impl Inputs<'_> {
+    /// `superpoint_of_gaussian` where kernels read it.
+    fn hard_superpoints(&self) -> Option<Slice> {
+        (self.moving && self.blend.is_none()).then(|| self.superpoint_of_gaussian.clone())
+    }
+
+    fn blend_slots(&self) -> u32 {
+        self.blend.map_or(0, |b| b.slots)
+    }
 }
 
 /// What a backward pass reads besides.
@@ -187,18 +211,18 @@ impl NetworkG {
         if gaussians == 0 {
             return Ok(());
         }
-        let Inputs { frame, mean, superpoint_of_gaussian, pose, moving } = from;
+        let Inputs { frame, mean, pose, moving, blend, .. } = from;
         let buffers = NonrigidNetworkBuffers {
             frame: Slice::clone(frame),
             mean: Slice::clone(mean),
-            superpoint_of_gaussian: moving.then(|| Slice::clone(superpoint_of_gaussian)),
+            superpoint_of_gaussian: from.hard_superpoints(),
             pose: moving.then(|| Slice::clone(pose)),
             parameter: self.parameter(),
             nonrigid_offset: nonrigid_offset.clone(),
-            blend_index: None,
-            blend_weight: None,
+            blend_index: blend.map(|b| b.index.clone()),
+            blend_weight: blend.map(|b| b.weight.clone()),
         };
-        let constants = nonrigid_network::constants(&self.gpu, *moving, 0);
+        let constants = nonrigid_network::constants(&self.gpu, *moving, from.blend_slots());
         nonrigid_network::record(r, gaussians, constants, [0.0; 3], buffers)
     }
 

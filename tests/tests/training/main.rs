@@ -13,3 +13,4 @@ mod limits;
 mod nonrigid;
 mod numbers;
 mod quality;
+mod soft;

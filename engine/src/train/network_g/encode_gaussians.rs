@@ -74,13 +74,13 @@ pub(super) fn record(r: &mut Recorder, from: &Inputs<'_>, push: EncodeGaussiansP
     let buffers = EncodeGaussiansBuffers {
         frame: from.frame.clone(),
         mean: from.mean.clone(),
-        superpoint_of_gaussian: from.moving.then(|| from.superpoint_of_gaussian.clone()),
+        superpoint_of_gaussian: from.hard_superpoints(),
         pose: from.moving.then(|| from.pose.clone()),
         encoding,
-        blend_index: None,
-        blend_weight: None,
+        blend_index: from.blend.map(|b| b.index.clone()),
+        blend_weight: from.blend.map(|b| b.weight.clone()),
     };
-    let constants = EncodeGaussiansConstants { motion: from.moving.into(), blend: 0 };
+    let constants = EncodeGaussiansConstants { motion: from.moving.into(), blend: from.blend_slots() };
     let groups = Groups::Direct(push.rows.div_ceil(GROUP_GAUSSIANS).into());
     r.dispatch(&ENCODE_GAUSSIANS, constants, push, buffers, groups)
 }

@@ -11,7 +11,7 @@ use engine::render::{
     PixelFormat, Quality, RenderOptions, Renderer, SceneHandle, SceneOptions, View as EmbeddedView, ViewOptions,
 };
 use engine::scene::parameter::{PARAMETERS, REQUIRED};
-use engine::scene::synthetic::{moving_scene, random_optional, random_scene};
+use engine::scene::synthetic::{moving_scene, random_blend, random_optional, random_scene};
 use engine::scene::{Camera, MotionSource, NonrigidNetwork, Scene};
 use engine::train::config::{Config, Form, LossConfig};
 use engine::train::gradient::{GradientOptions, scene_gradients};
@@ -27,6 +27,8 @@ const SIZE: [u32; 2] = [64, 48];
 const COUNTS: [usize; 3] = [300, 8, 4];
 /// Gaussians that are many for so few superpoints: workgroups sum over them.
 const MANY: u32 = 900;
+/// Superpoints of a Gaussian with soft ones.
+const SOFT: usize = 3;
 /// Gaussians whose sort needs a spine.
 const LARGE: usize = 530_000;
 
@@ -68,10 +70,25 @@ fn moving() -> Scene {
     moving_scene(n, m, t, 1, true)
 }
 
+/// Each Gaussian moves with several superpoints.
+fn soft(scene: &Scene) -> Scene {
+    let mut scene = scene.clone();
+    let [n, m, _] = COUNTS;
+    if let Some(superpoints) = scene.deformation.superpoint_deformation_mut() {
+        let blend = random_blend(n, m, SOFT, 1);
+        superpoints.superpoints.of_gaussian = blend.of_gaussian();
+        superpoints.blend = Some(blend);
+    }
+    scene
+}
+
 fn frames(gpu: &Gpu) -> Result<()> {
     let moving = moving();
     let deformation = moving.deformation.clone().with_nonrigid(NonrigidNetwork::init(1))?;
     let nonrigid = Scene { deformation, ..moving.clone() };
+    for scene in [&moving, &nonrigid] {
+        draw(gpu, &soft(scene), &RenderOptions::default())?;
+    }
     for (_, quality) in Quality::PRESETS {
         let options = RenderOptions { quality, ..RenderOptions::default() };
         for degree in 0..4 {
@@ -163,6 +180,7 @@ fn variants(base: &Config) -> Vec<Config> {
         with(|c| c.loss.lambda_dssim = 0.0),
         with(|c| c.gaussians.optional = PARAMETERS[REQUIRED..].iter().map(|p| p.name.to_owned()).collect()),
         with(|c| (c.motion.neighbors, c.motion.association_slots) = (1, 1)),
+        with(|c| c.motion.blend = SOFT as u32),
         with(|c| (c.motion.network_layers, c.motion.network_width) = (2, 32)),
     ];
     for degree in 0..3 {
@@ -203,6 +221,12 @@ fn nonrigid_training(gpu: &Gpu) -> Result<()> {
             let config = Config { deterministic, ..case.config.clone() };
             Trainer::nonrigid(gpu, &config, &case.data, &trained)?.step()?;
         }
+        let mut config = case.config.clone();
+        config.motion.blend = SOFT as u32;
+        let mut soft = Trainer::new(gpu, &config, &case.data, &case.first)?;
+        soft.step()?;
+        soft.step()?;
+        Trainer::nonrigid(gpu, &config, &case.data, &soft.checkpoint()?)?.step()?;
     }
     Ok(())
 }
@@ -211,7 +235,8 @@ fn gradients(gpu: &Gpu) -> Result<()> {
     let [n, m, t] = COUNTS;
     let options = GradientOptions { near: 0.2, background: [0.0; 3] };
     let image_gradient = vec![0.0; 4 * (SIZE[0] * SIZE[1]) as usize];
-    for scene in [random_scene(n, 1, 3), moving_scene(n, m, t, 1, false)] {
+    let moving = moving_scene(n, m, t, 1, false);
+    for scene in [random_scene(n, 1, 3), soft(&moving), moving] {
         scene_gradients(gpu, &scene, &camera(&scene), 0.0, &options, &image_gradient)?;
     }
     Ok(())
