@@ -40,6 +40,7 @@ pub(super) struct Shared {
     pub(super) memory: MemoryBudget,
     pub(super) timeline: vk::Semaphore,
     pub(super) submissions: AtomicU64,
+    pub(super) newest_waits: AtomicU64,
     pub(super) queue: Mutex<vk::Queue>,
     pub(super) lost: AtomicBool,
     /// Test seam: device loss is reported at the n-th submission from now (0 = never).
@@ -197,6 +198,7 @@ impl Gpu {
             memory,
             timeline,
             submissions: AtomicU64::new(0),
+            newest_waits: AtomicU64::new(0),
             queue: Mutex::new(queue),
             lost: AtomicBool::new(false),
             lose_at: AtomicU64::new(0),

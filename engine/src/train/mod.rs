@@ -53,6 +53,7 @@ pub mod network_g;
 mod numbers;
 #[doc(hidden)]
 pub mod parameters;
+mod photos;
 #[doc(hidden)]
 pub mod property_loss;
 #[doc(hidden)]

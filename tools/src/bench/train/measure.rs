@@ -8,7 +8,7 @@ use engine::gpu::Gpu;
 use engine::gpu::kernel::{Kernel, Workload};
 use engine::scene::Gaussians;
 use engine::train::config::Config;
-use engine::train::trainer::{StepReport, Trainer, TrainingData};
+use engine::train::trainer::{Profile, StepReport, Trainer, TrainingData};
 use engine::train::usage::TrainingMemory;
 use serde::Serialize;
 
@@ -29,7 +29,7 @@ pub(super) struct Plan {
 pub(crate) struct TrainMeasurement {
     /// Measured steps.
     pub(super) steps: u32,
-    /// Host time of a step, milliseconds.
+    /// Time from step to step with several in flight, milliseconds.
     pub(super) step_ms: Quantiles,
     /// Processor time (user and system, all threads) of a step, milliseconds, mean; absent where the system does not tell.
     pub(super) cpu_ms: Option<f64>,
@@ -69,20 +69,28 @@ pub(super) fn measure(
 ) -> Result<TrainMeasurement> {
     let trainer = || Trainer::new(gpu, config, data, first);
     // Timestamps between operations cost a little, so step times come from a run without them.
-    let (kernels, device_ms) = profile(trainer()?.with_profile(true), plan, copy_gb_per_s, tick)?;
+    let (kernels, device_ms) = profile(trainer()?.with_profile(Profile::All), plan, copy_gb_per_s, tick)?;
     let mut trainer = trainer()?;
     let first_step = warm_up(&mut trainer, plan, tick)?;
+    // As many in flight as may be: from here on each step waits for an earlier one.
+    for _ in 1..trainer.flight() {
+        trainer.advance()?;
+    }
     let (mut step_ms, mut last_step) = (Vec::with_capacity(plan.steps as usize), first_step);
     let busy = processor_seconds();
     for _ in 0..plan.steps {
         let start = Instant::now();
-        last_step = trainer.step()?;
+        trainer.advance()?;
         step_ms.push(start.elapsed().as_secs_f64() * 1e3);
         tick();
     }
     let per_step = |since: f64| processor_seconds().map(|now| 1e3 * (now - since) / f64::from(plan.steps));
     let cpu_ms = busy.and_then(per_step);
     let step_ms = Quantiles::of(step_ms);
+    trainer.drain()?;
+    while let Some(done) = trainer.take_finished() {
+        last_step = done.report;
+    }
     let memory = trainer.memory();
     let commands = trainer.commands();
     Ok(TrainMeasurement {
@@ -123,7 +131,7 @@ fn profile(
     let (mut samples, mut labels, mut totals): (Vec<Vec<f64>>, Vec<String>, Vec<f64>) = Default::default();
     for _ in 0..plan.steps {
         step = trainer.step()?;
-        let mut times = trainer.timings()?;
+        let mut times = trainer.timings().to_vec();
         times.retain(|t| !t.label.starts_with("host read"));
         samples.resize(times.len(), Vec::new());
         labels = times.iter().map(|t| t.label.clone()).collect();

@@ -54,7 +54,7 @@ pub(crate) struct Milestone {
 pub(crate) struct Timed {
     /// Evaluations, the last one at the end.
     pub(crate) milestones: Vec<Milestone>,
-    /// Host time of a step, density control included, milliseconds.
+    /// Time from step to step with several in flight, density control included, milliseconds.
     pub(crate) step_ms: Quantiles,
     /// Training time, seconds.
     pub(crate) seconds: f64,
@@ -135,15 +135,21 @@ impl<'a> Session<'a> {
         let mut superpoints = 0;
         while !trainer.is_done() {
             let start = Instant::now();
-            let step = trainer.step()?;
+            trainer.advance()?;
+            let evaluates = trainer.iteration().is_multiple_of(every) || trainer.is_done();
+            if evaluates {
+                trainer.drain()?;
+            }
             let taken = start.elapsed().as_secs_f64();
             seconds += taken;
             step_ms.push(1e3 * taken);
-            superpoints = step.superpoints;
+            while let Some(done) = trainer.take_finished() {
+                superpoints = done.report.superpoints;
+            }
             tick();
-            if step.iteration.is_multiple_of(every) || trainer.is_done() {
+            if evaluates {
                 let [psnr, ssim] = self.score(&trainer.scene()?, config, MotionSource::Auto)?;
-                let (iteration, gaussians) = (step.iteration, trainer.gaussians());
+                let (iteration, gaussians) = (trainer.iteration(), trainer.gaussians());
                 milestones.push(Milestone { iteration, seconds, psnr, ssim, gaussians });
                 if until.is_some_and(|wanted| psnr >= wanted) {
                     break;
