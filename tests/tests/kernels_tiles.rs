@@ -253,6 +253,15 @@ fn capacity_is_exact() {
 }
 
 #[test]
+fn a_failure_from_before_stops_the_chain() {
+    let gpu = tests_harness::gpu();
+    let scene = Scene::random(600, [200, 200], 41);
+    let (counters, indirect, _) = scene.check_from(&gpu, scene.total() as u32, 1);
+    assert_eq!((counters[3], counters[5]), (1, 0));
+    assert_eq!(indirect, [0, 0, 1, 0].repeat(4));
+}
+
+#[test]
 fn counts_that_disagree() {
     let gpu = tests_harness::gpu();
     for error in [3_i32, -2] {

@@ -13,7 +13,7 @@ use super::cache_folder::cache_folder;
 use super::capability::{Capabilities, DeviceInfo, REQUIREMENTS};
 use super::host::QueueLock;
 use super::instance::{Messages, Messenger, create_instance, validation_layer_is_old};
-use super::options::GpuOptions;
+use super::options::{GpuOptions, has_lost};
 use super::pipeline::{PipelineCacheFile, Pipelines};
 use super::proof::Watch;
 use super::reconvergence::Reconvergence;
@@ -190,7 +190,7 @@ impl Gpu {
         let memory = MemoryBudget { budget: AtomicU64::new(budget), follows, ..MemoryBudget::default() };
         let shared = Shared {
             info,
-            options: options.clone(),
+            options: GpuOptions { breadcrumbs: options.breadcrumbs || has_lost(), ..options.clone() },
             messages,
             pipelines: Mutex::new(Pipelines::default()),
             cache,

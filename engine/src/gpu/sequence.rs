@@ -48,7 +48,6 @@ impl std::fmt::Debug for Sequence {
 pub(super) struct Encoding<'a> {
     pub(super) raw: vk::CommandBuffer,
     pub(super) slot: u32,
-    /// Whether timestamps are taken, where there is room for them.
     pub(super) timed: bool,
     pub(super) breadcrumbs: Option<&'a Buffer>,
     pub(super) updates: &'a [&'a [u8]],

@@ -299,7 +299,7 @@ impl Trainer {
     /// The report of the last submitted step.
     fn last_report(&mut self) -> Result<StepReport> {
         self.drain()?;
-        let last = self.finished.drain(..).last();
+        let last = self.finished.drain(..).next_back();
         let Finished { report, timings, density } = last.ok_or_else(|| Error::usage("a step", "no report", "one"))?;
         self.timings = timings;
         self.density_change = density.or(self.density_change.take());

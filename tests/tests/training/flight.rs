@@ -3,7 +3,7 @@
 use engine::error::Error;
 use engine::train::trainer::{FLIGHT, StepReport, Trainer};
 
-use crate::common::{PosedOptions, bytes, config, gpu, load, posed, trainer};
+use crate::common::{PosedOptions, bytes, config, config_file, gpu, load, log, outcome, posed, train, trainer};
 
 /// Submits steps until `iteration`; their reports, in order.
 fn fly(trainer: &mut Trainer, iteration: u64) -> Vec<StepReport> {
@@ -44,24 +44,33 @@ fn a_step_without_room_changes_nothing_and_neither_do_those_behind_it() {
     let (_, data) = load(&posed);
     let gpu = gpu();
     let config = config("[density]\nenabled = false\n[log]\nfinite_interval = 0");
-    let run = |flight: usize, overflows: &[u64]| {
+    // Overflows: after which iteration there is room for how many tile instances.
+    let run = |flight: usize, overflows: &[(u64, u64)]| {
         let mut trainer = trainer(&gpu, &config, &data).unwrap().with_flight(flight).unwrap();
         let mut reports = Vec::new();
-        for &at in overflows {
-            reports.extend(fly(&mut trainer, at));
-            trainer.inject_capacity(1).unwrap();
+        for &(after, room) in overflows {
+            reports.extend(fly(&mut trainer, after));
+            trainer.inject_capacity(room).unwrap();
         }
         reports.extend(fly(&mut trainer, 40));
         (reports, bytes(&trainer.checkpoint().unwrap()), trainer.repeated())
     };
     let (reports, state, repeated) = run(1, &[]);
     assert_eq!(repeated, 0);
-    // In warm-up, at the start of motion, and with motion.
-    let overflows = [7, 19, 30];
-    for (flight, least) in [(1, 3), (3, 9)] {
+    // Steps that need more than the two behind them, which would be applied if the failure were not theirs too: one in warm-up,
+    // two with motion. At 20 motion begins, before which all steps finish.
+    let peak = |from: usize| {
+        let needs = |i: usize| reports[i].instances;
+        let at = (from..37).find(|&i| needs(i) > needs(i + 1).max(needs(i + 2))).unwrap();
+        (at as u64, needs(at) - 1)
+    };
+    let peaks = [peak(2), peak(20), peak(28)];
+    assert!(peaks[0].0 < 17 && peaks[1].0 + 3 < peaks[2].0, "{peaks:?}");
+    let all = [(7, 1), (19, 1), (30, 1)];
+    for (flight, overflows, expected) in [(1, peaks, 3), (3, peaks, 9), (3, all, 9)] {
         let (with, after, repeated) = run(flight, &overflows);
-        assert!(repeated >= least, "{flight} in flight: {repeated} repeated");
-        assert!(with == reports && after == state, "{flight} in flight: an overflow leaves other bits");
+        assert_eq!(repeated, expected, "{flight} in flight, {overflows:?}");
+        assert!(with == reports && after == state, "{flight} in flight, {overflows:?}: an overflow leaves other bits");
     }
 }
 
@@ -121,4 +130,21 @@ fn the_device_never_waits_for_a_step() {
         trainer.drain().unwrap();
         assert!(gpu.newest_waits() > before, "the end is waited for");
     }
+}
+
+#[test]
+fn a_checkpoint_that_cannot_be_written_ends_the_run() {
+    let posed = posed(&PosedOptions::default());
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    std::fs::create_dir(&out).unwrap();
+    // A file where the folder should be.
+    std::fs::write(out.join("checkpoints"), "").unwrap();
+    let config = config_file(folder.path(), "");
+    let (code, text) = outcome(train(&posed, &out, &["--config", config.to_str().unwrap()]));
+    assert!(code == 3 && text.contains("run/checkpoints"), "{code}: {text}");
+    assert!(!out.join("model.safetensors").exists());
+    // It was told at the next checkpoint, no later.
+    let steps = log(&out).iter().filter(|line| line["loss"].is_number()).count();
+    assert!(steps <= 5, "{steps} steps were logged");
 }

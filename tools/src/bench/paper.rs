@@ -31,7 +31,7 @@ const ORBIT: usize = 20;
 pub fn run(args: &PaperArgs, global: &Global) -> Result<()> {
     let (scene, name) = scene::load(&args.scene, args.look.motion.is_some())?;
     let (path, path_name) = path(args, &scene)?;
-    let gpu = gpu_session::open_to_measure(global)?;
+    let gpu = gpu_session::open(global)?;
     let options = RenderOptions {
         background: args.look.background,
         motion: args.look.motion_source(),

@@ -51,7 +51,7 @@ pub(crate) fn run(args: &TrainBenchArgs, global: &Global) -> Result<()> {
             "none: the scenes are synthetic",
         ));
     }
-    let gpu = gpu_session::open_to_measure_training(global)?;
+    let gpu = gpu_session::open_to_train(global)?;
     let [steps, warmup] = STEPS[usize::from(args.sweep)];
     let plan = Plan { steps: args.frames.unwrap_or(steps), warmup: args.warmup.unwrap_or(warmup) };
     let copy = crate::report::measure::copy_bandwidth(&gpu)?;
