@@ -29,13 +29,15 @@ pub(super) struct Plan {
 pub(crate) struct TrainMeasurement {
     /// Measured steps.
     pub(super) steps: u32,
-    /// Time from step to step with several in flight, milliseconds.
+    /// Host time of a step that is waited for, milliseconds.
     pub(super) step_ms: Quantiles,
+    /// Time per step as a run takes them, several in flight, milliseconds, mean.
+    pub(super) in_flight_ms: f64,
     /// Processor time (user and system, all threads) of a step, milliseconds, mean; absent where the system does not tell.
     pub(super) cpu_ms: Option<f64>,
     /// Device time of a step (sum over its operations), milliseconds; absent without timestamps.
     pub(super) device_ms: Option<Quantiles>,
-    /// Steps per second (from the median).
+    /// Steps per second, several in flight.
     pub(super) steps_per_second: f64,
     /// One row per kernel or transfer, in order of first use; times of its dispatches added up.
     pub(super) kernels: Vec<OperationRow>,
@@ -72,33 +74,27 @@ pub(super) fn measure(
     let (kernels, device_ms) = profile(trainer()?.with_profile(Profile::All), plan, copy_gb_per_s, tick)?;
     let mut trainer = trainer()?;
     let first_step = warm_up(&mut trainer, plan, tick)?;
-    // As many in flight as may be: from here on each step waits for an earlier one.
-    for _ in 1..trainer.flight() {
-        trainer.advance()?;
-    }
     let (mut step_ms, mut last_step) = (Vec::with_capacity(plan.steps as usize), first_step);
     let busy = processor_seconds();
     for _ in 0..plan.steps {
         let start = Instant::now();
-        trainer.advance()?;
+        last_step = trainer.step()?;
         step_ms.push(start.elapsed().as_secs_f64() * 1e3);
         tick();
     }
     let per_step = |since: f64| processor_seconds().map(|now| 1e3 * (now - since) / f64::from(plan.steps));
     let cpu_ms = busy.and_then(per_step);
     let step_ms = Quantiles::of(step_ms);
-    trainer.drain()?;
-    while let Some(done) = trainer.take_finished() {
-        last_step = done.report;
-    }
+    let in_flight_ms = in_flight(&mut trainer, plan, tick)?;
     let memory = trainer.memory();
     let commands = trainer.commands();
     Ok(TrainMeasurement {
         steps: plan.steps,
         step_ms,
+        in_flight_ms,
         cpu_ms,
         device_ms,
-        steps_per_second: 1e3 / step_ms.median,
+        steps_per_second: 1e3 / in_flight_ms,
         kernels,
         dispatches: commands.map_or(0, engine::gpu::Commands::dispatches),
         barriers: commands.map_or(0, engine::gpu::Commands::barriers),
@@ -119,6 +115,18 @@ fn warm_up(trainer: &mut Trainer, plan: Plan, tick: &dyn Fn()) -> Result<StepRep
         tick();
     }
     Ok(first)
+}
+
+/// Milliseconds per step, several in flight, from the first submission to the last report.
+fn in_flight(trainer: &mut Trainer, plan: Plan, tick: &dyn Fn()) -> Result<f64> {
+    let start = Instant::now();
+    for _ in 0..plan.steps {
+        trainer.advance()?;
+        while trainer.take_finished().is_some() {}
+        tick();
+    }
+    trainer.drain()?;
+    Ok(start.elapsed().as_secs_f64() * 1e3 / f64::from(plan.steps.max(1)))
 }
 
 fn profile(
