@@ -15,7 +15,7 @@
 //! ```
 //!
 //! Several steps are in flight: the host reads a step's report while the device is at later ones. What is trained is the same
-//! bits as with one step at a time. Nothing is applied when the view needs more tile instances than there is room for, and
+//! bits as with one step at a time ([`trainer::flight`]). Nothing is applied when the view needs more tile instances than there is room for, and
 //! nothing of the steps behind it; they are repeated in order with larger buffers. Photos stay on the device where they fit
 //! (`photos`). Nothing that is not finite is ever applied (`status`). What happens when is [`schedule`]; every number of it
 //! is [`config`]; `adapt` is density control, [`checkpoint`] what a run goes on from, [`export`] and [`bake`] what is played.

@@ -127,6 +127,10 @@ impl Photos {
             Some(staging) => staging.clone(),
             None => lane.staging.insert(gpu.buffer("photo upload", self.largest, Memory::Upload)?).clone(),
         };
+        if let Some((_, copy)) = &lane.copy {
+            // Its step has finished, unless that was never submitted.
+            gpu.wait_for(copy)?;
+        }
         staging.write(0, bytemuck::cast_slice(&photo.rgba))?;
         let key = [u64::from(first), 4 * photo.rgba.len() as u64];
         if lane.copy.as_ref().is_none_or(|(recorded, _)| *recorded != key) {

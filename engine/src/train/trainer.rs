@@ -1,6 +1,6 @@
 //! [`Trainer`]: state and the one step that reads like the paper's algorithm.
 
-mod flight;
+pub mod flight;
 mod record;
 mod restore;
 
@@ -223,12 +223,12 @@ impl Trainer {
         self
     }
 
-    /// How many steps may be in flight, 1 to 8 ([`FLIGHT`] otherwise); set before the first step. What is trained does not
-    /// depend on it.
+    /// How many steps may be in flight, 1 to 8 ([`FLIGHT`] otherwise). What is trained does not depend on it ([`flight`]).
     ///
     /// # Errors
-    /// `OutOfMemory`.
+    /// `Usage` while steps are in flight; `OutOfMemory`.
     pub fn with_flight(mut self, steps: usize) -> Result<Self> {
+        self.settled()?;
         let steps = steps.clamp(1, 8);
         self.photos = Photos::new(&self.gpu, &self.views, self.config.budget.photo_bytes, steps)?;
         self.slots = (0..steps).map(|_| Slot::new(&self.gpu)).collect::<Result<_>>()?;
@@ -371,11 +371,16 @@ impl Trainer {
         Accumulation::of_device(&self.gpu, self.config.deterministic) == Accumulation::Instances
     }
 
+    /// The next step begins as if none had failed before it.
+    fn clear_failure(&self) -> Result<()> {
+        self.gpu.upload(&self.failed, bytemuck::cast_slice(&[0_u32; COUNTER_WORDS as usize]))
+    }
+
     /// Makes room for a step that failed, which with those behind it has finished.
     fn grow(&mut self, instances: u64) -> Result<()> {
         // The steps in flight have finished: what they left of the failure goes, and what their sums over gradients that
         // were never written may have reported; nothing of them was applied.
-        self.gpu.upload(&self.failed, bytemuck::cast_slice(&[0_u32; COUNTER_WORDS as usize]))?;
+        self.clear_failure()?;
         self.gpu.upload(&self.status, bytemuck::cast_slice(&status::clear()))?;
         let wanted = instances.saturating_mul(GROWTH_PERCENT) / 100;
         let limit = u64::from(u32::MAX) / u64::from(ROW_WORDS) / 4;

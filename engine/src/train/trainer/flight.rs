@@ -241,7 +241,7 @@ impl Trainer {
             settled.inspect_err(|_| self.give_up(first.iteration))?;
         }
         self.repeated += jobs.len() as u64;
-        let mut needed = instances;
+        let mut needed = Some(instances);
         for job in &mut jobs {
             if let Err(error) = self.repeat_one(job, &mut needed) {
                 self.give_up(job.iteration);
@@ -251,17 +251,17 @@ impl Trainer {
         Ok(())
     }
 
-    /// Runs one step until it has room; `needed`: tile instances to make room for before it, 0 for none.
-    fn repeat_one(&mut self, job: &mut Job, needed: &mut u64) -> Result<()> {
+    /// Runs one step until it has room; `needed`: tile instances to make room for before it.
+    fn repeat_one(&mut self, job: &mut Job, needed: &mut Option<u64>) -> Result<()> {
         loop {
-            if *needed > 0 {
-                self.grow(std::mem::take(needed))?;
+            if let Some(instances) = needed.take() {
+                self.grow(instances)?;
             }
             self.launch(job)?;
             self.wait_for(job)?;
             match self.read_back(job)? {
                 Outcome::Applied(report) => return self.finish(job, report),
-                Outcome::NoRoom(instances) => *needed = instances,
+                Outcome::NoRoom(instances) => *needed = Some(instances),
             }
         }
     }
@@ -274,6 +274,8 @@ impl Trainer {
         }
         self.flying.clear();
         self.iteration = iteration - 1;
+        // Nor is there a failure before the next step, if there is one.
+        let _ = self.clear_failure();
     }
 
     /// What a finished step left.
