@@ -1,5 +1,5 @@
-// What kernels of the image loss read: rendered image, target and background. Include lib/frame.glsl first and define
-// COLOR_BINDING and TARGET_BINDING. Rust twin: engine/src/train/image_loss/pixels.rs.
+// What kernels of the image loss read: rendered image, target and background. Include lib/frame.glsl and
+// lib/step.glsl first and define COLOR_BINDING and TARGET_BINDING. Rust twin: engine/src/train/image_loss/pixels.rs.
 #ifndef SPGS_IMAGE_TARGET
 #define SPGS_IMAGE_TARGET
 
@@ -9,10 +9,12 @@ layout(std430, set = 0, binding = TARGET_BINDING) readonly buffer TargetBlock { 
 // Copies of the frame's and the workgroup's values, set once by read_frame: a device may read storage again at every use.
 uvec2 image_size;
 float background;
+uint first_word; // of the target
 
 void read_frame(uint channel) {
     image_size = frame.size;
     background = frame.background[channel];
+    first_word = step_data.photo;
 }
 
 // Beyond it a value counts as not finite: its fourth power must stay a number.
@@ -26,9 +28,9 @@ bool usable(float x) {
 // Target value of a channel; kind 0: premultiplied RGBA8 over the background, 1: float bits, four words per pixel.
 float target_value(uint kind, uint pixel, uint channel) {
     if (kind == 1u) {
-        return uintBitsToFloat(target[4u * pixel + channel]);
+        return uintBitsToFloat(target[first_word + 4u * pixel + channel]);
     }
-    uint word = target[pixel];
+    uint word = target[first_word + pixel];
     float premultiplied = float((word >> (8u * channel)) & 255u);
     float rest = float(255u - (word >> 24u));
     return (premultiplied + rest * background) / 255.0;

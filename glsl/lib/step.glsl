@@ -28,7 +28,7 @@ struct Step {
     float beta_1;             // Adam's constants
     float beta_2;
     float epsilon;
-    float unused;             // to a multiple of 8 bytes
+    uint photo;               // word of the photos' buffer where this step's begins
     float rate[(PARAMETERS + 1u) / 2u * 2u]; // of PARAMETER_*
 };
 

@@ -116,7 +116,9 @@ void main() {
     uint thread = thread_index();
     if (group == 0u && thread < 4u) {
         uint instances = atomicAdd(counters[COUNT_INSTANCES_LOW], 0u);
-        bool failed = atomicAdd(counters[COUNT_INSTANCES_HIGH], 0u) != 0u || instances > frame.instance_capacity;
+        // A step of training may have failed before it began, with the one before it.
+        bool failed = atomicAdd(counters[COUNT_INSTANCES_HIGH], 0u) != 0u || instances > frame.instance_capacity
+            || atomicOr(counters[COUNT_FAILED], 0u) != 0u;
         uint visible = failed ? 0u : atomicAdd(counters[COUNT_VISIBLE], 0u);
         instances = failed ? 0u : instances;
         write_arguments(thread, visible, instances);

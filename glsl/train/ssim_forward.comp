@@ -16,6 +16,8 @@ layout(constant_id = 1) const uint TARGET = 0u; // 0: RGBA8, 1: float bits
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
 #include "lib/thread.glsl"
+#define STEP_BINDING 5
+#include "lib/step.glsl"
 #define COLOR_BINDING 1
 #define TARGET_BINDING 2
 #include "lib/image_target.glsl"

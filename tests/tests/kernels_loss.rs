@@ -19,8 +19,16 @@ fn frame(size: [u32; 2]) -> Frame {
     Frame { background: [r, g, b], size, ..Frame::default() }
 }
 
+/// Words of other photos before the target.
+const OTHERS: usize = 3;
+
 fn step(lambda: f32) -> Step {
-    Step { weight_dssim: lambda, ..Step::default() }
+    Step { weight_dssim: lambda, photo: OTHERS as u32, ..Step::default() }
+}
+
+/// The target behind the words of other photos, which are no numbers.
+fn behind_others(target: &[u32]) -> Vec<u32> {
+    [&[u32::MAX; OTHERS], target].concat()
 }
 
 fn words<T: bytemuck::Pod>(values: &[T]) -> Vec<u32> {
@@ -71,9 +79,10 @@ fn chain(gpu: &Gpu, size: [u32; 2], lambda: f32, color: &[u32], target: &[u32], 
         let buffers = SsimForwardBuffers {
             frame: frame.clone(),
             color: color.to_vec(),
-            target: target.to_vec(),
+            target: behind_others(target),
             ssim_maps: vec![0; 9 * pixels],
             loss_partial: partial(),
+            step: step.clone(),
         };
         let constants = SsimForwardConstants { target: kind };
         let done = KernelCase { kernel: &SSIM_FORWARD, constants, push: (), buffers, groups: n }.run(gpu);
@@ -86,7 +95,7 @@ fn chain(gpu: &Gpu, size: [u32; 2], lambda: f32, color: &[u32], target: &[u32], 
         frame: frame.clone(),
         step: step.clone(),
         color: color.to_vec(),
-        target: target.to_vec(),
+        target: behind_others(target),
         ssim_maps,
         image_gradient: vec![0; 4 * pixels],
         loss_partial: partial(),
@@ -131,7 +140,7 @@ fn device_loss(
     let upload = |name: &str, words: &[u32]| gpu.buffer_with(name, bytemuck::cast_slice(words)).unwrap();
     let frame = upload("frame", &words(&[frame(size)]));
     let step = upload("step", &words(&[step(lambda)]));
-    let (color, target) = (upload("color", color), upload("target", target));
+    let (color, target) = (upload("color", color), upload("target", &behind_others(target)));
     let image_gradient = gpu.buffer("image_gradient", 16 * pixels, Memory::Device).unwrap();
     let loss = gpu.buffer("loss", 32, Memory::Device).unwrap();
     let status = upload("status", &status::clear());

@@ -67,6 +67,11 @@ impl Scene {
     /// The chain of a frame on the device; every kernel is compared with its twin. Returns counters, indirect
     /// arguments and ranges.
     fn check(&self, gpu: &TestGpu, capacity: u32) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
+        self.check_from(gpu, capacity, 0)
+    }
+
+    /// The same when the counters say `failed` before the chain begins.
+    fn check_from(&self, gpu: &TestGpu, capacity: u32, failed: u32) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
         let n = self.tile_count.len() as u32;
         let tiles = self.frame.tile_count;
         let frame: Vec<u32> = bytemuck::cast_slice(&[Frame { instance_capacity: capacity, ..self.frame }]).to_vec();
@@ -77,7 +82,7 @@ impl Scene {
             visible_block[block_capacity as usize + i / 65_536] += u32::from(*count != 0);
         }
         let visible: u32 = self.tile_count.iter().map(|c| u32::from(*c != 0)).sum();
-        let counters = vec![visible, self.total() as u32, (self.total() >> 32) as u32, 0, 0, 0, 0, 0];
+        let counters = vec![visible, self.total() as u32, (self.total() >> 32) as u32, failed, 0, 0, 0, 0];
         let depth = SortPlan::new(n, 32).unwrap();
         let tile = SortPlan::new(capacity, tile_key_bits(tiles)).unwrap();
         let out = vec![0; n as usize];
@@ -243,6 +248,15 @@ fn capacity_is_exact() {
     let total = scene.total() as u32;
     assert_eq!(scene.check(&gpu, total).0[3], 0);
     let (counters, indirect, _) = scene.check(&gpu, total - 1);
+    assert_eq!((counters[3], counters[5]), (1, 0));
+    assert_eq!(indirect, [0, 0, 1, 0].repeat(4));
+}
+
+#[test]
+fn a_failure_from_before_stops_the_chain() {
+    let gpu = tests_harness::gpu();
+    let scene = Scene::random(600, [200, 200], 41);
+    let (counters, indirect, _) = scene.check_from(&gpu, scene.total() as u32, 1);
     assert_eq!((counters[3], counters[5]), (1, 0));
     assert_eq!(indirect, [0, 0, 1, 0].repeat(4));
 }

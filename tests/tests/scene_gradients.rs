@@ -134,6 +134,7 @@ fn of(g: &SceneGradients, kept: &[usize], sh_row: usize) -> SceneGradients {
         optional: g.optional.selected(kept),
         mean2d: kept.iter().map(|&i| g.mean2d[i]).collect(),
         pose: Vec::new(),
+        blend: Vec::new(),
     }
 }
 

@@ -85,6 +85,7 @@ impl ImageLoader {
             return;
         }
         let mut state = self.shared.lock();
+        let queued = state.queue.len();
         for &index in indices {
             if let Some(Slot::Ready { waited_for, .. }) = state.slots.get_mut(&index) {
                 *waited_for = true;
@@ -95,8 +96,22 @@ impl ImageLoader {
                 state.queue.push_back(index);
             }
         }
-        drop(state);
-        self.shared.work.notify_all();
+        // Workers are not woken for nothing.
+        if state.queue.len() > queued {
+            drop(state);
+            self.shared.work.notify_all();
+        }
+    }
+
+    /// Gives up a decoded picture that will not be asked for again.
+    pub fn forget(&self, index: usize) {
+        let mut state = self.shared.lock();
+        let ready = |slot: &Slot| if let Slot::Ready { pixels, .. } = slot { Some(pixels.bytes()) } else { None };
+        if let Some(bytes) = state.slots.get(&index).and_then(ready) {
+            state.bytes -= bytes;
+            state.slots.remove(&index);
+        }
+        self.shared.wake_one(&state);
     }
 
     /// The picture of view `index`: from memory, from the worker that is at it, or decoded here.
@@ -114,8 +129,8 @@ impl ImageLoader {
                 Some(Slot::Running) => state = shared.done.wait(state).unwrap_or_else(PoisonError::into_inner),
                 Some(Slot::Ready { .. }) => {
                     let pixels = state.hand_out(index);
+                    shared.wake_one(&state);
                     drop(state);
-                    shared.work.notify_one();
                     if let Some(pixels) = pixels {
                         return Ok(pixels);
                     }
@@ -210,6 +225,13 @@ impl Shared {
         state.slots.remove(&index);
         state.slots.extend(error.map(|e| (index, Slot::Failed(e))));
         self.announce(state);
+    }
+
+    /// There may be room for a picture that waits.
+    fn wake_one(&self, state: &State) {
+        if !state.queue.is_empty() {
+            self.work.notify_one();
+        }
     }
 
     fn announce(&self, state: MutexGuard<'_, State>) {

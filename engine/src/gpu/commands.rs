@@ -9,6 +9,7 @@ use super::access::Use;
 use super::device::{Gpu, vk_error};
 use super::kernel::Kernel;
 use super::memory::{Buffer, Memory};
+use super::options;
 use super::sequence::{Encoding, Sequence};
 use super::timestamps::Timing;
 use crate::error::{Error, Result};
@@ -22,6 +23,11 @@ pub struct Commands {
     sequence: Sequence,
     pool: vk::CommandPool,
     raw: vk::CommandBuffer,
+    /// With timestamps, where `raw` has none; made when it is first asked for.
+    timed: Option<vk::CommandBuffer>,
+    on_request: bool,
+    /// Whether the latest submission took timestamps.
+    was_timed: bool,
     breadcrumbs: Option<Buffer>,
     /// What the host writes or reads of what they use.
     mapped: Vec<Buffer>,
@@ -35,8 +41,8 @@ impl std::fmt::Debug for Commands {
 }
 
 impl Commands {
-    /// Encodes a sequence in a command buffer of its own.
-    pub(super) fn encode(sequence: Sequence) -> Result<Self> {
+    /// Encodes a sequence in a command buffer of its own; `on_request`: timestamps only where a submission asks for them.
+    pub(super) fn encode(sequence: Sequence, on_request: bool) -> Result<Self> {
         let shared = &sequence.gpu;
         let breadcrumbs = if shared.options.breadcrumbs {
             let bytes = 4 * sequence.operations.len() as u64;
@@ -44,9 +50,24 @@ impl Commands {
         } else {
             None
         };
-        let (pool, raw) = encode_alone(&sequence, 0, breadcrumbs.as_ref(), &[])?;
+        let (pool, raw) = encode_alone(&sequence, 0, !on_request, breadcrumbs.as_ref(), &[])?;
         let mapped = sequence.mapped();
-        Ok(Self { sequence, pool, raw, breadcrumbs, mapped, last: Submission(0) })
+        let (timed, was_timed, last) = (None, false, Submission(0));
+        Ok(Self { sequence, pool, raw, timed, on_request, was_timed, breadcrumbs, mapped, last })
+    }
+
+    /// The command buffer of a submission.
+    fn buffer(&mut self, timed: bool) -> Result<vk::CommandBuffer> {
+        self.was_timed = timed || !self.on_request;
+        match self.timed {
+            Some(raw) if timed => Ok(raw),
+            None if timed && self.on_request => {
+                let raw = encode_in(&self.sequence, self.pool, 0, true, self.breadcrumbs.as_ref(), &[])?;
+                self.timed = Some(raw);
+                Ok(raw)
+            }
+            _ => Ok(self.raw),
+        }
     }
 
     /// The barrier plan.
@@ -90,12 +111,12 @@ impl Commands {
 
     /// Device time of each operation in the latest finished submission; empty without timestamps.
     pub fn timings(&self) -> Result<Vec<Timing>> {
-        if self.last == Submission(0) { Ok(Vec::new()) } else { self.sequence.timings(0) }
+        if self.was_timed { self.sequence.timings(0) } else { Ok(Vec::new()) }
     }
 
     /// [`Commands::timings`] one by one: label and microseconds. Allocates nothing.
     pub fn each_timing(&self, each: impl FnMut(&str, f64)) -> Result<()> {
-        if self.last == Submission(0) { Ok(()) } else { self.sequence.each_timing(0, each) }
+        if self.was_timed { self.sequence.each_timing(0, each) } else { Ok(()) }
     }
 
     /// Last finished and next operation, from the breadcrumbs.
@@ -130,6 +151,7 @@ impl Commands {
 fn encode_alone(
     sequence: &Sequence,
     slot: u32,
+    timed: bool,
     breadcrumbs: Option<&Buffer>,
     updates: &[&[u8]],
 ) -> Result<(vk::CommandPool, vk::CommandBuffer)> {
@@ -137,21 +159,7 @@ fn encode_alone(
     let create = vk::CommandPoolCreateInfo::default().queue_family_index(sequence.gpu.family);
     // SAFETY: plain creation.
     let pool = unsafe { device.create_command_pool(&create, None) }.map_err(vk_error("vkCreateCommandPool"))?;
-    let fill = || {
-        let allocate = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
-        // SAFETY: the pool is new.
-        let raw =
-            unsafe { device.allocate_command_buffers(&allocate) }.map_err(vk_error("vkAllocateCommandBuffers"))?[0];
-        let begin = vk::CommandBufferBeginInfo::default();
-        // SAFETY: just allocated.
-        unsafe { device.begin_command_buffer(raw, &begin) }.map_err(vk_error("vkBeginCommandBuffer"))?;
-        let images = vec![None; sequence.images()];
-        sequence.encode_with(&Encoding { raw, slot, breadcrumbs, updates, images: &images })?;
-        // SAFETY: recording.
-        unsafe { device.end_command_buffer(raw) }.map_err(vk_error("vkEndCommandBuffer"))?;
-        Ok(raw)
-    };
-    let made = fill();
+    let made = encode_in(sequence, pool, slot, timed, breadcrumbs, updates);
     if made.is_err() {
         // SAFETY: never submitted.
         unsafe { device.destroy_command_pool(pool, None) };
@@ -159,10 +167,33 @@ fn encode_alone(
     Ok((pool, made?))
 }
 
+/// A command buffer of a pool that holds the sequence. The pool frees it.
+fn encode_in(
+    sequence: &Sequence,
+    pool: vk::CommandPool,
+    slot: u32,
+    timed: bool,
+    breadcrumbs: Option<&Buffer>,
+    updates: &[&[u8]],
+) -> Result<vk::CommandBuffer> {
+    let device = &sequence.gpu.device;
+    let allocate = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
+    // SAFETY: nobody else uses the pool.
+    let raw = unsafe { device.allocate_command_buffers(&allocate) }.map_err(vk_error("vkAllocateCommandBuffers"))?[0];
+    let begin = vk::CommandBufferBeginInfo::default();
+    // SAFETY: just allocated.
+    unsafe { device.begin_command_buffer(raw, &begin) }.map_err(vk_error("vkBeginCommandBuffer"))?;
+    let images = vec![None; sequence.images()];
+    sequence.encode_with(&Encoding { raw, slot, timed, breadcrumbs, updates, images: &images })?;
+    // SAFETY: recording.
+    unsafe { device.end_command_buffer(raw) }.map_err(vk_error("vkEndCommandBuffer"))?;
+    Ok(raw)
+}
+
 impl Gpu {
     /// Runs a sequence once on the engine's queue, without its images, and waits for it.
     pub fn execute(&self, sequence: &Sequence, slot: u32, updates: &[&[u8]]) -> Result<()> {
-        let (pool, raw) = encode_alone(sequence, slot, None, updates)?;
+        let (pool, raw) = encode_alone(sequence, slot, true, None, updates)?;
         let finished = self.submit_raw(raw).and_then(|submission| self.wait(submission));
         if finished.is_err() {
             let _ = self.0.settle();
@@ -195,6 +226,15 @@ impl Gpu {
 
     /// Submits recorded commands; several may be in flight. The same commands submitted again wait for their last run.
     pub fn submit(&self, commands: &mut Commands) -> Result<Submission> {
+        self.submit_either(commands, false)
+    }
+
+    /// [`Gpu::submit`] with timestamps, of commands that were recorded for them.
+    pub fn submit_timed(&self, commands: &mut Commands) -> Result<Submission> {
+        self.submit_either(commands, true)
+    }
+
+    fn submit_either(&self, commands: &mut Commands, timed: bool) -> Result<Submission> {
         let shared = &self.0;
         self.wait_for(commands)?;
         let injected = shared.lose_at.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |n| n.checked_sub(1)) == Ok(1);
@@ -204,7 +244,8 @@ impl Gpu {
         if let Some(buffer) = &commands.breadcrumbs {
             buffer.clear_readback()?;
         }
-        match self.submit_raw(commands.raw) {
+        let raw = commands.buffer(timed)?;
+        match self.submit_raw(raw) {
             Ok(submission) => commands.last = submission,
             Err(Error::DeviceLost { .. }) => return Err(commands.device_lost()),
             Err(error) => return Err(error),
@@ -214,6 +255,7 @@ impl Gpu {
             // The work runs first, so that the report is made from breadcrumbs that the device left.
             self.wait(commands.last)?;
             shared.lost.store(true, Ordering::SeqCst);
+            options::note_loss();
             return Err(commands.device_lost());
         }
         Ok(commands.last)
@@ -233,6 +275,9 @@ impl Gpu {
     pub fn wait(&self, submission: Submission) -> Result<()> {
         if submission.0 == 0 {
             return Ok(());
+        }
+        if submission.0 == self.0.submissions.load(Ordering::SeqCst) {
+            self.0.newest_waits.fetch_add(1, Ordering::SeqCst);
         }
         let semaphores = [self.0.timeline];
         let values = [submission.0];
@@ -254,6 +299,11 @@ impl Gpu {
         }
     }
 
+    /// How often the newest submission was waited for: the device had nothing else to do when it ended.
+    pub fn newest_waits(&self) -> u64 {
+        self.0.newest_waits.load(Ordering::SeqCst)
+    }
+
     /// Number of the last submission that has finished.
     fn finished(&self) -> Result<u64> {
         self.0.finished().map_err(|code| self.vulkan_error("vkGetSemaphoreCounterValue", code))
@@ -268,6 +318,7 @@ impl Gpu {
     pub(super) fn vulkan_error(&self, call: &'static str, code: vk::Result) -> Error {
         if code == vk::Result::ERROR_DEVICE_LOST {
             self.0.lost.store(true, Ordering::SeqCst);
+            options::note_loss();
             let unknown = || "unknown".to_owned();
             let submission = self.0.submissions.load(Ordering::SeqCst);
             return Error::DeviceLost {

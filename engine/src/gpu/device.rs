@@ -13,7 +13,7 @@ use super::cache_folder::cache_folder;
 use super::capability::{Capabilities, DeviceInfo, REQUIREMENTS};
 use super::host::QueueLock;
 use super::instance::{Messages, Messenger, create_instance, validation_layer_is_old};
-use super::options::GpuOptions;
+use super::options::{GpuOptions, has_lost};
 use super::pipeline::{PipelineCacheFile, Pipelines};
 use super::proof::Watch;
 use super::reconvergence::Reconvergence;
@@ -40,6 +40,7 @@ pub(super) struct Shared {
     pub(super) memory: MemoryBudget,
     pub(super) timeline: vk::Semaphore,
     pub(super) submissions: AtomicU64,
+    pub(super) newest_waits: AtomicU64,
     pub(super) queue: Mutex<vk::Queue>,
     pub(super) lost: AtomicBool,
     /// Test seam: device loss is reported at the n-th submission from now (0 = never).
@@ -189,7 +190,7 @@ impl Gpu {
         let memory = MemoryBudget { budget: AtomicU64::new(budget), follows, ..MemoryBudget::default() };
         let shared = Shared {
             info,
-            options: options.clone(),
+            options: GpuOptions { breadcrumbs: options.breadcrumbs || has_lost(), ..options.clone() },
             messages,
             pipelines: Mutex::new(Pipelines::default()),
             cache,
@@ -197,6 +198,7 @@ impl Gpu {
             memory,
             timeline,
             submissions: AtomicU64::new(0),
+            newest_waits: AtomicU64::new(0),
             queue: Mutex::new(queue),
             lost: AtomicBool::new(false),
             lose_at: AtomicU64::new(0),

@@ -1,6 +1,19 @@
 //! How a device is chosen and opened.
 
 use std::ffi::CString;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+static LOST: AtomicBool = AtomicBool::new(false);
+
+/// From now on devices are opened with breadcrumbs.
+pub(super) fn note_loss() {
+    LOST.store(true, Ordering::SeqCst);
+}
+
+/// Whether this process has lost a device.
+pub(super) fn has_lost() -> bool {
+    LOST.load(Ordering::SeqCst)
+}
 
 /// Whether a device must have proven itself before it is used (see [`crate::self_test`]).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,7 +37,9 @@ pub struct GpuOptions {
     /// With `validation`: GPU-assisted checks (reads and writes past the end of a buffer) instead of synchronisation
     /// validation. `SPGS_GPU_ASSISTED=1`.
     pub gpu_assisted: bool,
-    /// Note each operation in host-visible memory, so that a lost device names its last kernel.
+    /// Note each operation in host-visible memory, so that a lost device names its last kernel: a small write and a wider
+    /// barrier per operation. Off unless `SPGS_BREADCRUMBS=1`; a device that is opened after this process has lost one notes them
+    /// anyway.
     pub breadcrumbs: bool,
     /// Bytes of device memory the engine may allocate; `None`: 80 % of the largest device-local heap, or what is free of it
     /// where the device tells, asked again when that runs out ([`super::budget`]).
@@ -65,7 +80,7 @@ impl Default for GpuOptions {
             device: std::env::var("SPGS_DEVICE").ok().filter(|v| !v.is_empty()),
             validation: flag("SPGS_VALIDATION", false),
             gpu_assisted: flag("SPGS_GPU_ASSISTED", false),
-            breadcrumbs: flag("SPGS_BREADCRUMBS", true),
+            breadcrumbs: flag("SPGS_BREADCRUMBS", false),
             byte_budget: None,
             draws: false,
             pipeline_cache: true,

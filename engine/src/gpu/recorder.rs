@@ -30,6 +30,8 @@ pub struct Recorder {
     gpu: Gpu,
     name: String,
     profile: bool,
+    /// Timestamps are taken by submissions that ask for them alone.
+    on_request: bool,
     tracker: HazardTracker,
     operations: Vec<Operation>,
     begin_barrier: bool,
@@ -52,6 +54,7 @@ impl Gpu {
             gpu: self.clone(),
             name: name.into(),
             profile: false,
+            on_request: false,
             tracker: HazardTracker::default(),
             operations: Vec::new(),
             begin_barrier: true,
@@ -75,6 +78,13 @@ impl Recorder {
     pub fn with_timestamps(mut self, profile: bool) -> Self {
         self.profile = profile && self.gpu.info().capabilities.timestamp_ns > 0.0;
         self
+    }
+
+    /// The same only in submissions that ask for it ([`Gpu::submit_timed`]).
+    #[must_use]
+    pub fn with_timestamps_on_request(mut self, profile: bool) -> Self {
+        self.on_request = true;
+        self.with_timestamps(profile)
     }
 
     /// Fills a range with a 32-bit value.
@@ -341,7 +351,8 @@ impl Recorder {
     /// # Errors
     /// `Usage` when something is only known at encoding ([`Recorder::update`], [`Recorder::copy_to_image`], a kernel's image).
     pub fn finish(self) -> Result<Commands> {
-        Commands::encode(self.finish_sequence(1)?)
+        let on_request = self.on_request;
+        Commands::encode(self.finish_sequence(1)?, on_request)
     }
 
     /// The list with its barriers and descriptor sets, to be written into other command buffers, `slots` of them in flight.

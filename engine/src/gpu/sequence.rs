@@ -48,6 +48,7 @@ impl std::fmt::Debug for Sequence {
 pub(super) struct Encoding<'a> {
     pub(super) raw: vk::CommandBuffer,
     pub(super) slot: u32,
+    pub(super) timed: bool,
     pub(super) breadcrumbs: Option<&'a Buffer>,
     pub(super) updates: &'a [&'a [u8]],
     pub(super) images: &'a [Option<HostImage>],
@@ -163,13 +164,13 @@ impl Sequence {
         updates: &[&[u8]],
         images: &[Option<HostImage>],
     ) -> Result<()> {
-        self.encode_with(&Encoding { raw: commands.0, slot, breadcrumbs: None, updates, images })
+        self.encode_with(&Encoding { raw: commands.0, slot, timed: true, breadcrumbs: None, updates, images })
     }
 
     pub(super) fn encode_with(&self, to: &Encoding<'_>) -> Result<()> {
         self.check(to)?;
         let first_query = to.slot * self.queries_per_slot();
-        if self.queries != vk::QueryPool::null() {
+        if to.timed && self.queries != vk::QueryPool::null() {
             // SAFETY: recording; the queries of this slot are not in use any more.
             unsafe {
                 let count = self.queries_per_slot();
@@ -182,7 +183,7 @@ impl Sequence {
             memory_barrier(all, true, all, to.breadcrumbs.is_some())
         });
         self.barriers_of(to.raw, begin, to.images, true);
-        self.timestamp(to.raw, first_query);
+        self.timestamp(to, first_query);
         let (mut updates, mut images) = (to.updates.iter(), to.images.iter());
         for (index, operation) in self.operations.iter().enumerate() {
             if let Some(Barrier { source, flush, destination, .. }) = &operation.barrier {
@@ -212,7 +213,7 @@ impl Sequence {
                 }
                 work => self.operation(to, work, self.sets[index], &[]),
             }
-            self.timestamp(to.raw, first_query + index as u32 + 1);
+            self.timestamp(to, first_query + index as u32 + 1);
         }
         self.barriers_of(to.raw, None, to.images, false);
         Ok(())
@@ -290,11 +291,11 @@ impl Sequence {
         }
     }
 
-    fn timestamp(&self, raw: vk::CommandBuffer, query: u32) {
-        if self.queries != vk::QueryPool::null() {
+    fn timestamp(&self, to: &Encoding<'_>, query: u32) {
+        if to.timed && self.queries != vk::QueryPool::null() {
             let stage = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
             // SAFETY: recording; the query exists and was reset.
-            unsafe { self.gpu.device.cmd_write_timestamp(raw, stage, self.queries, query) };
+            unsafe { self.gpu.device.cmd_write_timestamp(to.raw, stage, self.queries, query) };
         }
     }
 

@@ -117,7 +117,8 @@ fn depth_key(z: u32, depth_bits: u32, frame: &Frame) -> u32 {
 
 fn write_arguments(capacity: u32, counters: &mut [u32], indirect: &mut [u32]) {
     let total = counters[COUNT_INSTANCES_LOW as usize];
-    let failed = counters[COUNT_INSTANCES_HIGH as usize] != 0 || total > capacity;
+    let before = counters[COUNT_FAILED as usize] != 0;
+    let failed = before || counters[COUNT_INSTANCES_HIGH as usize] != 0 || total > capacity;
     let visible = if failed { 0 } else { counters[COUNT_VISIBLE as usize] };
     let instances = if failed { 0 } else { total };
     for (at, items, per_group) in [

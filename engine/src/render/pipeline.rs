@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::gpu::kernel::Kernel;
-use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, Slice};
+use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, SLICE_ALIGNMENT, Slice};
 use crate::scene::parameter::{LOG_SCALE, MEAN, OPACITY_LOGIT, ROTATION, SH_0};
 
 use super::blend::{self, BLEND, BlendBuffers, BlendConstants};
@@ -67,6 +67,8 @@ pub(crate) struct Shape {
     pub(crate) with_depth: bool,
     /// Tile lists of slots, for the backward pass.
     pub(crate) slots: Option<SlotBuffers>,
+    /// What the counters begin with; zeros without it.
+    pub(crate) first_counters: Option<Buffer>,
     /// What may be given up; exact unless said.
     pub(crate) quality: Quality,
     /// `frame.color` holds pixels of this format; `None`: floats.
@@ -101,7 +103,14 @@ pub(crate) fn record_forward(
     frame: &FrameBuffers,
     shape: &Shape,
 ) -> Result<()> {
-    r.fill(&work.zeroed, 0)?;
+    match &shape.first_counters {
+        None => r.fill(&work.zeroed, 0)?,
+        Some(first) => {
+            // They lie alone at the arena's start.
+            r.fill(work.zeroed.slice(SLICE_ALIGNMENT, work.zeroed.bytes() - SLICE_ALIGNMENT), 0)?;
+            r.copy(first, &work.counters)?;
+        }
+    }
     let pose = frame.host_pose.as_ref().unwrap_or(&scene.deformation.pose);
     let offset = scene.deformation.record(gpu, r, scene, &frame.frame, pose)?;
     deform_project(r, scene, work, frame, offset, &shape.quality)?;

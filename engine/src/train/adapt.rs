@@ -20,6 +20,12 @@ const INSTANCE_BYTES: u64 = 72;
 /// Bytes per pixel: photo, rendering, gradient, work space of SSIM.
 const PIXEL_BYTES: u64 = 96;
 impl Trainer {
+    /// Whether [`Trainer::adapt_density`] does anything after `iteration`.
+    pub(super) fn adapts_density(&self, iteration: u64) -> bool {
+        let s = &self.schedule;
+        s.grows(iteration) || s.prunes(iteration) || s.resets_opacity(iteration)
+    }
+
     /// Clone, split, prune and reset after `iteration`, as the schedule says.
     pub(super) fn adapt_density(&mut self, iteration: u64) -> Result<()> {
         let (grows, prunes) = (self.schedule.grows(iteration), self.schedule.prunes(iteration));

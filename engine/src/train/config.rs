@@ -5,6 +5,7 @@
 //! scales them in proportion (see [`Config::scaled`]).
 
 mod preset;
+mod run;
 #[cfg(test)]
 mod tests;
 
@@ -18,6 +19,7 @@ use crate::error::{Error, Result};
 use crate::scene::parameter::{PARAMETERS, Present, REQUIRED};
 use crate::scene::{Blend, DeformSize};
 pub use preset::Preset;
+pub use run::{BudgetConfig, ExportConfig, LogConfig};
 
 /// Which form of a formula is used where paper and code disagree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -304,47 +306,6 @@ pub struct DensityConfig {
     pub max_radius_px: f32,
     /// World size above which it goes then too, as a share of the scene's extent (0.1).
     pub max_extent: f32,
-}
-
-/// Hard limits; growth stops there and training goes on.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct BudgetConfig {
-    /// Most Gaussians.
-    pub max_gaussians: u32,
-    /// Most bytes of device memory; 0: what the device offers.
-    pub max_bytes: u64,
-    /// Most bytes of decoded images kept in host memory.
-    pub image_bytes: u64,
-}
-
-/// What is measured and written during the run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct LogConfig {
-    /// Held-out views are evaluated every so many iterations; 0: only at the end.
-    pub evaluate_interval: u64,
-    /// How many of them.
-    pub evaluate_views: u32,
-    /// A line in `run.jsonl` every so many iterations.
-    pub interval: u64,
-    /// A checkpoint every so many iterations; 0: only at the end and when interrupted.
-    pub checkpoint_interval: u64,
-    /// Parameters, moments, association and networks are searched for numbers that are not finite every so many iterations,
-    /// and before every checkpoint; gradients are watched at every step. 0: at checkpoints only.
-    pub finite_interval: u64,
-}
-
-/// What the exported model keeps.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ExportConfig {
-    /// Largest error of the key-time table on the training cameras, pixels.
-    pub motion_error_px: f64,
-    /// Keep network F and the association in the model (then every superpoint stays too).
-    pub keep_network: bool,
-    /// Largest change of a pixel that leaving out an SH degree may cause on the training cameras, in units of 1/255.
-    pub sh_error: f64,
 }
 
 impl Config {

@@ -1,6 +1,9 @@
 //! How well a scene shows held-out views.
 
+use std::sync::Arc;
+
 use crate::data::loader::ImageLoader;
+use crate::data::pixels::Pixels;
 use crate::error::Result;
 use crate::gpu::Gpu;
 use crate::image::Image;
@@ -29,6 +32,50 @@ pub fn mean(scores: &[ViewScore]) -> [f64; 2] {
     [scores.iter().map(|s| s.psnr).sum::<f64>() / n, scores.iter().map(|s| s.ssim).sum::<f64>() / n]
 }
 
+/// A held-out view beside its rendering.
+#[derive(Debug, Clone)]
+pub struct RenderedView {
+    index: usize,
+    name: String,
+    time: f64,
+    rendered: Image,
+    photo: Arc<Pixels>,
+    background: [f32; 3],
+}
+
+impl RenderedView {
+    /// The view's scores, and its photo as `[H·W·3]`.
+    ///
+    /// # Errors
+    /// `Usage` when sizes differ.
+    pub fn score(&self) -> Result<(ViewScore, Image)> {
+        let truth = composite(&self.photo, self.background);
+        let (ours, photo) = (Planes::clamped(&self.rendered)?, Planes::clamped(&truth)?);
+        let psnr = metrics::psnr(&photo, &ours, None)?;
+        let ssim = metrics::ssim(&photo, &ours, None)?.zero_padded;
+        Ok((ViewScore { index: self.index, name: self.name.clone(), time: self.time, psnr, ssim }, truth))
+    }
+}
+
+/// Renders the views `indices` of a loader.
+///
+/// # Errors
+/// Those of rendering and decoding.
+pub fn render_views(
+    gpu: &Gpu,
+    scene: &Scene,
+    loader: &ImageLoader,
+    indices: &[usize],
+    options: &RenderOptions,
+) -> Result<Vec<RenderedView>> {
+    let mut views = Vec::with_capacity(indices.len());
+    each_view(gpu, scene, loader, indices, options, |view| {
+        views.push(view);
+        Ok(())
+    })?;
+    Ok(views)
+}
+
 /// Renders the views `indices` of a loader and scores them; `each` gets every rendered image and its photo as `[H·W·3]`.
 ///
 /// # Errors
@@ -41,26 +88,38 @@ pub fn evaluate(
     options: &RenderOptions,
     mut each: impl FnMut(&ViewScore, &Image, &Image) -> Result<()>,
 ) -> Result<Vec<ViewScore>> {
-    let mut renderer = Renderer::new(gpu, scene, options)?;
     let mut scores = Vec::with_capacity(indices.len());
+    each_view(gpu, scene, loader, indices, options, |view| {
+        let (score, truth) = view.score()?;
+        each(&score, &view.rendered, &truth)?;
+        scores.push(score);
+        Ok(())
+    })?;
+    Ok(scores)
+}
+
+fn each_view(
+    gpu: &Gpu,
+    scene: &Scene,
+    loader: &ImageLoader,
+    indices: &[usize],
+    options: &RenderOptions,
+    mut each: impl FnMut(RenderedView) -> Result<()>,
+) -> Result<()> {
+    let mut renderer = Renderer::new(gpu, scene, options)?;
     loader.prefetch(indices);
     for &index in indices {
         let view = &loader.views()[index];
         let photo = loader.get(index)?;
         let rendered = renderer.render(&view.camera, view.time)?;
-        let truth = composite(&photo, options.background);
-        let (ours, photo) = (Planes::clamped(&rendered)?, Planes::clamped(&truth)?);
-        let psnr = metrics::psnr(&photo, &ours, None)?;
-        let ssim = metrics::ssim(&photo, &ours, None)?.zero_padded;
-        let score = ViewScore { index, name: view.name.clone(), time: view.time, psnr, ssim };
-        each(&score, &rendered, &truth)?;
-        scores.push(score);
+        let (name, time, background) = (view.name.clone(), view.time, options.background);
+        each(RenderedView { index, name, time, rendered, photo, background })?;
     }
-    Ok(scores)
+    Ok(())
 }
 
 /// A photo over a background.
-fn composite(photo: &crate::data::pixels::Pixels, background: [f32; 3]) -> Image {
+fn composite(photo: &Pixels, background: [f32; 3]) -> Image {
     let pixel = |p: &u32| {
         let [r, g, b, a] = p.to_le_bytes().map(|c| f32::from(c) / 255.0);
         let over = |c: f32, i: usize| c + (1.0 - a) * background[i];

@@ -64,11 +64,11 @@ crate::gpu_buffers! {
     pub struct ImageLossBuffers {
         /// Size and background.
         frame: Read Struct(Frame),
-        /// λ.
+        /// λ; where the target begins.
         step: Read Struct(Step),
         /// `vec4[H·W]` rendered image.
         color: Read F32,
-        /// Target image, as [`TargetFormat`] says.
+        /// Target image, as [`TargetFormat`] says, from the step's word on.
         target: Read U32,
         /// `float[3 channels][3][H·W]` of [`ssim_forward`]; absent without SSIM.
         ssim_maps: optional Read F32,
@@ -100,6 +100,7 @@ fn image_loss_twin(call: Call<'_, ImageLoss>) {
     let (kind, with_ssim) = (constants.target, constants.with_ssim == 1);
     let frame: Frame = struct_at(b.frame, 0);
     let step: Step = struct_at(b.step, 0);
+    let target = &b.target[step.photo as usize..];
     let [width, height] = frame.size;
     let pixels = (width * height) as usize;
     let groups = groups(width, height);
@@ -114,14 +115,14 @@ fn image_loss_twin(call: Call<'_, ImageLoss>) {
             vec![[0.0; 3]; pixels]
         };
         for i in 0..pixels {
-            let [x, y] = image_and_target(&frame, [b.color, b.target], kind, i, channel);
+            let [x, y] = image_and_target(&frame, [b.color, target], kind, i, channel);
             let d = x - y;
             let m = by_moment[i];
             let by_ssim = m[0] + 2.0 * x * m[1] + 2.0 * d * m[2];
             let sign = if d == 0.0 { 0.0 } else { d.signum() };
             let gradient = per_value * ((1.0 - lambda) * sign - lambda * by_ssim);
             let good = usable(f32_at(b.color, 4 * i + channel))
-                && usable(target_value(&frame, b.target, kind, i, channel))
+                && usable(target_value(&frame, target, kind, i, channel))
                 && gradient.is_finite();
             if !good {
                 status::report(b.status, status::IMAGE_GRADIENT, i as u32);
@@ -130,7 +131,7 @@ fn image_loss_twin(call: Call<'_, ImageLoss>) {
             set_f32(b.image_gradient, 4 * i + 3, 0.0);
         }
         let difference = |i: usize| {
-            let [x, y] = image_and_target(&frame, [b.color, b.target], kind, i, channel);
+            let [x, y] = image_and_target(&frame, [b.color, target], kind, i, channel);
             x - y
         };
         for group in (channel as u32..groups).step_by(3) {

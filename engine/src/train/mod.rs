@@ -1,6 +1,6 @@
 //! Posed images → scene, on the GPU.
 //!
-//! [`trainer::Trainer::step`] is one iteration of Superpoint Gaussian Splatting, one submission:
+//! [`trainer::Trainer::advance`] is one iteration of Superpoint Gaussian Splatting, one submission:
 //!
 //! ```text
 //! network F → pose            superpoint poses at the photo's time (after warm-up)
@@ -14,8 +14,10 @@
 //! superpoint_commit           assignment and centres of the next step
 //! ```
 //!
-//! Nothing is applied when the view needs more tile instances than there is room for (the step is repeated with larger
-//! buffers), and nothing that is not finite is ever applied (`status`). What happens when is [`schedule`]; every number of it
+//! Several steps are in flight: the host reads a step's report while the device is at later ones. What is trained is the same
+//! bits as with one step at a time ([`trainer::flight`]). Nothing is applied when the view needs more tile instances than there is room for, and
+//! nothing of the steps behind it; they are repeated in order with larger buffers. Photos stay on the device where they fit
+//! (`photos`). Nothing that is not finite is ever applied (`status`). What happens when is [`schedule`]; every number of it
 //! is [`config`]; `adapt` is density control, [`checkpoint`] what a run goes on from, [`export`] and [`bake`] what is played.
 
 #[doc(hidden)]
@@ -53,6 +55,7 @@ pub mod network_g;
 mod numbers;
 #[doc(hidden)]
 pub mod parameters;
+mod photos;
 #[doc(hidden)]
 pub mod property_loss;
 #[doc(hidden)]

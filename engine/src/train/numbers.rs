@@ -11,8 +11,9 @@ impl Trainer {
     /// Looks at every parameter, moment and statistic on the device; waits for it.
     ///
     /// # Errors
-    /// `NonFinite` naming the buffer, the first bad index in it and the iteration.
+    /// `NonFinite` naming the buffer, the first bad index in it and the iteration; `Usage` while steps are in flight.
     pub fn check_numbers(&self) -> Result<()> {
+        self.settled()?;
         check_finite(&self.gpu, &self.kept_numbers()).map_err(|error| match error {
             Error::NonFinite { what, index, value } => {
                 Error::NonFinite { what: format!("{what} at iteration {}, first", self.iteration), index, value }

@@ -51,8 +51,8 @@ crate::gpu_struct! {
         pub beta_2: f32,
         /// Adam's ε, added to the root of the second moment.
         pub epsilon: f32,
-        /// To a multiple of 8 bytes.
-        pub unused: f32,
+        /// Word of the photos' buffer where this step's begins.
+        pub photo: u32,
         /// Learning rates of the Gaussians' [`PARAMETERS`].
         pub rate: [f32; RATES],
     }

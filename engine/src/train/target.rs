@@ -4,6 +4,7 @@ use super::blend_backward::ROW_WORDS;
 use super::image_loss::{LOSS_WORDS, LossPass};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Commands, Gpu, Memory};
+use crate::render::frame::Frame;
 use crate::render::limits::TILE_SIZE;
 use crate::render::pipeline::{FrameBuffers, Shape};
 use crate::render::tiles::SlotBuffers;
@@ -23,18 +24,16 @@ pub(crate) struct Target {
     /// Tile instances that there is room for.
     pub(crate) capacity: u32,
     pub(crate) work: WorkBuffers,
-    pub(crate) frame: FrameBuffers,
+    /// One per step in flight: image and counters are shared.
+    pub(crate) frames: Vec<FrameBuffers>,
     pub(crate) shape: Shape,
     /// Gradient rows per instance; only with slots.
     pub(crate) instance_gradient: Option<Buffer>,
-    /// Premultiplied RGBA8 of the photo, host side.
-    pub(crate) upload: Buffer,
-    /// The same on the device.
-    pub(crate) photo: Buffer,
     pub(crate) image_gradient: Buffer,
     pub(crate) loss: Buffer,
     pub(crate) image_loss: LossPass,
-    pub(crate) commands: Option<(RecordingKey, Commands)>,
+    /// One per step in flight.
+    pub(crate) commands: Vec<Option<(RecordingKey, Commands)>>,
 }
 
 /// Sizes of a target.
@@ -45,14 +44,16 @@ pub(crate) struct TargetSize {
     pub(crate) capacity: u32,
     pub(crate) with_slots: bool,
     pub(crate) with_ssim: bool,
+    /// Steps in flight.
+    pub(crate) steps: usize,
 }
 
 impl Target {
-    /// Allocates all buffers.
+    /// Allocates all buffers. `failed`: what the counters begin with.
     ///
     /// # Errors
     /// `OutOfMemory`, `Limit`.
-    pub(crate) fn new(gpu: &Gpu, size: TargetSize) -> Result<Self> {
+    pub(crate) fn new(gpu: &Gpu, size: TargetSize, failed: &Buffer) -> Result<Self> {
         let [width, height] = size.image;
         if width == 0 || height == 0 {
             return Err(Error::usage("training image", format!("{width}×{height}"), "at least 1×1 pixels"));
@@ -61,26 +62,35 @@ impl Target {
         let pixels = u64::from(width) * u64::from(height);
         let device = |name: &str, bytes: u64| gpu.buffer(name, bytes, Memory::Device);
         let slots = size.with_slots.then(|| SlotBuffers::new(gpu, size.gaussians, size.capacity)).transpose()?;
+        let color = device("color", pixels * 16)?;
+        let counters = gpu.buffer("counters readback", 32, Memory::Readback)?;
+        let frame = || {
+            let frame = gpu.buffer("frame", size_of::<Frame>() as u64, Memory::Constants)?;
+            let (color, counters) = (color.clone(), counters.clone());
+            Ok(FrameBuffers { frame, host_pose: None, color, depth: None, counters })
+        };
         let row_bytes = u64::from(size.capacity.max(1)) * u64::from(ROW_WORDS) * 4;
         Ok(Self {
             size: size.image,
             capacity: size.capacity,
             work: WorkBuffers::new(gpu, size.gaussians, tiles, size.capacity)?,
-            frame: FrameBuffers {
-                frame: gpu.buffer("frame", size_of::<crate::render::frame::Frame>() as u64, Memory::Constants)?,
-                host_pose: None,
-                color: device("color", pixels * 16)?,
-                depth: None,
-                counters: gpu.buffer("counters readback", 32, Memory::Readback)?,
-            },
+            frames: (0..size.steps).map(|_| frame()).collect::<Result<_>>()?,
             instance_gradient: slots.as_ref().map(|_| device("instance_gradient", row_bytes)).transpose()?,
-            shape: Shape { tiles, with_depth: false, slots, ..Shape::default() },
-            upload: gpu.buffer("photo upload", pixels * 4, Memory::Upload)?,
-            photo: device("target", pixels * 4)?,
+            shape: Shape { tiles, slots, first_counters: Some(failed.clone()), ..Shape::default() },
             image_gradient: device("image_gradient", pixels * 16)?,
             loss: device("loss", LOSS_WORDS as u64 * 4)?,
             image_loss: LossPass::new(gpu, width, height, size.with_ssim)?,
-            commands: None,
+            commands: (0..size.steps).map(|_| None).collect(),
         })
+    }
+
+    /// Recordings that no longer hold what they use.
+    pub(crate) fn forget_commands(&mut self) {
+        self.commands.iter_mut().for_each(|commands| *commands = None);
+    }
+
+    /// A recording of the step.
+    pub(crate) fn recorded(&self) -> Option<&Commands> {
+        self.commands.iter().flatten().map(|(_, commands)| commands).next()
     }
 }

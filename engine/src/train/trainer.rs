@@ -1,5 +1,6 @@
 //! [`Trainer`]: state and the one step that reads like the paper's algorithm.
 
+pub mod flight;
 mod record;
 mod restore;
 
@@ -10,28 +11,31 @@ use super::deform_project_backward::SLOT_PLANES;
 use super::deformation::{self, Trained};
 use super::density::DensityChange;
 use super::parameters::{ParameterState, Parameters};
+use super::photos::Photos;
 use super::rng;
 use super::sampler::ViewSampler;
 use super::schedule::{Counts, Schedule, Stage};
 use super::status;
 use super::step::Step;
-use super::target::{RecordingKey, Target, TargetSize};
+use super::target::{Target, TargetSize};
 use crate::data::dataset::View;
 use crate::data::loader::ImageLoader;
 use crate::data::pixels::Pixels;
 use crate::error::{Error, Result};
 use crate::gpu::capability::TRAINING_STORAGE_BUFFERS;
 use crate::gpu::{Buffer, Gpu, Memory, Suite, Timing};
-use crate::render::frame::{Frame, FrameOptions};
-use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE};
+use crate::render::frame::FrameOptions;
+use crate::render::work_buffers::COUNTER_WORDS;
 use crate::scene::Gaussians;
 use crate::scene::parameter::Present;
+use std::collections::VecDeque;
 use std::sync::Arc;
+
+use flight::Job;
+pub use flight::{FLIGHT, Finished};
 
 /// Random stream of the noise on time.
 const TIME_STREAM: u32 = 0x5449_4d45;
-/// Photos announced ahead of their use.
-const PREFETCH: u64 = 8;
 /// Tile instances that the first step has room for, per Gaussian.
 const FIRST_INSTANCES_PER_GAUSSIAN: u64 = 4;
 /// Room beyond what a step needed when the buffers grow.
@@ -80,6 +84,32 @@ pub struct StepReport {
     pub rejected: u32,
 }
 
+/// Of which steps the device's times are taken, operation by operation.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Profile {
+    /// Of none.
+    #[default]
+    Off,
+    /// Of those that are logged ([`LogConfig::logs`](super::config::LogConfig::logs)).
+    Logged,
+    /// Of all.
+    All,
+}
+
+/// Buffers of a step in flight.
+#[derive(Debug)]
+pub(super) struct Slot {
+    pub(super) step: Buffer,
+    pub(super) readback: Buffer,
+}
+
+impl Slot {
+    fn new(gpu: &Gpu) -> Result<Self> {
+        let step = gpu.buffer("step", size_of::<Step>() as u64, Memory::Constants)?;
+        Ok(Self { step, readback: gpu.buffer("step readback", READBACK_BYTES, Memory::Readback)? })
+    }
+}
+
 /// Trains one scene.
 #[derive(Debug)]
 pub struct Trainer {
@@ -96,13 +126,21 @@ pub struct Trainer {
     pub(super) density_change: Option<DensityChange>,
     pub(super) targets: Vec<Target>,
     pub(super) capacity: u64,
-    pub(super) step: Buffer,
+    pub(super) photos: Photos,
+    /// One per step that may be in flight.
+    pub(super) slots: Vec<Slot>,
+    /// Steps in flight, oldest first.
+    pub(super) flying: VecDeque<Job>,
+    pub(super) finished: VecDeque<Finished>,
     pub(super) status: Buffer,
-    pub(super) readback: Buffer,
+    /// What the counters of a step begin with: zeros, and whether the step before it failed.
+    pub(super) failed: Buffer,
     pub(super) splat_gradient: Buffer,
     pub(super) pose_gradient: Buffer,
-    /// Whether device times are taken of every operation.
-    pub(super) profile: bool,
+    pub(super) profile: Profile,
+    /// Of the last step that [`Trainer::step`] ran.
+    timings: Vec<Timing>,
+    repeated: u64,
 }
 
 impl Trainer {
@@ -145,6 +183,7 @@ impl Trainer {
         let workers = std::thread::available_parallelism().map_or(1, |n| n.get().min(8));
         let status = gpu.buffer("status", status::STATUS_WORDS as u64 * 4, Memory::Device)?;
         gpu.upload(&status, bytemuck::cast_slice(&status::clear()))?;
+        let failed = gpu.buffer_with("failed", bytemuck::cast_slice(&[0_u32; COUNTER_WORDS as usize]))?;
         let parameters = Parameters::upload(gpu, state)?;
         let n = u64::from(parameters.count().max(1));
         let times: Vec<f64> = data.views.iter().map(|v| v.time).collect();
@@ -163,21 +202,48 @@ impl Trainer {
             density_change: None,
             targets: Vec::new(),
             capacity: (n * FIRST_INSTANCES_PER_GAUSSIAN).max(4096),
-            step: gpu.buffer("step", size_of::<Step>() as u64, Memory::Constants)?,
+            photos: Photos::new(gpu, &data.views, config.budget.photo_bytes, FLIGHT)?,
+            slots: (0..FLIGHT).map(|_| Slot::new(gpu)).collect::<Result<_>>()?,
+            flying: VecDeque::new(),
+            finished: VecDeque::new(),
             status,
-            readback: gpu.buffer("step readback", READBACK_BYTES, Memory::Readback)?,
+            failed,
             splat_gradient: gpu.buffer("splat_gradient", n * u64::from(ROW_WORDS) * 4, Memory::Device)?,
             pose_gradient: gpu.buffer("pose_gradient", n * pose_gradient_bytes(config), Memory::Device)?,
             parameters,
-            profile: false,
+            profile: Profile::Off,
+            timings: Vec::new(),
+            repeated: 0,
         })
     }
 
-    /// Whether device times are taken of every operation.
+    /// Of which steps device times are taken; set before the first step.
     #[must_use]
-    pub fn with_profile(mut self, profile: bool) -> Self {
+    pub fn with_profile(mut self, profile: Profile) -> Self {
         self.profile = profile;
         self
+    }
+
+    /// How many steps may be in flight, 1 to 8 ([`FLIGHT`] otherwise). What is trained does not depend on it ([`flight`]).
+    ///
+    /// # Errors
+    /// `Usage` while steps are in flight; `OutOfMemory`.
+    pub fn with_flight(mut self, steps: usize) -> Result<Self> {
+        self.settled()?;
+        let steps = steps.clamp(1, 8);
+        self.photos = Photos::new(&self.gpu, &self.views, self.config.budget.photo_bytes, steps)?;
+        self.slots = (0..steps).map(|_| Slot::new(&self.gpu)).collect::<Result<_>>()?;
+        self.targets.clear();
+        Ok(self)
+    }
+
+    /// Whether device times are taken of the operations of this step.
+    fn is_timed(&self, iteration: u64) -> bool {
+        match self.profile {
+            Profile::Off => false,
+            Profile::Logged => self.config.log.logs(iteration),
+            Profile::All => true,
+        }
     }
 
     /// The configuration, as given.
@@ -190,12 +256,12 @@ impl Trainer {
         &self.schedule
     }
 
-    /// Iterations done.
+    /// Iterations done, or submitted while steps are in flight.
     pub fn iteration(&self) -> u64 {
         self.iteration
     }
 
-    /// Whether all iterations are done.
+    /// Whether all iterations are done, or submitted while steps are in flight.
     pub fn is_done(&self) -> bool {
         self.iteration >= self.schedule.iterations()
     }
@@ -215,32 +281,29 @@ impl Trainer {
         self.deformation.as_ref()?.association()
     }
 
-    /// One iteration: pick a photo, move, render, compare, go back, update, adapt the density.
+    /// One iteration, waited for: [`Trainer::advance`] and [`Trainer::drain`].
     ///
     /// # Errors
     /// `NonFinite` naming group, index and iteration when a number went bad (nothing bad was applied); errors of the
     /// photo; `Limit` or `OutOfMemory` when the view does not fit; `DeviceLost`.
     pub fn step(&mut self) -> Result<StepReport> {
-        let iteration = self.iteration + 1;
-        let view = self.sampler.view(iteration);
-        let ahead: Vec<usize> = (0..PREFETCH).map(|k| self.sampler.view(iteration + k)).collect();
-        self.loader.prefetch(&ahead);
-        let photo = self.loader.get(view)?;
-        self.step_on(view, &photo)
+        self.advance()?;
+        self.last_report()
     }
 
     /// [`Trainer::step`] on this view and photo.
     pub(crate) fn step_on(&mut self, view: usize, photo: &Pixels) -> Result<StepReport> {
-        let iteration = self.iteration + 1;
-        if self.schedule.superpoints_begin(iteration) {
-            self.begin_motion()?;
-        }
-        let report = self.run(iteration, view, photo)?;
-        self.iteration = iteration;
-        self.adapt_density(iteration)?;
-        if self.config.log.finite_interval > 0 && iteration.is_multiple_of(self.config.log.finite_interval) {
-            self.check_numbers()?;
-        }
+        self.advance_on(view, Some(photo))?;
+        self.last_report()
+    }
+
+    /// The report of the last submitted step.
+    fn last_report(&mut self) -> Result<StepReport> {
+        self.drain()?;
+        let last = self.finished.drain(..).next_back();
+        let Finished { report, timings, density } = last.ok_or_else(|| Error::usage("a step", "no report", "one"))?;
+        self.timings = timings;
+        self.density_change = density.or(self.density_change.take());
         Ok(report)
     }
 
@@ -257,37 +320,7 @@ impl Trainer {
     fn set_deformation(&mut self, model: Trained) {
         model.attach(&mut self.parameters.scene.deformation);
         self.deformation = Some(model);
-        self.targets.iter_mut().for_each(|t| t.commands = None);
-    }
-
-    /// Runs the step on the device, with larger buffers until the view fits.
-    fn run(&mut self, iteration: u64, view: usize, photo: &Pixels) -> Result<StepReport> {
-        self.parameters.scene.sh_degree = self.schedule.sh_degree(iteration).min(self.parameters.sh_degree);
-        let camera = self.views[view].camera.clone();
-        if [photo.width, photo.height] != [camera.width, camera.height] {
-            let found = format!("{}×{} pixels", photo.width, photo.height);
-            return Err(Error::usage(format!("photo of {}", self.views[view].name), found, "the camera's size"));
-        }
-        loop {
-            let at = self.target([camera.width, camera.height])?;
-            let frame = Frame::new(&camera, self.parameters.scene.origin, &self.frame_options(view, at))?;
-            self.write_step(iteration, view)?;
-            let key = RecordingKey { sh_degree: self.parameters.scene.sh_degree, moves: self.deformation.is_some() };
-            let target = &self.targets[at];
-            target.frame.frame.write(0, bytemuck::bytes_of(&frame))?;
-            target.upload.write(0, bytemuck::cast_slice(&photo.rgba))?;
-            if target.commands.as_ref().is_none_or(|(k, _)| *k != key) {
-                let commands = self.record(at)?;
-                self.targets[at].commands = Some((key, commands));
-            }
-            if let Some((_, commands)) = &mut self.targets[at].commands {
-                self.gpu.submit(commands)?;
-                self.gpu.wait_for(commands)?;
-            }
-            if let Some(report) = self.read_back(iteration, view)? {
-                return Ok(report);
-            }
-        }
+        self.targets.iter_mut().for_each(|t| t.forget_commands());
     }
 
     fn frame_options(&self, view: usize, at: usize) -> FrameOptions {
@@ -303,7 +336,8 @@ impl Trainer {
         }
     }
 
-    fn write_step(&self, iteration: u64, view: usize) -> Result<()> {
+    /// What the step is, as the kernels see it; `photo`: the first word of its photo.
+    fn step_of(&self, iteration: u64, view: usize, photo: u32) -> Step {
         let slots = self.association().map_or(0, |a| a.slots);
         let (gaussians, superpoints) = (self.parameters.count(), self.superpoints());
         let time = self.views[view].time;
@@ -311,8 +345,7 @@ impl Trainer {
         let spacing = 1.0 / self.sampler.remaining(iteration) as f64;
         let noise =
             self.schedule.time_noise(iteration, spacing) * rng::normal(self.config.seed, TIME_STREAM, iteration);
-        let step = self.schedule.step(iteration, Counts { gaussians, superpoints, slots }, [time + noise, time]);
-        self.step.write(0, bytemuck::bytes_of(&step))
+        Step { photo, ..self.schedule.step(iteration, Counts { gaussians, superpoints, slots }, [time + noise, time]) }
     }
 
     /// The index of the target for an image size, made if need be.
@@ -328,8 +361,9 @@ impl Trainer {
             capacity,
             with_slots: self.with_slots(),
             with_ssim: self.config.loss.lambda_dssim > 0.0,
+            steps: self.flight(),
         };
-        self.targets.push(Target::new(&self.gpu, size)?);
+        self.targets.push(Target::new(&self.gpu, size, &self.failed)?);
         Ok(self.targets.len() - 1)
     }
 
@@ -338,44 +372,17 @@ impl Trainer {
         Accumulation::of_device(&self.gpu, self.config.deterministic) == Accumulation::Instances
     }
 
-    /// What the step left. `None`: the view needed more tile instances; nothing was changed, the buffers are larger now.
-    fn read_back(&mut self, iteration: u64, view: usize) -> Result<Option<StepReport>> {
-        let mut bytes = vec![0; READBACK_BYTES as usize];
-        self.readback.read(0, &mut bytes)?;
-        let words: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
-        let word = |part: usize, i: u32| words[(READBACK[part] / 4) as usize + i as usize];
-        let float = |part: usize, i: u32| f64::from(f32::from_bits(word(part, i)));
-        let instances = u64::from(word(0, COUNT_INSTANCES_HIGH)) << 32 | u64::from(word(0, COUNT_INSTANCES_LOW));
-        if word(0, COUNT_FAILED) != 0 {
-            self.grow(instances)?;
-            return Ok(None);
-        }
-        let first = (READBACK[3] / 4) as usize;
-        if let Some((group, count, index)) = status::first(&words[first..first + status::STATUS_WORDS]) {
-            let what = format!("{group} at iteration {iteration} ({count} not finite), first");
-            return Err(Error::NonFinite { what, index: index as usize, value: "not finite".into() });
-        }
-        let c = &self.config.loss;
-        let has_property = self.deformation.as_ref().is_some_and(|m| m.property_loss().is_some());
-        let property = if has_property { [0, 1, 2].map(|i| float(2, i)) } else { [0.0; 3] };
-        let weights = [c.lambda_position, c.lambda_rotation, c.lambda_translation].map(f64::from);
-        Ok(Some(StepReport {
-            iteration,
-            view,
-            loss: float(1, 0) + property.iter().zip(weights).map(|(p, w)| p * w).sum::<f64>(),
-            l1: float(1, 1),
-            ssim: float(1, 2),
-            psnr: -10.0 * float(1, 3).max(1e-30).log10(),
-            property,
-            gaussians: self.parameters.count(),
-            superpoints: self.superpoints(),
-            visible: word(0, COUNT_VISIBLE),
-            instances,
-            rejected: word(0, COUNT_REJECTED),
-        }))
+    /// The next step begins as if none had failed before it.
+    fn clear_failure(&self) -> Result<()> {
+        self.gpu.upload(&self.failed, bytemuck::cast_slice(&[0_u32; COUNTER_WORDS as usize]))
     }
 
+    /// Makes room for a step that failed, which with those behind it has finished.
     fn grow(&mut self, instances: u64) -> Result<()> {
+        // The steps in flight have finished: what they left of the failure goes, and what their sums over gradients that
+        // were never written may have reported; nothing of them was applied.
+        self.clear_failure()?;
+        self.gpu.upload(&self.status, bytemuck::cast_slice(&status::clear()))?;
         let wanted = instances.saturating_mul(GROWTH_PERCENT) / 100;
         let limit = u64::from(u32::MAX) / u64::from(ROW_WORDS) / 4;
         if instances > limit {
@@ -383,22 +390,15 @@ impl Trainer {
             return Err(Error::Limit { what, need: instances.into(), have: limit.into() });
         }
         self.capacity = wanted.clamp(self.capacity + 1, limit);
-        // Sums over gradients that the failed step never wrote may have been reported; nothing of them was applied.
-        self.gpu.upload(&self.status, bytemuck::cast_slice(&status::clear()))
+        Ok(())
     }
 
-    /// Device time of each operation of the last step, in order; empty without timestamps.
-    ///
-    /// # Errors
-    /// `Vulkan` when the device cannot say.
-    pub fn timings(&self) -> Result<Vec<Timing>> {
-        match self.commands() {
-            Some(commands) if self.profile => commands.timings(),
-            _ => Ok(Vec::new()),
-        }
+    /// Device time of each operation of the last [`Trainer::step`], in order; empty where none were taken.
+    pub fn timings(&self) -> &[Timing] {
+        &self.timings
     }
 
-    /// What density control did since the last call.
+    /// What density control did after the last [`Trainer::step`], unless it was taken already.
     pub fn take_density_change(&mut self) -> Option<DensityChange> {
         self.density_change.take()
     }

@@ -1,5 +1,6 @@
 //! What a training step moves and keeps: amounts of work for the roofline, device memory by purpose.
 
+use super::target::Target;
 use super::trainer::{StepReport, Trainer};
 use crate::gpu::kernel::Workload;
 use crate::gpu::{Buffer, Commands};
@@ -15,7 +16,7 @@ pub struct TrainingMemory {
     /// Gradients of what is learnt and of the splats, rows of tile instances included. (The Gaussians' own gradients are
     /// never stored: Adam is fused into the kernel that computes them.)
     pub gradients: u64,
-    /// Images: photo, rendering, its gradient, intermediate maps of the loss.
+    /// Images: photos, rendering, its gradient, intermediate maps of the loss.
     pub images: u64,
     /// Everything else: sort arrays, tile instances, splats, activations, statistics.
     pub other: u64,
@@ -34,9 +35,9 @@ impl TrainingMemory {
 }
 
 impl Trainer {
-    /// The recording of the last step's image size; `None` before the first step.
+    /// A recording of the last step's image size; `None` before the first step.
     pub fn commands(&self) -> Option<&Commands> {
-        self.targets.last().and_then(|t| t.commands.as_ref()).map(|(_, commands)| commands)
+        self.targets.last().and_then(Target::recorded)
     }
 
     /// Amounts of work of a step, from which kernels derive the bytes that they move.
@@ -75,6 +76,7 @@ impl Trainer {
         let (p, sum) = (&self.parameters, |list: &[&Buffer]| list.iter().map(|b| b.bytes()).sum::<u64>());
         let mut used = TrainingMemory {
             parameters: p.scene.bytes(),
+            images: self.photos.bytes(),
             moments: sum(&[&p.moment_1, &p.moment_2]),
             gradients: sum(&[&self.splat_gradient, &self.pose_gradient]),
             ..TrainingMemory::default()
@@ -84,7 +86,7 @@ impl Trainer {
         }
         for t in &self.targets {
             used.gradients += t.instance_gradient.as_ref().map_or(0, Buffer::bytes);
-            used.images += sum(&[&t.frame.color, &t.photo, &t.upload, &t.image_gradient]) + t.image_loss.bytes();
+            used.images += t.frames[0].color.bytes() + t.image_gradient.bytes() + t.image_loss.bytes();
         }
         used.other = self.gpu.memory_used().0.saturating_sub(used.total());
         used

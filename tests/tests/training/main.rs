@@ -6,6 +6,7 @@ mod determinism;
 mod edges;
 mod export;
 mod files;
+mod flight;
 #[cfg(unix)] // It sends signals.
 mod interrupted;
 mod lifespan;

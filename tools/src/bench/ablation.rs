@@ -63,7 +63,7 @@ struct Ablation {
 /// Those of the data set and of training.
 pub fn run(args: &AblationArgs, global: &Global) -> Result<()> {
     let chosen = chosen(&args.only)?;
-    let gpu = gpu_session::open_to_measure_training(global)?;
+    let gpu = gpu_session::open_to_train(global)?;
     let session = Session::new(&gpu, &args.data, args.downscale)?;
     let base = session.config(args.iterations);
     let total: usize = chosen.iter().map(|p| p.variants.len()).sum();

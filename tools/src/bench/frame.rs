@@ -68,7 +68,7 @@ pub(super) fn html(record: &Value, found: &Found) -> String {
 pub fn run(args: &FrameArgs, global: &Global) -> Result<()> {
     let (scene, name) = scene::load(&args.scene, args.look.motion.is_some())?;
     let view = choose_camera(args, &scene)?;
-    let gpu = gpu_session::open_to_measure(global)?;
+    let gpu = gpu_session::open(global)?;
     let times = args.path.time.map_or_else(|| scene.time_range(), |t| [t, t]);
     let options = RenderOptions {
         background: args.look.background,

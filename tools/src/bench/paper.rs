@@ -89,7 +89,7 @@ pub(super) fn measure(gpu: &Gpu, s: &Subject<'_>) -> Result<(Value, Found)> {
 pub fn run(args: &PaperArgs, global: &Global) -> Result<()> {
     let (scene, name) = scene::load(&args.scene, args.look.motion.is_some())?;
     let (path, path_name) = path(args, &scene)?;
-    let gpu = gpu_session::open_to_measure(global)?;
+    let gpu = gpu_session::open(global)?;
     let options = RenderOptions {
         background: args.look.background,
         motion: args.look.motion_source(),

@@ -36,7 +36,7 @@ pub(super) struct Row {
 /// # Errors
 /// Those of the device; `Kernel` when the keys come back unsorted.
 pub fn run(args: &SortArgs, global: &Global) -> Result<()> {
-    let gpu = gpu_session::open_to_measure(global)?;
+    let gpu = gpu_session::open(global)?;
     let copy = copy_bandwidth(&gpu)?;
     let bar = progress::bar((args.keys.len() as u64) * u64::from(args.runs + 1), global.quiet);
     let mut rows = Vec::new();

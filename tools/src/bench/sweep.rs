@@ -27,7 +27,7 @@ use crate::report::provenance;
 /// Measures every setting and reports.
 pub(crate) fn run(args: &SweepArgs, global: &Global) -> Result<()> {
     let (scene, name) = scene::load(&args.scene, args.look.motion.is_some())?;
-    let gpu = gpu_session::open_to_measure(global)?;
+    let gpu = gpu_session::open(global)?;
     let views = Views::choose(args, &scene, gpu.info().is_cpu())?;
     let mut settings = settings::alone(&scene);
     let combinations = settings.iter().filter(|s| matches!(s.kind, Kind::Knob { .. })).count();

@@ -55,7 +55,7 @@ pub(crate) fn run(args: &TrainBenchArgs, global: &Global) -> Result<()> {
             "none: the scenes are synthetic",
         ));
     }
-    let gpu = gpu_session::open_to_measure_training(global)?;
+    let gpu = gpu_session::open_to_train(global)?;
     let [steps, warmup] = STEPS[usize::from(args.sweep)];
     let plan = Plan { steps: args.frames.unwrap_or(steps), warmup: args.warmup.unwrap_or(warmup) };
     let copy = crate::report::measure::copy_bandwidth(&gpu)?;
@@ -65,7 +65,7 @@ pub(crate) fn run(args: &TrainBenchArgs, global: &Global) -> Result<()> {
     } else {
         vec![(args.scene.synthetic, args.size.or_square(DEFAULT_SIZE))]
     };
-    let bar = progress::bar(2 * u64::from(plan.steps + plan.warmup) * scenes.len() as u64, global.quiet);
+    let bar = progress::bar(u64::from(3 * plan.steps + 2 * plan.warmup) * scenes.len() as u64, global.quiet);
     let mut cases = Vec::new();
     for (n, size) in scenes {
         let case = if args.scene.model.is_some() {

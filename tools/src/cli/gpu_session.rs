@@ -12,26 +12,9 @@ pub fn open(global: &Global) -> Result<Gpu> {
     open_with(global, GpuOptions::default())
 }
 
-/// The same for measuring: breadcrumbs, a small write before every operation, are left out unless `SPGS_BREADCRUMBS` asks
-/// for them.
-pub fn open_to_measure(global: &Global) -> Result<Gpu> {
-    open_with(global, measuring())
-}
-
-fn measuring() -> GpuOptions {
-    let mut options = GpuOptions::default();
-    options.breadcrumbs &= std::env::var_os("SPGS_BREADCRUMBS").is_some();
-    options
-}
-
 /// [`open`] for training: the training kernels have proven themselves too.
 pub fn open_to_train(global: &Global) -> Result<Gpu> {
     open_with(global, GpuOptions { training: true, ..GpuOptions::default() })
-}
-
-/// [`open_to_measure`] for training.
-pub fn open_to_measure_training(global: &Global) -> Result<Gpu> {
-    open_with(global, GpuOptions { training: true, ..measuring() })
 }
 
 /// Options with the device of the command line.
@@ -41,7 +24,8 @@ pub fn options(global: &Global) -> GpuOptions {
 
 /// The same without any test of the device, for all that there is to measure: who calls it tests by itself.
 pub fn open_untested(global: &Global) -> Result<Gpu> {
-    Gpu::open(&with_device(global, GpuOptions { training: true, self_test: SelfTest::Skip, ..measuring() }))
+    let options = GpuOptions { training: true, self_test: SelfTest::Skip, ..GpuOptions::default() };
+    Gpu::open(&with_device(global, options))
 }
 
 fn open_with(global: &Global, options: GpuOptions) -> Result<Gpu> {

@@ -18,7 +18,7 @@ const FRAMES: [u32; 2] = [500, 12];
 
 /// Renders the demo.
 pub fn run(args: &DemoArgs, global: &Global) -> Result<()> {
-    let gpu = gpu_session::open_to_measure(global)?;
+    let gpu = gpu_session::open(global)?;
     let scene = demo_scene();
     let say = !global.quiet && !args.json;
     if say {

@@ -1,5 +1,6 @@
 //! `spgs train`: posed images → model.
 
+mod background;
 mod decide;
 mod finish;
 pub mod log;
@@ -14,9 +15,10 @@ use engine::error::{Error, Result};
 use engine::file::durable::write_atomic;
 use engine::train::checkpoint::Checkpoint;
 use engine::train::schedule::Stage;
-use engine::train::trainer::{Trainer, TrainingData};
+use engine::train::trainer::{Profile, Trainer, TrainingData};
 
-use self::log::RunLog;
+use self::background::Background;
+use self::log::{RunLog, SharedLog};
 use self::run::{Rate, Run};
 use crate::cli::args::{Global, TrainArgs};
 use crate::cli::{gpu_session, output, progress};
@@ -69,7 +71,7 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
             Trainer::new(&gpu, &config, &training, &first)?
         }
     };
-    let trainer = trainer.with_profile(true);
+    let trainer = trainer.with_profile(Profile::Logged);
     create_folder(out)?;
     let text = trainer.config().to_toml()?;
     write_atomic(&out.join("config.toml"), |f| f.write_all(text.as_bytes()))?;
@@ -80,11 +82,22 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     let held_out = ImageLoader::new(held_out.clone().into(), trainer.config().budget.image_bytes, 1)?;
     let bar = progress::training(trainer.schedule().iterations(), trainer.iteration(), global.quiet);
     let kept = if stage.is_some() { log::Kept::UpTo(trainer.iteration()) } else { log::Kept::Nothing };
-    let log = RunLog::open(out, kept, trainer.schedule().stage())?;
+    let log = SharedLog::new(RunLog::open(out, kept, trainer.schedule().stage())?);
     let rate = Rate { since: std::time::Instant::now(), iterations: 0, per_second: 0.0 };
     let smooth = [f64::NAN; 2];
-    let mut run =
-        Run { gpu: &gpu, out: out.clone(), data: &data, held_out, trainer, log, bar, quiet: !say, smooth, rate };
+    let mut run = Run {
+        gpu: &gpu,
+        out: out.clone(),
+        data: &data,
+        held_out,
+        trainer,
+        log,
+        bar,
+        quiet: !say,
+        smooth,
+        rate,
+        background: Background::default(),
+    };
     let finished = run.iterate(args.view.then_some(path))?;
     run.bar.finish_and_clear();
     gpu_session::report_validation(&gpu);

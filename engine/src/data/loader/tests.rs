@@ -101,3 +101,20 @@ fn many_threads_may_ask_at_once() {
         }
     });
 }
+
+#[test]
+fn what_is_forgotten_is_decoded_again_and_counts_no_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let views = views(folder.path(), 3, usize::MAX);
+    let loader = ImageLoader::new(views, 10 * BYTES, 1).unwrap();
+    let first = loader.get(1).unwrap();
+    loader.get(2).unwrap();
+    loader.forget(1);
+    // Neither is there.
+    loader.forget(0);
+    loader.forget(7);
+    assert_eq!(loader.bytes(), BYTES);
+    let again = loader.get(1).unwrap();
+    assert!(!Arc::ptr_eq(&first, &again) && first.rgba == again.rgba);
+    assert_eq!(loader.bytes(), 2 * BYTES);
+}

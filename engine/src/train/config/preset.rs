@@ -203,7 +203,7 @@ impl Default for DensityConfig {
 
 impl Default for BudgetConfig {
     fn default() -> Self {
-        Self { max_gaussians: 2_000_000, max_bytes: 0, image_bytes: 4 << 30 }
+        Self { max_gaussians: 2_000_000, max_bytes: 0, image_bytes: 4 << 30, photo_bytes: 2 << 30 }
     }
 }
 

@@ -11,7 +11,7 @@ use crate::gpu::{Buffer, Gpu, Groups, Memory, Recorder};
 pub struct LossPassBuffers<'a> {
     /// [`crate::render::frame::Frame`]: size and background.
     pub frame: &'a Buffer,
-    /// [`crate::train::step::Step`]: λ.
+    /// [`crate::train::step::Step`]: λ, and where the target begins.
     pub step: &'a Buffer,
     /// `vec4[H·W]` rendered image.
     pub color: &'a Buffer,
@@ -59,6 +59,7 @@ impl LossPass {
                 target: b.target.whole(),
                 ssim_maps: ssim_maps.whole(),
                 loss_partial: self.loss_partial.whole(),
+                step: b.step.whole(),
             };
             r.dispatch(&SSIM_FORWARD, SsimForwardConstants { target: target_format }, (), buffers, grid.clone())?;
         }

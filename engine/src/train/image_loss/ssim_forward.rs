@@ -5,6 +5,7 @@ use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 use crate::render::frame::Frame;
 use crate::render::twin::{set_f32, struct_at};
+use crate::train::step::Step;
 
 crate::gpu_constants! {
     /// Specialisation constants of [`SSIM_FORWARD`].
@@ -21,12 +22,14 @@ crate::gpu_buffers! {
         frame: Read Struct(Frame),
         /// `vec4[H·W]` rendered image.
         color: Read F32,
-        /// Target image, as [`super::TargetFormat`] says.
+        /// Target image, as [`super::TargetFormat`] says, from the step's word on.
         target: Read U32,
         /// `float[3 channels][3][H·W]`: dSSIM/dμ_x, dSSIM/dE[x² + y²] and dSSIM/dE[(x − y)²] of each pixel.
         ssim_maps: Write F32,
         /// `float[3][workgroups]`: sums of SSIM in plane 0.
         loss_partial: Write F32,
+        /// Where the target begins.
+        step: Read Struct(Step),
     }
 }
 
@@ -63,13 +66,14 @@ fn ssim_and_derivatives([mu_x, mu_d, mean_d2, mean_x2_y2]: [f32; 4]) -> [f32; 4]
 fn ssim_forward_twin(call: Call<'_, SsimForward>) {
     let Call { constants: SsimForwardConstants { target: kind }, buffers: b, .. } = call;
     let frame: Frame = struct_at(b.frame, 0);
+    let target = &b.target[struct_at::<Step>(b.step, 0).photo as usize..];
     let [width, height] = frame.size;
     let pixels = (width * height) as usize;
     let groups = super::groups(width, height);
     for channel in 0..3 {
         let moments: Vec<[f32; 4]> = (0..pixels)
             .map(|i| {
-                let [x, y] = image_and_target(&frame, [b.color, b.target], kind, i, channel);
+                let [x, y] = image_and_target(&frame, [b.color, target], kind, i, channel);
                 let d = x - y;
                 [x, d, d * d, x * x + y * y]
             })

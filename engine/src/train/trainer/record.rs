@@ -1,9 +1,10 @@
 //! Recording of a step: the order of the paper's algorithm.
 
-use super::{READBACK, Trainer};
+use super::{Profile, READBACK, Slot, Trainer};
 use crate::error::Result;
-use crate::gpu::{Commands, Recorder, Slice};
-use crate::render::pipeline::record_forward;
+use crate::gpu::{Buffer, Commands, Recorder, Slice};
+use crate::render::limits::COUNT_FAILED;
+use crate::render::pipeline::{FrameBuffers, record_forward};
 use crate::train::blend_backward::{self, BackwardInput, BackwardTarget};
 use crate::train::deform_project_backward::{Output, ProjectBackward};
 use crate::train::deformation::{ProjectInputs, StepInputs};
@@ -12,58 +13,58 @@ use crate::train::status;
 use crate::train::target::Target;
 
 impl Trainer {
-    /// Records a step for a target: the order of the paper's algorithm.
-    pub(super) fn record(&self, at: usize) -> Result<Commands> {
-        let t = &self.targets[at];
-        let mut r = self.gpu.recorder("train step").with_timestamps(self.profile);
-        r.copy(&t.upload, &t.photo)?;
-        let inputs = self.step_inputs(t);
+    /// Records a step for a target and a place among the steps in flight: the order of the paper's algorithm.
+    pub(super) fn record(&self, at: usize, slot: usize) -> Result<Commands> {
+        let (t, Slot { step, readback }) = (&self.targets[at], &self.slots[slot]);
+        let frame = &t.frames[slot];
+        let mut r = self.gpu.recorder("train step").with_timestamps_on_request(self.profile != Profile::Off);
+        let inputs = self.step_inputs(t, frame, step);
         if let Some(model) = &self.deformation {
             model.record_forward(&mut r, &inputs)?;
         }
-        record_forward(&self.gpu, &mut r, &self.parameters.scene, &t.work, &t.frame, &t.shape)?;
+        record_forward(&self.gpu, &mut r, &self.parameters.scene, &t.work, frame, &t.shape)?;
         if let Some(model) = &self.deformation {
             model.record_before_loss(&mut r, &inputs)?;
         }
         let loss = LossPassBuffers {
-            frame: &t.frame.frame,
-            step: &self.step,
-            color: &t.frame.color,
-            target: &t.photo,
+            frame: &frame.frame,
+            step,
+            color: &frame.color,
+            target: &self.photos.buffer,
             image_gradient: &t.image_gradient,
             loss: &t.loss,
             status: &self.status,
         };
         t.image_loss.record(&mut r, &loss, TargetFormat::Rgba8)?;
-        self.record_blend_backward(&mut r, t)?;
-        self.record_project_backward(&mut r, t)?;
+        self.record_blend_backward(&mut r, t, frame)?;
+        self.record_project_backward(&mut r, t, &inputs)?;
         if let Some(model) = &self.deformation {
             model.record_backward(&mut r, &inputs)?;
         }
-        self.record_readback(&mut r, t)?;
+        self.record_readback(&mut r, t, readback)?;
         r.finish()
     }
 
-    fn step_inputs<'a>(&'a self, t: &'a Target) -> StepInputs<'a> {
+    fn step_inputs<'a>(&'a self, t: &'a Target, frame: &'a FrameBuffers, step: &'a Buffer) -> StepInputs<'a> {
         StepInputs {
             scene: &self.parameters.scene,
-            frame: &t.frame.frame,
-            step: &self.step,
+            frame: &frame.frame,
+            step,
             counters: &t.work.counters,
             status: &self.status,
             pose_gradient: &self.pose_gradient,
         }
     }
 
-    fn record_blend_backward(&self, r: &mut Recorder, t: &Target) -> Result<()> {
+    fn record_blend_backward(&self, r: &mut Recorder, t: &Target, frame: &FrameBuffers) -> Result<()> {
         let input = BackwardInput {
-            frame: Slice::from(&t.frame.frame),
+            frame: Slice::from(&frame.frame),
             counters: t.work.counters.clone(),
             ranges: t.work.ranges.clone(),
             values: Slice::from(t.work.tile_values()),
             tile_count: Slice::from(&t.work.tile_count),
             splats: Slice::from(&t.work.splats),
-            color: Slice::from(&t.frame.color),
+            color: Slice::from(&frame.color),
             image_gradient: Slice::from(&t.image_gradient),
             gaussians: self.parameters.count(),
             tiles: t.shape.tiles,
@@ -76,12 +77,12 @@ impl Trainer {
         blend_backward::record(&self.gpu, r, &input, &target, &Slice::from(&self.splat_gradient))
     }
 
-    fn record_project_backward(&self, r: &mut Recorder, t: &Target) -> Result<()> {
+    fn record_project_backward(&self, r: &mut Recorder, t: &Target, inputs: &StepInputs<'_>) -> Result<()> {
         let pass = ProjectBackward {
             scene: &self.parameters.scene,
-            frame: &t.frame.frame,
+            frame: inputs.frame,
             work: &t.work,
-            step: &self.step,
+            step: inputs.step,
             status: &self.status,
             splat_gradient: &self.splat_gradient,
             pose_gradient: &self.pose_gradient,
@@ -91,15 +92,18 @@ impl Trainer {
         pass.record(r)
     }
 
-    fn record_readback(&self, r: &mut Recorder, t: &Target) -> Result<()> {
+    fn record_readback(&self, r: &mut Recorder, t: &Target, readback: &Buffer) -> Result<()> {
         let [counters, loss, property, status] = READBACK;
-        r.copy(t.work.counters.clone(), self.readback.slice(counters, t.work.counters.bytes))?;
-        r.copy(&t.loss, self.readback.slice(loss, LOSS_WORDS as u64 * 4))?;
+        // What failed fails all that is submitted behind it, until the host has cleared it.
+        let failed = 4 * u64::from(COUNT_FAILED);
+        r.copy(t.work.zeroed.slice(t.work.counters.start + failed, 4), self.failed.slice(failed, 4))?;
+        r.copy(t.work.counters.clone(), readback.slice(counters, t.work.counters.bytes))?;
+        r.copy(&t.loss, readback.slice(loss, LOSS_WORDS as u64 * 4))?;
         if let Some(loss) = self.deformation.as_ref().and_then(|m| m.property_loss()) {
-            r.copy(loss, self.readback.slice(property, 16))?;
+            r.copy(loss, readback.slice(property, 16))?;
         }
-        r.copy(&self.status, self.readback.slice(status, status::STATUS_WORDS as u64 * 4))?;
-        r.host_read(&self.readback);
+        r.copy(&self.status, readback.slice(status, status::STATUS_WORDS as u64 * 4))?;
+        r.host_read(readback);
         Ok(())
     }
 }

@@ -43,8 +43,10 @@ impl Trainer {
     /// Everything that the next step depends on.
     ///
     /// # Errors
-    /// `NonFinite` when a number has gone bad: that is no state to go on from; `DeviceLost`, `OutOfMemory`.
+    /// `NonFinite` when a number has gone bad: that is no state to go on from; `Usage` while steps are in flight; `DeviceLost`,
+    /// `OutOfMemory`.
     pub fn checkpoint(&self) -> Result<Checkpoint> {
+        self.settled()?;
         self.check_numbers()?;
         let mut checkpoint = Checkpoint {
             config: self.config.clone(),
@@ -62,8 +64,9 @@ impl Trainer {
     /// The scene as it is: Gaussians at the SH degree in use, and what moves them.
     ///
     /// # Errors
-    /// `DeviceLost`, `OutOfMemory`.
+    /// `Usage` while steps are in flight; `DeviceLost`, `OutOfMemory`.
     pub fn scene(&self) -> Result<Scene> {
+        self.settled()?;
         let degree = self.schedule.sh_degree(self.iteration.max(1)).min(self.parameters.sh_degree);
         let gaussians = with_sh_degree(&self.parameters.download_gaussians(&self.gpu)?, degree);
         let model = self.deformation.as_ref();
@@ -74,9 +77,10 @@ impl Trainer {
     /// Poses of network F at `times`, as a table; `None` before motion begins.
     ///
     /// # Errors
-    /// `DeviceLost`, `OutOfMemory`.
+    /// `Usage` while steps are in flight; `DeviceLost`, `OutOfMemory`.
     pub fn motion_at(&self, times: &[f32]) -> Result<Option<Motion>> {
+        self.settled()?;
         let model = self.deformation.as_ref();
-        model.map_or(Ok(None), |m| m.table_at(&self.gpu, &self.step, times))
+        model.map_or(Ok(None), |m| m.table_at(&self.gpu, &self.slots[0].step, times))
     }
 }

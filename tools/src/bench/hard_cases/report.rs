@@ -21,7 +21,7 @@ const NOT_FINITE: u8 = 6;
 /// # Errors
 /// No device, a lost device, a file that cannot be written.
 pub fn run(args: &HardCasesArgs, global: &Global) -> Result<ExitCode> {
-    let gpu = gpu_session::open_to_measure(global)?;
+    let gpu = gpu_session::open(global)?;
     let context = Context { gpu: &gpu, runs: args.runs, frames: args.frames };
     let cases = cases();
     let bar = progress::bar(cases.len() as u64, global.quiet);

@@ -9,7 +9,7 @@ use engine::gpu::kernel::{Kernel, Workload};
 use engine::render::RenderOptions;
 use engine::scene::{Gaussians, Scene};
 use engine::train::config::Config;
-use engine::train::trainer::{StepReport, Trainer, TrainingData};
+use engine::train::trainer::{Profile, StepReport, Trainer, TrainingData};
 use engine::train::usage::TrainingMemory;
 use serde::Serialize;
 
@@ -31,13 +31,15 @@ pub(crate) struct Plan {
 pub(crate) struct TrainMeasurement {
     /// Measured steps.
     pub(super) steps: u32,
-    /// Host time of a step, milliseconds.
+    /// Host time of a step that is waited for, milliseconds.
     pub(crate) step_ms: Quantiles,
+    /// Time per step as a run takes them, several in flight, milliseconds, mean.
+    pub(crate) in_flight_ms: f64,
     /// Processor time (user and system, all threads) of a step, milliseconds, mean; absent where the system does not tell.
     pub(super) cpu_ms: Option<f64>,
     /// Device time of a step (sum over its operations), milliseconds; absent without timestamps.
     pub(crate) device_ms: Option<Quantiles>,
-    /// Steps per second (from the median).
+    /// Steps per second, several in flight.
     pub(crate) steps_per_second: f64,
     /// One row per kernel or transfer, in order of first use; times of its dispatches added up.
     pub(crate) kernels: Vec<OperationRow>,
@@ -73,7 +75,7 @@ pub(super) fn measure(
 ) -> Result<TrainMeasurement> {
     let trainer = || Trainer::new(gpu, config, data, first);
     // Timestamps between operations cost a little, so step times come from a run without them.
-    let (kernels, device_ms) = profile(trainer()?.with_profile(true), plan, copy_gb_per_s, tick)?;
+    let (kernels, device_ms) = profile(trainer()?.with_profile(Profile::All), plan, copy_gb_per_s, tick)?;
     let mut trainer = trainer()?;
     let first_step = warm_up(&mut trainer, plan, tick)?;
     let (mut step_ms, mut last_step) = (Vec::with_capacity(plan.steps as usize), first_step);
@@ -87,15 +89,17 @@ pub(super) fn measure(
     let per_step = |since: f64| processor_seconds().map(|now| 1e3 * (now - since) / f64::from(plan.steps));
     let cpu_ms = busy.and_then(per_step);
     let step_ms = Quantiles::of(step_ms);
+    let in_flight_ms = in_flight(&mut trainer, plan, tick)?;
     let memory = trainer.memory();
     let (commands, work) = (trainer.commands(), trainer.workload(&last_step));
     let predicted = predicted(&trainer, &last_step, first, data);
     Ok(TrainMeasurement {
         steps: plan.steps,
         step_ms,
+        in_flight_ms,
         cpu_ms,
         device_ms,
-        steps_per_second: 1e3 / step_ms.median,
+        steps_per_second: 1e3 / in_flight_ms,
         kernels,
         dispatches: commands.map_or(0, engine::gpu::Commands::dispatches),
         barriers: commands.map_or(0, engine::gpu::Commands::barriers),
@@ -137,6 +141,18 @@ fn warm_up(trainer: &mut Trainer, plan: Plan, tick: &dyn Fn()) -> Result<StepRep
     Ok(first)
 }
 
+/// Milliseconds per step, several in flight, from the first submission to the last report.
+fn in_flight(trainer: &mut Trainer, plan: Plan, tick: &dyn Fn()) -> Result<f64> {
+    let start = Instant::now();
+    for _ in 0..plan.steps {
+        trainer.advance()?;
+        while trainer.take_finished().is_some() {}
+        tick();
+    }
+    trainer.drain()?;
+    Ok(start.elapsed().as_secs_f64() * 1e3 / f64::from(plan.steps.max(1)))
+}
+
 fn profile(
     mut trainer: Trainer,
     plan: Plan,
@@ -147,7 +163,7 @@ fn profile(
     let (mut samples, mut labels, mut totals): (Vec<Vec<f64>>, Vec<String>, Vec<f64>) = Default::default();
     for _ in 0..plan.steps {
         step = trainer.step()?;
-        let mut times = trainer.timings()?;
+        let mut times = trainer.timings().to_vec();
         times.retain(|t| !t.label.starts_with("host read"));
         samples.resize(times.len(), Vec::new());
         labels = times.iter().map(|t| t.label.clone()).collect();

@@ -52,7 +52,7 @@ fn facts(m: &TrainMeasurement) -> Vec<(&'static str, String)> {
     vec![
         ("step", quantiles),
         ("device", device),
-        ("rate", format!("{:.2} steps/s", m.steps_per_second)),
+        ("rate", format!("{:.2} steps/s with several in flight, {:.3} ms each", m.steps_per_second, m.in_flight_ms)),
         ("work", format!("{} dispatches, {} barriers per step", m.dispatches, m.barriers)),
         ("", format!("{} visible Gaussians, {} tile instances", m.last_step.visible, m.last_step.instances)),
         (

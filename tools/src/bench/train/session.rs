@@ -63,7 +63,7 @@ pub(crate) struct Milestone {
 pub(crate) struct Timed {
     /// Evaluations, the last one at the end.
     pub(crate) milestones: Vec<Milestone>,
-    /// Host time of a step, density control included, milliseconds.
+    /// Time from step to step with several in flight, density control included, milliseconds.
     pub(crate) step_ms: Quantiles,
     /// Training time, seconds.
     pub(crate) seconds: f64,
@@ -147,16 +147,22 @@ impl<'a> Session<'a> {
         let (mut superpoints, mut last_step) = (0, None);
         while !trainer.is_done() {
             let start = Instant::now();
-            let step = trainer.step()?;
+            trainer.advance()?;
+            let is_late = until.end.is_some_and(|end| Instant::now() >= end);
+            let evaluates = trainer.iteration().is_multiple_of(every) || trainer.is_done() || is_late;
+            if evaluates {
+                trainer.drain()?;
+            }
             let taken = start.elapsed().as_secs_f64();
             seconds += taken;
             step_ms.push(1e3 * taken);
-            (superpoints, last_step) = (step.superpoints, Some(step));
+            while let Some(done) = trainer.take_finished() {
+                (superpoints, last_step) = (done.report.superpoints, Some(done.report));
+            }
             tick();
-            let is_late = until.end.is_some_and(|end| Instant::now() >= end);
-            if step.iteration.is_multiple_of(every) || trainer.is_done() || is_late {
+            if evaluates {
                 let [psnr, ssim] = self.score(&trainer.scene()?, config, MotionSource::Auto)?;
-                let (iteration, gaussians) = (step.iteration, trainer.gaussians());
+                let (iteration, gaussians) = (trainer.iteration(), trainer.gaussians());
                 milestones.push(Milestone { iteration, seconds, psnr, ssim, gaussians });
                 if is_late || until.psnr.is_some_and(|wanted| psnr >= wanted) {
                     break;

@@ -19,7 +19,7 @@ pub(super) fn run(args: &TrainBenchArgs, global: &Global, wanted: f64) -> Result
     let Some(path) = &args.cameras else {
         return Err(Error::usage("--until-psnr", "no data set", "--cameras DATA"));
     };
-    let gpu = gpu_session::open_to_measure_training(global)?;
+    let gpu = gpu_session::open_to_train(global)?;
     let session = Session::new(&gpu, path, args.downscale)?;
     let config = session.config(args.iterations.unwrap_or(ITERATIONS));
     let bar = progress::training(config.iterations, 0, global.quiet);

@@ -20,7 +20,7 @@ use crate::report::provenance;
 const SHOWN: usize = 6;
 
 impl Run<'_> {
-    pub(super) fn finish(mut self, data_path: &Path, as_json: bool) -> Result<()> {
+    pub(super) fn finish(self, data_path: &Path, as_json: bool) -> Result<()> {
         let cameras: Vec<Camera> =
             self.data.train.iter().map(|v| Camera { time: v.time, ..v.camera.clone() }).collect();
         let Exported { mut scene, decisions } = export(self.gpu, &self.trainer, &cameras)?;

@@ -1,10 +1,12 @@
 //! `run.jsonl`: one JSON object per line, appended while a run goes on. A line is a step (`loss` …), an evaluation
 //! (`evaluation`), or a change of the number of Gaussians (`density`); every one has `iteration`,
-//! `stage` and `seconds`.
+//! `stage` and `seconds`. An evaluation is scored while the run goes on: its line comes after those of some later steps, and
+//! before the checkpoint of its iteration.
 
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use engine::error::{Error, Result};
@@ -21,6 +23,42 @@ pub struct RunLog {
     stage: Stage,
     /// Seconds of the run before this process.
     before: f64,
+}
+
+/// A log that several threads write to, line by line.
+#[derive(Debug, Clone)]
+pub struct SharedLog(Arc<Mutex<RunLog>>);
+
+impl SharedLog {
+    /// Shares a log.
+    pub fn new(log: RunLog) -> Self {
+        Self(Arc::new(Mutex::new(log)))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, RunLog> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// [`RunLog::seconds`].
+    pub fn seconds(&self) -> f64 {
+        self.lock().seconds()
+    }
+
+    /// [`RunLog::line`].
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn line(&self, iteration: u64, value: Value) -> Result<()> {
+        self.lock().line(iteration, value)
+    }
+
+    /// [`RunLog::line`] of what was so at `seconds`.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn line_at(&self, iteration: u64, seconds: f64, value: Value) -> Result<()> {
+        self.lock().line_at(iteration, seconds, value)
+    }
 }
 
 /// Lines of an earlier process that stay.
@@ -61,7 +99,11 @@ impl RunLog {
     /// # Errors
     /// [`Error::Io`].
     pub fn line(&mut self, iteration: u64, value: Value) -> Result<()> {
-        let seconds = (self.seconds() * 1e3).round() / 1e3;
+        self.line_at(iteration, self.seconds(), value)
+    }
+
+    fn line_at(&mut self, iteration: u64, seconds: f64, value: Value) -> Result<()> {
+        let seconds = (seconds * 1e3).round() / 1e3;
         let mut line = json!({ "iteration": iteration, "stage": self.stage, "seconds": seconds });
         if let (Value::Object(line), Value::Object(value)) = (&mut line, value) {
             line.extend(value);

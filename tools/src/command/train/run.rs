@@ -8,14 +8,15 @@ use engine::data::loader::ImageLoader;
 use engine::error::Result;
 use engine::gpu::Gpu;
 use engine::render::RenderOptions;
-use engine::train::config::Config;
-use engine::train::evaluate::{self, ViewScore};
+use engine::train::config::{Config, LogConfig};
+use engine::train::evaluate;
 use engine::train::schedule::Stage;
-use engine::train::trainer::{StepReport, Trainer};
+use engine::train::trainer::{Finished, Trainer};
 use indicatif::ProgressBar;
 use serde_json::json;
 
-use super::log::RunLog;
+use super::background::Background;
+use super::log::SharedLog;
 use crate::cli::interrupt::Interrupt;
 use crate::cli::output;
 
@@ -26,12 +27,13 @@ pub(super) struct Run<'a> {
     pub(super) data: &'a Dataset,
     pub(super) held_out: ImageLoader,
     pub(super) trainer: Trainer,
-    pub(super) log: RunLog,
+    pub(super) log: SharedLog,
     pub(super) bar: ProgressBar,
     pub(super) quiet: bool,
     /// Exponential means over the last steps: loss, PSNR.
     pub(super) smooth: [f64; 2],
     pub(super) rate: Rate,
+    pub(super) background: Background,
 }
 
 /// Iterations per second over the last stretch.
@@ -51,24 +53,44 @@ impl Run<'_> {
             self.save()?;
         }
         if let Some(data) = watch {
+            self.background.join()?;
             open_viewer(&self.out, data);
         }
         while !self.trainer.is_done() {
-            let step = self.trainer.step()?;
-            self.after(&step)?;
-            if interrupt.is_set() && !self.trainer.is_done() {
+            let mut went = self.trainer.advance();
+            let stops = interrupt.is_set();
+            // An evaluation and a checkpoint want the state of their iteration, no later one.
+            if went.is_ok() && (stops || self.is_due(self.trainer.iteration())) {
+                // No more than what one iteration wants is waited for.
+                went = self.background.join().and_then(|()| self.trainer.drain());
+            }
+            while let Some(done) = self.trainer.take_finished() {
+                self.after(&done)?;
+            }
+            went?;
+            if stops && !self.trainer.is_done() {
                 self.save()?;
+                self.background.join()?;
                 return Ok(false);
             }
         }
         interrupt.end_at_next();
+        self.background.join()?;
         Ok(true)
     }
 
+    /// Whether an evaluation or a checkpoint follows an iteration.
+    fn is_due(&self, iteration: u64) -> bool {
+        let c = &self.trainer.config().log;
+        let due = |interval| LogConfig::due(interval, iteration);
+        due(c.evaluate_interval) || due(c.checkpoint_interval) || iteration >= self.trainer.schedule().iterations()
+    }
+
     /// Log, progress, evaluation and checkpoint of a step.
-    fn after(&mut self, step: &StepReport) -> Result<()> {
+    fn after(&mut self, done: &Finished) -> Result<()> {
         let c = self.trainer.config().log.clone();
-        let i = step.iteration;
+        let step = &done.report;
+        let (i, last) = (step.iteration, step.iteration >= self.trainer.schedule().iterations());
         for (mean, now) in self.smooth.iter_mut().zip([step.loss, step.psnr]) {
             *mean = if mean.is_nan() { now } else { 0.95 * *mean + 0.05 * now };
         }
@@ -82,33 +104,26 @@ impl Run<'_> {
         let n = step.gaussians;
         self.bar.set_message(format!("loss {loss:.4}, PSNR {psnr:.2} dB, {n} Gaussians"));
         self.bar.inc(1);
-        if let Some(change) = self.trainer.take_density_change() {
+        if let Some(change) = done.density {
             self.log.line(i, json!({ "density": change }))?;
         }
-        let due = |interval: u64| interval > 0 && i.is_multiple_of(interval);
-        if due(c.interval) || i == 1 {
-            self.log_step(step)?;
+        if c.logs(i) {
+            self.log_step(done)?;
         }
-        if due(c.evaluate_interval) && !self.trainer.is_done() {
-            let scores = self.evaluate(c.evaluate_views as usize)?;
-            let [psnr, ssim] = evaluate::mean(&scores);
-            self.log.line(i, json!({ "evaluation": { "psnr": psnr, "ssim": ssim, "views": scores } }))?;
-            if !self.quiet {
-                self.bar.suspend(|| {
-                    output::line(&format!("{i:>7}  held-out PSNR {psnr:.2} dB, SSIM {ssim:.4}, {n} Gaussians"));
-                });
-            }
+        if LogConfig::due(c.evaluate_interval, i) && !last {
+            self.evaluate(i, c.evaluate_views as usize)?;
         }
-        if due(c.checkpoint_interval) || self.trainer.is_done() {
+        if LogConfig::due(c.checkpoint_interval, i) || last {
             self.save()?;
         }
         Ok(())
     }
 
-    fn log_step(&mut self, step: &StepReport) -> Result<()> {
+    fn log_step(&mut self, done: &Finished) -> Result<()> {
+        let Finished { report: step, timings, .. } = done;
         let mut kernel_ms = serde_json::Map::new();
-        for t in self.trainer.timings()? {
-            let entry = kernel_ms.entry(t.label).or_insert(json!(0.0));
+        for t in timings {
+            let entry = kernel_ms.entry(&t.label).or_insert(json!(0.0));
             *entry = json!(entry.as_f64().unwrap_or(0.0) + (t.us * 1e-3 * 1e4).round() / 1e4);
         }
         let (used, _) = self.gpu.memory_used();
@@ -123,21 +138,34 @@ impl Run<'_> {
         self.log.line(step.iteration, line)
     }
 
-    /// Scores `count` held-out views spread over the split.
-    pub(super) fn evaluate(&self, count: usize) -> Result<Vec<ViewScore>> {
+    /// Renders `count` held-out views spread over the split; they are scored while the run goes on.
+    fn evaluate(&mut self, iteration: u64, count: usize) -> Result<()> {
         let total = self.held_out.views().len();
         let step = total.div_ceil(count.max(1)).max(1);
         let indices: Vec<usize> = (0..total).step_by(step).collect();
         let scene = self.trainer.scene()?;
-        evaluate::evaluate(self.gpu, &scene, &self.held_out, &indices, &self.options(), |_, _, _| Ok(()))
+        let options = options(self.trainer.config());
+        let views = evaluate::render_views(self.gpu, &scene, &self.held_out, &indices, &options)?;
+        let (log, bar, quiet) = (self.log.clone(), self.bar.clone(), self.quiet);
+        let (seconds, n) = (log.seconds(), self.trainer.gaussians());
+        self.background.push(move || {
+            let scores = views.iter().map(|view| Ok(view.score()?.0)).collect::<Result<Vec<_>>>()?;
+            let [psnr, ssim] = evaluate::mean(&scores);
+            let line = json!({ "evaluation": { "psnr": psnr, "ssim": ssim, "views": scores } });
+            log.line_at(iteration, seconds, line)?;
+            if !quiet {
+                let text = format!("{iteration:>7}  held-out PSNR {psnr:.2} dB, SSIM {ssim:.4}, {n} Gaussians");
+                bar.suspend(|| output::line(&text));
+            }
+            Ok(())
+        })
     }
 
-    pub(super) fn options(&self) -> RenderOptions {
-        options(self.trainer.config())
-    }
-
-    pub(super) fn save(&self) -> Result<()> {
-        self.trainer.checkpoint()?.save(&self.out.join("checkpoints")).map(|_| ())
+    /// Takes the state as it is; the file is written while the run goes on, after the evaluation of the same iteration and
+    /// after the last checkpoint. A kill loses what was computed since the last file that is whole, as if the run waited.
+    fn save(&mut self) -> Result<()> {
+        let (checkpoint, folder) = (self.trainer.checkpoint()?, self.out.join("checkpoints"));
+        self.background.push(move || checkpoint.save(&folder).map(|_| ()))
     }
 }
 
