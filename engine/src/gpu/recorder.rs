@@ -25,6 +25,9 @@ pub enum Groups {
     Indirect(Buffer, u64),
 }
 
+/// Dispatches whose stand-ins for absent buffers do not overlap.
+const ABSENT_PARTS: u64 = 64;
+
 /// Collects operations; [`Recorder::finish`] turns them into [`Commands`].
 pub struct Recorder {
     gpu: Gpu,
@@ -37,8 +40,10 @@ pub struct Recorder {
     begin_barrier: bool,
     /// Constants that were copied to the device.
     fetched: Vec<u64>,
-    /// Stands in for absent buffers that a kernel could write.
+    /// Stands in for absent buffers that a kernel could write: a part of it for each dispatch, so that none waits for another.
     absent: Option<Buffer>,
+    /// Dispatches that had a part.
+    absent_parts: u64,
 }
 
 impl std::fmt::Debug for Recorder {
@@ -60,6 +65,7 @@ impl Gpu {
             begin_barrier: true,
             fetched: Vec::new(),
             absent: None,
+            absent_parts: 0,
         }
     }
 
@@ -257,19 +263,22 @@ impl Recorder {
                     return Err(Error::Kernel { kernel: kernel.name.into(), why });
                 }
                 (None, Some(stand_in)) if binding.access == Access::Read => stand_in.clone(),
-                _ => Slice::from(&self.absent()?),
+                _ => self.absent()?,
             });
         }
+        self.absent_parts += 1;
         Ok(slices)
     }
 
-    fn absent(&mut self) -> Result<Buffer> {
-        if let Some(absent) = &self.absent {
-            return Ok(absent.clone());
-        }
-        let absent = self.gpu.buffer("absent", SLICE_ALIGNMENT, Memory::Device)?;
-        self.absent = Some(absent.clone());
-        Ok(absent)
+    /// The part of this dispatch.
+    fn absent(&mut self) -> Result<Slice> {
+        let absent = match self.absent.take() {
+            Some(absent) => absent,
+            None => self.gpu.buffer("absent", ABSENT_PARTS * SLICE_ALIGNMENT, Memory::Device)?,
+        };
+        let part = absent.slice(self.absent_parts % ABSENT_PARTS * SLICE_ALIGNMENT, SLICE_ALIGNMENT);
+        self.absent = Some(absent);
+        Ok(part)
     }
 
     /// Copies to the device what the host has written elsewhere of these buffers, once in a recording.

@@ -84,14 +84,14 @@ pub fn scene_gradients(
         let too_many = || Error::Limit { what: "tile instances".into(), need: capacity.into(), have: u32::MAX.into() };
         let room = u32::try_from(capacity).map_err(|_| too_many())?;
         match run.attempt(room)? {
-            Attempt::Done(gradients) => return Ok(gradients),
+            Attempt::Done(gradients) => return Ok(*gradients),
             Attempt::Needs(instances) => capacity = instances,
         }
     }
 }
 
 enum Attempt {
-    Done(SceneGradients),
+    Done(Box<SceneGradients>),
     /// There was no room for this many tile instances.
     Needs(u64),
 }
@@ -190,7 +190,7 @@ impl Run<'_> {
         gradients.mean2d = (0..n as usize)
             .map(|g| if tile_count[g] > 0 { mean2d(&splats[12 * g..], &rows[12 * g..]) } else { [0.0; 2] })
             .collect();
-        Ok(Attempt::Done(gradients))
+        Ok(Attempt::Done(Box::new(gradients)))
     }
 }
 

@@ -41,7 +41,7 @@ fn network_g_follows_them() {
     let gpu = gpu();
     let config = config(SOFT);
     let mut rigid = trainer(&gpu, &config, &data).unwrap();
-    advance(&mut rigid, 12).unwrap();
+    advance(&mut rigid, 23).unwrap();
     let mut stage = Trainer::nonrigid(&gpu, &config, &data, &rigid.checkpoint().unwrap()).unwrap();
     let until = stage.iteration() + 6;
     advance(&mut stage, until).unwrap();

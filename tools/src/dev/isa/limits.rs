@@ -56,6 +56,9 @@ const ONE_VALUE: &[(&str, &str, &str)] = &[
     ("linear_update", "OUTPUT", "training ends in Adam; plain gradients are for tests"),
     ("property_backward", "NEIGHBORS", "the paper's form is recorded with the default"),
     ("property_backward", "SLOTS", "as NEIGHBORS"),
+    ("association_update", "NEIGHBORS", "recorded with three soft superpoints"),
+    ("association_update", "SLOTS", "as NEIGHBORS"),
+    ("association_update", "PROPERTY", "runs without property losses are for tests"),
 ];
 
 /// The exception that a pipeline comes under, by its place in [`EXCEPTIONS`].
