@@ -462,7 +462,6 @@ fn what_does_not_fit_is_refused() {
     assert_eq!(network.weight_name(0), "deform.linear.0.weight[0, 0]");
 }
 
-/// So far.
 fn processor_seconds() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or("").split_whitespace().collect();
