@@ -50,13 +50,17 @@ vec4 blend_weights(uint g, uint n) {
     return weight;
 }
 
+// Weights count as equal within this: the last one is rounded apart from the others.
+const float EQUAL_WEIGHTS = 1e-6;
+
 // The slot with the largest weight, the first of equals.
 uint heaviest_slot(vec4 weight) {
     uint heaviest = 0u;
     float most = weight.x;
     for (uint slot = 1u; slot < 4u; slot++) {
-        heaviest = weight[slot] > most ? slot : heaviest;
-        most = max(weight[slot], most);
+        bool heavier = weight[slot] > most + EQUAL_WEIGHTS;
+        heaviest = heavier ? slot : heaviest;
+        most = heavier ? weight[slot] : most;
     }
     return heaviest;
 }

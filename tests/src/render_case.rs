@@ -123,7 +123,8 @@ impl RenderInput {
         self
     }
 
-    /// Makes the superpoints soft: `neighbors` of them move each Gaussian, with random weights, some of them 0 or alike.
+    /// Makes the superpoints soft: `neighbors` of them move each Gaussian, with random weights, some of them 0 or alike. Poses
+    /// turn by up to 300°, so that quaternions lie on either side.
     #[must_use]
     pub fn soft(mut self, neighbors: usize, seed: u64) -> Self {
         let mut r = Random(seed);
@@ -133,6 +134,8 @@ impl RenderInput {
         let mut weight: Vec<f32> = (0..slots).map(|_| weight(&mut r)).collect();
         weight.iter_mut().step_by(neighbors).for_each(|w| *w = w.max(0.1));
         self.blend = Some(Blend { neighbors, index, weight });
+        let turns = self.pose.chunks_exact_mut(4).step_by(2);
+        turns.for_each(|r| r[..3].iter_mut().for_each(|x| *x *= 3.8));
         self
     }
 

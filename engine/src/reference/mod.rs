@@ -41,6 +41,7 @@ pub use network::{network_poses, nonrigid_offsets};
 pub use project::{Parameters, Splat, project};
 pub(crate) use sh::basis as sh_basis;
 pub use sh::color_of;
+pub(crate) use soft::EQUAL_WEIGHTS;
 pub(crate) use soft::aligned_sum;
 pub use soft::{Blend64, WeightedPose};
 

@@ -111,10 +111,13 @@ pub(super) struct SharedTurn {
     pub(super) aligned: Vec<DQuat>,
 }
 
+/// Weights that differ by less count as equal where the heaviest is asked for: rounding to f32 must not decide.
+pub(crate) const EQUAL_WEIGHTS: f64 = 1e-6;
+
 /// The quaternion of the heaviest slot, the first of equals; `slots` of weights and unit quaternions, at least one.
 fn heaviest(slots: &[(f64, DQuat)]) -> DQuat {
     let first = slots[0];
-    slots[1..].iter().fold(first, |best, slot| if slot.0 > best.0 { *slot } else { best }).1
+    slots[1..].iter().fold(first, |best, slot| if slot.0 > best.0 + EQUAL_WEIGHTS { *slot } else { best }).1
 }
 
 fn on_side_of(side: DQuat, q: DQuat) -> DQuat {

@@ -4,6 +4,7 @@ use super::frame::Frame;
 use super::quaternion;
 use super::twin::{f32_at, vec4_at};
 use crate::error::{Error, Result};
+use crate::reference::EQUAL_WEIGHTS;
 use crate::scene::Blend;
 
 /// Largest so(3) vector, radians, and translation, world units.
@@ -25,7 +26,7 @@ pub fn blend_bytes(slots: u32) -> u64 {
 
 /// The first of the largest.
 fn heaviest(weight: &[f32]) -> usize {
-    (1..weight.len()).fold(0, |best, k| if weight[k] > weight[best] { k } else { best })
+    (1..weight.len()).fold(0, |best, k| if weight[k] > weight[best] + EQUAL_WEIGHTS as f32 { k } else { best })
 }
 
 /// One Gaussian's words of `blend_index`, plane after plane.
