@@ -40,10 +40,19 @@ fn the_number_of_steps_in_flight_changes_no_bit() {
 
 #[test]
 fn a_step_without_room_changes_nothing_and_neither_do_those_behind_it() {
+    overflows_change_nothing("");
+}
+
+#[test]
+fn nor_do_they_with_soft_superpoints() {
+    overflows_change_nothing("[motion]\nblend = 3");
+}
+
+fn overflows_change_nothing(over: &str) {
     let posed = posed(&PosedOptions::default());
     let (_, data) = load(&posed);
     let gpu = gpu();
-    let config = config("[density]\nenabled = false\n[log]\nfinite_interval = 0");
+    let config = config(&format!("[density]\nenabled = false\n[log]\nfinite_interval = 0\n{over}"));
     // Overflows: after which iteration there is room for how many tile instances.
     let run = |flight: usize, overflows: &[(u64, u64)]| {
         let mut trainer = trainer(&gpu, &config, &data).unwrap().with_flight(flight).unwrap();
