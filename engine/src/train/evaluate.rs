@@ -118,6 +118,34 @@ fn each_view(
     Ok(())
 }
 
+/// How much of what cut-out photos show a model leaves empty.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Coverage {
+    /// Pixels whose photo is opaque (alpha at least 0.9).
+    pub opaque: u64,
+    /// Of these, pixels that the model covers to less than a half.
+    pub empty: u64,
+    /// Pixels whose photo is transparent (alpha below a half); 0 for photos that are not cut out.
+    pub transparent: u64,
+}
+
+impl Coverage {
+    /// Adds a view: the rendered image with its alpha, and the photo with its own, as [`evaluate`] gives them.
+    pub fn add(&mut self, rendered: &Image, photo: &Image) {
+        for (ours, photo) in rendered.rgba.as_chunks::<4>().0.iter().zip(photo.rgba.as_chunks::<4>().0) {
+            let opaque = photo[3] >= 0.9;
+            self.opaque += u64::from(opaque);
+            self.empty += u64::from(opaque && ours[3] < 0.5);
+            self.transparent += u64::from(photo[3] < 0.5);
+        }
+    }
+
+    /// Share of the opaque pixels that is empty; `None` where the photos are not cut out.
+    pub fn empty_share(&self) -> Option<f64> {
+        (self.transparent > 0 && self.opaque > 0).then(|| self.empty as f64 / self.opaque as f64)
+    }
+}
+
 /// A photo over a background.
 fn composite(photo: &Pixels, background: [f32; 3]) -> Image {
     let pixel = |p: &u32| {
@@ -127,4 +155,29 @@ fn composite(photo: &Pixels, background: [f32; 3]) -> Image {
     };
     let rgba = photo.rgba.iter().flat_map(pixel).collect();
     Image { width: photo.width, height: photo.height, rgba, depth: Vec::new() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image(alpha: [f32; 4]) -> Image {
+        Image {
+            width: 4,
+            height: 1,
+            rgba: alpha.map(|a| [0.0, 0.0, 0.0, a]).as_flattened().to_vec(),
+            depth: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn what_is_left_empty_is_counted_where_photos_are_opaque() {
+        let mut coverage = Coverage::default();
+        coverage.add(&image([0.2, 0.9, 0.0, 0.1]), &image([1.0, 1.0, 0.0, 0.7]));
+        assert_eq!(coverage, Coverage { opaque: 2, empty: 1, transparent: 1 });
+        assert_eq!(coverage.empty_share(), Some(0.5));
+        let mut captured = Coverage::default();
+        captured.add(&image([0.0; 4]), &image([1.0; 4]));
+        assert_eq!(captured.empty_share(), None, "captures are opaque everywhere: nothing says what is background");
+    }
 }
