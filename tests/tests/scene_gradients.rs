@@ -6,6 +6,7 @@ use engine::reference::{Blend64, DeformationAt, Gaussians64, ReferenceOptions, t
 use engine::scene::synthetic::random_scene;
 use engine::scene::{Camera, Scene};
 use engine::train::gradient::{GradientOptions, SceneGradients, scene_gradients};
+use glam::DVec3;
 use tests_harness::gradient::assert_gradients_close;
 use tests_harness::render_case::{Random, RenderInput, test_camera};
 use tools::bench::hard_cases::poison::{POISON, camera, poison, slots};
@@ -69,6 +70,45 @@ fn assert_close(found: &SceneGradients, truth: &Gradients, context: &str) {
     }
 }
 
+/// Of soft superpoints: poses by slot, and weights less what moving the canonical centre along would do to all of them.
+fn assert_blend_close(found: &SceneGradients, truth: &Gradients, scene: &Scene, context: &str) {
+    let slots = scene.deformation.blend().unwrap().neighbors;
+    assert_eq!((found.pose.len(), found.blend.len()), (0, truth.each.len() * slots), "{context}");
+    let row = |(i, slot): (usize, usize)| {
+        let one = &truth.each[i];
+        let mean = DVec3::from_array(scene.gaussians.mean[i].map(f64::from));
+        let common: f64 = one.poses.iter().map(|pose| pose.translation.dot(mean)).sum();
+        let pose = one.pose(slot);
+        let weight = if one.poses.is_empty() { 0.0 } else { pose.weight - common };
+        (pose.omega.to_array(), pose.translation.to_array(), weight)
+    };
+    let rows: Vec<_> = (0..found.blend.len()).map(|at| row((at / slots, at % slots))).collect();
+    let part = |first: usize, count: usize| -> Vec<f32> {
+        found.blend.iter().flat_map(|row| row[first..first + count].to_vec()).collect()
+    };
+    let omega: Vec<f64> = rows.iter().flat_map(|r| r.0).collect();
+    let translation: Vec<f64> = rows.iter().flat_map(|r| r.1).collect();
+    let weight: Vec<f64> = rows.iter().map(|r| r.2).collect();
+    assert_gradients_close(&part(0, 3), &narrow(&omega), &format!("{context}: rotation of slots"));
+    assert_gradients_close(&part(3, 3), &narrow(&translation), &format!("{context}: translation of slots"));
+    assert_gradients_close(&part(6, 1), &narrow(&weight), &format!("{context}: weights"));
+}
+
+#[test]
+fn gradients_of_soft_superpoints_agree_with_the_reference() {
+    let gpu = tests_harness::gpu();
+    let options = GradientOptions { near: 0.2, background: BACKGROUND };
+    for neighbors in 2..=4 {
+        let scene = RenderInput::random(250, 1, 70).moving(6, 3).soft(neighbors, 4).scene();
+        let camera = test_camera(41, 57);
+        let gradient = random_gradient(&camera, 5);
+        let found = scene_gradients(&gpu, &scene, &camera, TIME, &options, &gradient).unwrap();
+        let (truth, context) = (truth(&scene, &camera, &gradient), format!("K = {neighbors}"));
+        assert_close(&found, &truth, &context);
+        assert_blend_close(&found, &truth, &scene, &context);
+    }
+}
+
 #[test]
 fn gradients_agree_with_the_reference() {
     let gpu = tests_harness::gpu();
@@ -111,7 +151,7 @@ fn an_image_gradient_of_another_size_is_refused() {
 
 /// Everything that is not finite in the gradients.
 fn not_finite(g: &SceneGradients) -> Option<&'static str> {
-    let parts: [(&str, &[f32]); 7] = [
+    let parts: [(&str, &[f32]); 8] = [
         ("mean", g.mean.as_flattened()),
         ("rotation", g.rotation.as_flattened()),
         ("log_scale", g.log_scale.as_flattened()),
@@ -119,6 +159,7 @@ fn not_finite(g: &SceneGradients) -> Option<&'static str> {
         ("sh", &g.sh),
         ("mean2d", g.mean2d.as_flattened()),
         ("pose", g.pose.as_flattened()),
+        ("blend", g.blend.as_flattened()),
     ];
     parts.into_iter().find(|(_, values)| values.iter().any(|v| !v.is_finite())).map(|(name, _)| name)
 }

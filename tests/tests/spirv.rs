@@ -5,6 +5,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use engine::gpu::capability::{REQUIREMENTS, STORAGE_BUFFERS, TRAINING_STORAGE_BUFFERS};
 use engine::gpu::kernel::{Access, Kernel};
 use engine::gpu::reconvergence::Reconvergence;
 use engine::gpu::spirv;
@@ -27,6 +28,20 @@ fn every_shader_has_one_declaration() {
     let declared: BTreeSet<String> = engine::kernels().map(|k| k.name.to_owned()).collect();
     assert_eq!(declared.len(), engine::kernels().count(), "a kernel is listed twice");
     assert_eq!(shaders, declared);
+}
+
+/// What a device must offer is what the kernels bind; all of it is storage buffers, but for images.
+#[test]
+fn required_storage_buffers_are_those_of_the_kernels() {
+    let most =
+        |kernels: &mut dyn Iterator<Item = &'static Kernel>| kernels.map(|k| k.buffers().0.len() as u32).max().unwrap();
+    let training: BTreeSet<&str> = engine::train::kernels().map(|k| k.name).collect();
+    assert_eq!(most(&mut engine::train::kernels()), TRAINING_STORAGE_BUFFERS);
+    assert_eq!(most(&mut engine::kernels().filter(|k| !training.contains(k.name))), STORAGE_BUFFERS);
+    for (count, what) in [(STORAGE_BUFFERS, true), (TRAINING_STORAGE_BUFFERS, false)] {
+        let name = format!("{count} storage buffers per stage");
+        assert!(REQUIREMENTS.iter().any(|r| r.name == name && r.required == what), "{name}");
+    }
 }
 
 #[test]

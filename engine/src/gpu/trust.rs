@@ -20,22 +20,35 @@ pub enum Suite {
     Packed,
     /// Networks F and G that run in every frame.
     Networks,
+    /// Soft superpoints.
+    Soft,
     /// Deformation fields.
     Fields,
     /// Training of the rigid stage, with density control.
     Training,
+    /// Training with soft superpoints.
+    #[serde(rename = "soft-training")]
+    SoftTraining,
     /// Training of the non-rigid stage.
     Nonrigid,
 }
 
 impl Suite {
     /// All of them, in the order in which they are run.
-    pub const ALL: [Self; 6] =
-        [Self::Frame, Self::Packed, Self::Networks, Self::Fields, Self::Training, Self::Nonrigid];
+    pub const ALL: [Self; 8] = [
+        Self::Frame,
+        Self::Packed,
+        Self::Networks,
+        Self::Soft,
+        Self::Fields,
+        Self::Training,
+        Self::SoftTraining,
+        Self::Nonrigid,
+    ];
 
     /// Whether this is about training.
     pub fn trains(self) -> bool {
-        matches!(self, Self::Training | Self::Nonrigid)
+        matches!(self, Self::Training | Self::SoftTraining | Self::Nonrigid)
     }
 
     /// `frame`, `packed`, …
@@ -44,8 +57,10 @@ impl Suite {
             Self::Frame => "frame",
             Self::Packed => "packed",
             Self::Networks => "networks",
+            Self::Soft => "soft",
             Self::Fields => "fields",
             Self::Training => "training",
+            Self::SoftTraining => "soft-training",
             Self::Nonrigid => "nonrigid",
         }
     }

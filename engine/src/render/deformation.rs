@@ -8,13 +8,13 @@ use glam::DVec3;
 
 use crate::error::Result;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice, Suite};
-use crate::scene::{Blend, Deformation, KeyInterval, Motion, MotionSource, Scene};
+use crate::scene::{Deformation, KeyInterval, Motion, MotionSource, Scene};
 
 use super::field::FieldBuffers;
 use super::nonrigid_network::NonrigidBuffers;
 use super::quality::Quality;
 use super::scene_buffers::SceneBuffers;
-use super::superpoint_motion::PackedBlend;
+use super::superpoint_motion::BlendSlices;
 
 pub(crate) use poses::Poses;
 
@@ -34,28 +34,6 @@ pub(crate) enum Offsets {
     Field(Box<FieldBuffers>),
 }
 
-/// Soft superpoints on the device ([`super::superpoint_motion`]).
-#[derive(Debug, Clone)]
-pub(crate) struct BlendBuffers {
-    /// K.
-    pub(crate) slots: u32,
-    /// `uint[ceil(K/2)][N]`.
-    pub(crate) index: Buffer,
-    /// `float[K-1][N]`.
-    pub(crate) weight: Buffer,
-}
-
-impl BlendBuffers {
-    fn new(gpu: &Gpu, blend: &Blend, superpoints: usize) -> Result<Self> {
-        let packed = PackedBlend::new(blend, superpoints)?;
-        Ok(Self {
-            slots: packed.slots,
-            index: gpu.buffer_with("blend_index", bytemuck::cast_slice(&packed.index))?,
-            weight: gpu.buffer_with("blend_weight", bytemuck::cast_slice(&packed.weight))?,
-        })
-    }
-}
-
 /// A scene's model of motion on the device.
 #[derive(Debug)]
 pub(crate) struct DeformationBuffers {
@@ -64,7 +42,7 @@ pub(crate) struct DeformationBuffers {
     /// `uint[N]`.
     pub(crate) superpoint_of_gaussian: Buffer,
     /// Soft superpoints.
-    pub(crate) blend: Option<BlendBuffers>,
+    pub(crate) blend: Option<BlendSlices>,
     /// `[T,M,2]` vec4 of the table, or `[M,2]` of the frame's time.
     pub(crate) pose: Buffer,
     pub(crate) poses: Poses,
@@ -77,6 +55,9 @@ pub(crate) fn prove_device(gpu: &Gpu, scene: &Scene, source: Option<MotionSource
     let has_nonrigid = scene.deformation.nonrigid().is_some() && quality.nonrigid;
     if source == Some(MotionSource::Network) || has_nonrigid {
         gpu.ready_for(Suite::Networks)?;
+    }
+    if source.is_some() && scene.deformation.blend().is_some() {
+        gpu.ready_for(Suite::Soft)?;
     }
     if scene.deformation.field().is_some() { gpu.ready_for(Suite::Fields) } else { Ok(()) }
 }
@@ -121,9 +102,8 @@ impl DeformationBuffers {
     ) -> Result<Self> {
         let (pose, poses) = Poses::new(gpu, &scene.deformation, source, origin, quality)?;
         let of_gaussian = scene.deformation.superpoint_of_gaussian();
-        let soft = scene.deformation.superpoint_deformation().and_then(|s| s.blend.as_ref());
-        let soft = soft.filter(|_| poses.moves());
-        let blend = soft.map(|b| BlendBuffers::new(gpu, b, scene.deformation.superpoint_count())).transpose()?;
+        let soft = scene.deformation.blend().filter(|_| poses.moves());
+        let blend = soft.map(|b| BlendSlices::upload(gpu, b, scene.deformation.superpoint_count())).transpose()?;
         Ok(Self {
             blend,
             superpoints: if poses.moves() { scene.deformation.superpoint_count() as u32 } else { 0 },
@@ -164,12 +144,12 @@ impl DeformationBuffers {
 
     /// `uint[ceil(K/2)][N]` of soft superpoints.
     pub(crate) fn blend_index(&self) -> Option<Slice> {
-        self.blend.as_ref().map(|b| b.index.whole())
+        self.blend.as_ref().map(|b| b.index.clone())
     }
 
     /// `float[K-1][N]` of soft superpoints.
     pub(crate) fn blend_weight(&self) -> Option<Slice> {
-        self.blend.as_ref().map(|b| b.weight.whole())
+        self.blend.as_ref().map(|b| b.weight.clone())
     }
 
     /// `uint[N]`, where each Gaussian moves with one superpoint.
@@ -227,7 +207,7 @@ impl DeformationBuffers {
 
     /// Bytes on the device.
     pub(crate) fn bytes(&self) -> u64 {
-        let blend = self.blend.as_ref().map_or(0, |b| b.index.bytes() + b.weight.bytes());
+        let blend = self.blend.as_ref().map_or(0, BlendSlices::bytes);
         self.superpoint_of_gaussian.bytes() + blend + self.pose.bytes() + self.offsets.bytes()
     }
 }

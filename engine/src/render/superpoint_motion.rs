@@ -4,6 +4,7 @@ use super::frame::Frame;
 use super::quaternion;
 use super::twin::{f32_at, vec4_at};
 use crate::error::{Error, Result};
+use crate::gpu::{Gpu, Slice};
 use crate::reference::EQUAL_WEIGHTS;
 use crate::scene::Blend;
 
@@ -69,6 +70,37 @@ impl PackedBlend {
             weights.for_each(|(plane, (_, weight))| packed.weight[plane * n + g] = weight as f32);
         }
         Ok(packed)
+    }
+}
+
+/// Soft superpoints on the device.
+#[derive(Debug, Clone)]
+pub struct BlendSlices {
+    /// K.
+    pub slots: u32,
+    /// `blend_index`.
+    pub index: Slice,
+    /// `blend_weight`; planes behind its own are not read.
+    pub weight: Slice,
+}
+
+impl BlendSlices {
+    /// Uploads them.
+    ///
+    /// # Errors
+    /// As [`PackedBlend::new`]; `OutOfMemory`.
+    pub(crate) fn upload(gpu: &Gpu, blend: &Blend, superpoints: usize) -> Result<Self> {
+        let packed = PackedBlend::new(blend, superpoints)?;
+        Ok(Self {
+            slots: packed.slots,
+            index: gpu.buffer_with("blend_index", bytemuck::cast_slice(&packed.index))?.whole(),
+            weight: gpu.buffer_with("blend_weight", bytemuck::cast_slice(&packed.weight))?.whole(),
+        })
+    }
+
+    /// Bytes on the device.
+    pub(crate) fn bytes(&self) -> u64 {
+        self.index.bytes + self.weight.bytes
     }
 }
 

@@ -26,6 +26,7 @@ mod frame;
 mod networks;
 mod open;
 mod packed;
+mod soft;
 mod subgroup_order;
 mod training;
 mod verdict;
@@ -108,8 +109,10 @@ fn run(gpu: &Gpu, suite: Suite) -> Result<()> {
         }
         Suite::Packed => packed::test(gpu),
         Suite::Networks => networks::test(gpu),
+        Suite::Soft => soft::test(gpu),
         Suite::Fields => fields::test(gpu),
         Suite::Training => training::test(gpu),
+        Suite::SoftTraining => training::test_soft(gpu),
         Suite::Nonrigid => training::test_nonrigid(gpu),
     }
 }

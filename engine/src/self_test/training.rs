@@ -42,6 +42,13 @@ pub(super) fn test(gpu: &Gpu) -> Result<()> {
     loss_falls(gpu, &photo, &first)
 }
 
+/// Tests the kernels of a step with soft superpoints.
+pub(super) fn test_soft(gpu: &Gpu) -> Result<()> {
+    let mut config = config(true);
+    config.motion.blend = 3;
+    watched_step(gpu, &config, &photo()?, &first())
+}
+
 /// Tests the kernels of a step of the non-rigid stage.
 pub(super) fn test_nonrigid(gpu: &Gpu) -> Result<()> {
     let (photo, config) = (photo()?, config(true));

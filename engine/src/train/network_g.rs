@@ -18,6 +18,7 @@ use crate::error::{Error, Result};
 use crate::gpu::kernel::Kernel;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
 use crate::render::nonrigid_network::{self, NonrigidNetworkBuffers};
+use crate::render::superpoint_motion::BlendSlices;
 use crate::scene::NonrigidNetwork;
 use crate::scene::network::{NONRIGID_ENCODING, NONRIGID_LAYERS, NONRIGID_ROWS, NONRIGID_WIDTH};
 
@@ -49,17 +50,6 @@ pub struct Inputs<'a> {
     pub moving: bool,
     /// Soft superpoints, in place of `superpoint_of_gaussian`.
     pub blend: Option<&'a BlendSlices>,
-}
-
-/// Soft superpoints ([`crate::render::superpoint_motion`]).
-#[derive(Debug, Clone)]
-pub struct BlendSlices {
-    /// K.
-    pub slots: u32,
-    /// `uint[ceil(K/2)][N]`.
-    pub index: Slice,
-    /// `float[K-1][N]`.
-    pub weight: Slice,
 }
 
 impl Inputs<'_> {

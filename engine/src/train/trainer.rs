@@ -177,6 +177,9 @@ impl Trainer {
         if stage == Stage::Nonrigid {
             gpu.ready_for(Suite::Nonrigid)?;
         }
+        if stage != Stage::Static && config.motion.is_soft() {
+            gpu.ready_for(Suite::SoftTraining)?;
+        }
         if config.budget.max_bytes > 0 {
             gpu.set_byte_budget(config.budget.max_bytes);
         }

@@ -91,7 +91,7 @@ fn assert_named(name: &'static str, words: Vec<u32>, suite: Suite) {
 
 #[test]
 fn a_kernel_that_does_nothing_is_named() {
-    let suites: [(Suite, &[&str]); 4] = [
+    let suites: [(Suite, &[&str]); 5] = [
         (
             Suite::Frame,
             &[
@@ -109,6 +109,7 @@ fn a_kernel_that_does_nothing_is_named() {
         ),
         (Suite::Packed, &["blend_packed", "display"]),
         (Suite::Networks, &["deform_network", "nonrigid_network"]),
+        (Suite::Soft, &["deform_project"]),
         (Suite::Fields, &["field_waves", "field_planes", "field_nodes", "field_offset", "linear_forward"]),
     ];
     for (suite, kernels) in suites {
@@ -125,6 +126,7 @@ fn kernels_of_training_that_do_nothing_are_named() {
         assert_named(name, returns_at_once(kernel(name)), Suite::Training);
     }
     assert_named("encode_gaussians", returns_at_once(kernel("encode_gaussians")), Suite::Nonrigid);
+    assert_named("association_update", returns_at_once(kernel("association_update")), Suite::SoftTraining);
 }
 
 #[test]
@@ -142,10 +144,10 @@ fn every_kernel_of_training_is_named() {
     let mut missed = Vec::new();
     for kernel in engine::train::kernels().filter(|k| !idle.contains(k.name)) {
         let nothing = returns_at_once(kernel);
-        let suite = if ["encode_gaussians", "nonrigid_network"].contains(&kernel.name) {
-            Suite::Nonrigid
-        } else {
-            Suite::Training
+        let suite = match kernel.name {
+            "encode_gaussians" | "nonrigid_network" => Suite::Nonrigid,
+            "association_update" => Suite::SoftTraining,
+            _ => Suite::Training,
         };
         match verdict(kernel.name, nothing, suite) {
             Err(error) if error.to_string().contains(&format!("kernel `{}`", kernel.name)) => {}

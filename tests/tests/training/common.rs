@@ -8,6 +8,7 @@ use clap::Parser as _;
 use engine::data::dataset::{self, Dataset, DatasetOptions};
 use engine::error::Result;
 use engine::gpu::Gpu;
+use engine::scene::Scene;
 use engine::train::checkpoint::Checkpoint;
 use engine::train::config::{Config, Preset};
 use engine::train::start;
@@ -143,6 +144,30 @@ pub fn advance(trainer: &mut Trainer, iteration: u64) -> Result<()> {
         trainer.step()?;
     }
     Ok(())
+}
+
+/// The scene of a run that goes through density control, is saved, resumed and goes on: with the same bits as one that was not
+/// interrupted, and read back as it was written.
+pub fn scene_of_resumed_run(over: &str) -> Scene {
+    let posed = posed(&PosedOptions::default());
+    let (_, data) = load(&posed);
+    let gpu = gpu();
+    let mut whole = trainer(&gpu, &config(over), &data).unwrap();
+    let before = whole.gaussians();
+    advance(&mut whole, 23).unwrap();
+    assert_ne!(whole.gaussians(), before, "density control ran");
+    let folder = tempfile::tempdir().unwrap();
+    let saved = Checkpoint::load(&whole.checkpoint().unwrap().save(folder.path()).unwrap()).unwrap();
+    let mut resumed = Trainer::resume(&gpu, &data, &saved).unwrap();
+    for trainer in [&mut whole, &mut resumed] {
+        advance(trainer, 40).unwrap();
+    }
+    assert!(bytes(&whole.checkpoint().unwrap()) == bytes(&resumed.checkpoint().unwrap()));
+    let scene = whole.scene().unwrap();
+    let path = folder.path().join("model.safetensors");
+    engine::file::model::write(&path, &scene).unwrap();
+    assert_eq!(engine::file::model::read(&path).unwrap().0, scene);
+    scene
 }
 
 /// Bits of everything in a checkpoint.

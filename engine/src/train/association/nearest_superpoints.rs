@@ -110,8 +110,8 @@ fn rearranged(old: &[Entry], nearest: &[u32]) -> Vec<Entry> {
     row
 }
 
-/// Softmax of the logits; zeros when one is not finite.
-fn softmax(logits: &[f32]) -> Option<Vec<f32>> {
+/// Softmax of the logits; `None` when one is not finite.
+pub(in crate::train) fn softmax(logits: &[f32]) -> Option<Vec<f32>> {
     if !logits.iter().all(|l| l.is_finite()) {
         return None;
     }

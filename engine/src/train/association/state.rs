@@ -5,9 +5,8 @@ use super::superpoint_sum::SUM_PLANES;
 use super::{AssociationInit, MAX_NEIGHBORS, MAX_SLOTS, NEW_LOGIT, NO_SUPERPOINT, PAIR_SHIFT};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Groups, Memory, Recorder, Slice};
-use crate::render::deformation::BlendBuffers;
 use crate::render::radix_sort::SortPlan;
-use crate::render::superpoint_motion::index_planes;
+use crate::render::superpoint_motion::{BlendSlices, index_planes};
 use crate::scene::{Association, Blend, Superpoints};
 use crate::train::farthest_point::FarthestPoint;
 use crate::train::property_loss::PropertyLoss;
@@ -291,10 +290,10 @@ impl SuperpointState {
     }
 
     /// `blend_index` and `blend_weight` of soft superpoints: all but the last plane of `weight`.
-    pub(in crate::train) fn blend(&self) -> Option<BlendBuffers> {
+    pub fn blend(&self) -> Option<BlendSlices> {
         let slots = self.options.blend_slots();
-        let (index, weight) = (self.work.blend_index.clone(), self.work.weight.clone());
-        (slots > 0).then_some(BlendBuffers { slots, index, weight })
+        let (index, weight) = (self.work.blend_index.whole(), self.work.weight.whole());
+        (slots > 0).then_some(BlendSlices { slots, index, weight })
     }
 
     /// Superpoints in use per Gaussian: the first of each row.

@@ -115,7 +115,7 @@ fn superpoint_sum_twin(call: Call<'_, SuperpointSum>) {
         let own_slot = slot == push.neighbors as usize;
         if own_slot != (slot_planes != 0) {
             for c in 0..own_planes {
-                let plane = own_first + slot * slot_planes + c; // hard: slot_planes = 0
+                let plane = own_first + slot * slot_planes + c;
                 addend[FIRST_OWN_VALUE + c] = twin::f32_at(own_data, plane * n + i);
             }
         }

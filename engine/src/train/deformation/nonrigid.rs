@@ -4,15 +4,16 @@ use super::super::association::AssociationOptions;
 use super::super::config::Config;
 use super::super::density::RowArray;
 use super::super::linear::Output;
-use super::super::network_g::{Backward, BlendSlices, Inputs, NetworkG};
+use super::super::network_g::{Backward, Inputs, NetworkG};
 use super::super::saved::{NetworkState, Saved, Stored};
 use super::super::usage::TrainingMemory;
 use super::superpoints::SuperpointTraining;
 use super::{Numbers, ProjectInputs, Rows, StepInputs, Trained, TrainedDeformation, network_numbers};
 use crate::error::Result;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
-use crate::render::deformation::{BlendBuffers, DeformationBuffers, Offsets};
+use crate::render::deformation::{DeformationBuffers, Offsets};
 use crate::render::scene_buffers::SceneBuffers;
+use crate::render::superpoint_motion::BlendSlices;
 use crate::scene::parameter::MEAN;
 use crate::scene::{Deformation, Motion, NonrigidNetwork};
 
@@ -49,10 +50,7 @@ impl OwnedInputs {
     fn of(inputs: &StepInputs<'_>) -> Self {
         let (scene, moved) = (inputs.scene, &inputs.scene.deformation);
         let buffers = [inputs.frame, &scene.parameter[MEAN], &moved.superpoint_of_gaussian, &moved.pose];
-        let slices =
-            |b: &BlendBuffers| BlendSlices { slots: b.slots, index: b.index.whole(), weight: b.weight.whole() };
-        let blend = moved.blend.as_ref().map(slices);
-        Self { slices: buffers.map(Slice::from), moving: moved.moves(), blend }
+        Self { slices: buffers.map(Slice::from), moving: moved.moves(), blend: moved.blend.clone() }
     }
 
     fn borrow(&self) -> Inputs<'_> {

@@ -1,5 +1,6 @@
 //! Superpoints, their association with Gaussians and network F under training.
 
+use super::super::association::nearest_superpoints::softmax;
 use super::super::association::{
     AssociationInit, AssociationOptions, Rows as AssociationRows, StepBuffers, SuperpointState,
 };
@@ -46,26 +47,13 @@ fn association_options(config: &Config) -> AssociationOptions {
     }
 }
 
-/// Soft superpoints as the kernels make them: the softmax of the logits of a Gaussian's superpoints.
+/// Soft superpoints as [`nearest_superpoints`](super::super::association::nearest_superpoints) makes them.
 fn blend_of(association: &Association) -> Blend {
-    let k = association.neighbors.max(1);
-    let softmax = |row: &[f32]| {
-        let top = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        let value: Vec<f32> = row.iter().map(|l| (l - top).exp()).collect();
-        let sum: f32 = value.iter().sum();
-        value.into_iter().map(move |v| v / sum)
-    };
-    let weight = association.logit.chunks_exact(k).flat_map(softmax).collect();
-    Blend { neighbors: k, index: association.neighbor.clone(), weight }
-}
-
-/// `[N]` the superpoint of each Gaussian's largest weight, the first of equals.
-fn heaviest(blend: &Blend) -> Vec<u32> {
-    let rows = blend.index.chunks_exact(blend.neighbors).zip(blend.weight.chunks_exact(blend.neighbors));
-    let of_row = |(index, weight): (&[u32], &[f32])| {
-        index[(1..weight.len()).fold(0, |best, k| if weight[k] > weight[best] { k } else { best })]
-    };
-    rows.map(of_row).collect()
+    let neighbors = association.neighbors.max(1);
+    let rows = association.logit.chunks_exact(neighbors);
+    // Numbers that are not finite ended the run before.
+    let weight = rows.flat_map(|row| softmax(row).unwrap_or_else(|| vec![1.0; neighbors])).collect();
+    Blend { neighbors, index: association.neighbor.clone(), weight }
 }
 
 /// What a checkpoint holds of it.
@@ -272,7 +260,7 @@ impl TrainedDeformation for SuperpointTraining {
         let association = association.first(self.superpoints.neighbors() as usize);
         let blend = self.superpoints.blend().map(|_| blend_of(&association));
         if let Some(blend) = &blend {
-            superpoints.of_gaussian = heaviest(blend);
+            superpoints.of_gaussian = blend.of_gaussian();
         }
         Ok(Deformation::from(SuperpointDeformation {
             superpoints,
