@@ -85,6 +85,11 @@ impl Schedule {
         }
     }
 
+    /// Iterations until photos of all times take part; 0: from the start.
+    pub fn window(&self) -> u64 {
+        if self.stage == Stage::Rigid { self.config.schedule.time_window } else { 0 }
+    }
+
     fn density_until(&self) -> u64 {
         let d = &self.config.density;
         if self.stage == Stage::Nonrigid { self.config.nonrigid.density_until } else { d.until }
@@ -153,7 +158,9 @@ impl Schedule {
     pub fn step(&self, iteration: u64, counts: Counts, time: [f64; 2]) -> Step {
         let (c, r) = (&self.config, &self.config.learning_rate);
         let before = iteration - 1;
-        let deform = decayed(r.deform, r.deform_final, before, r.deform_iterations);
+        let open = self.window();
+        let deform =
+            decayed(r.deform, r.deform_final, before.saturating_sub(open), r.deform_iterations.saturating_sub(open));
         let association =
             if r.association_decay { r.association * deform / r.deform.max(1e-30) } else { r.association };
         let nonrigid = decayed(c.nonrigid.rate, c.nonrigid.rate_final, before, c.nonrigid.iterations);
@@ -211,6 +218,7 @@ impl Schedule {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
     use super::*;
+    use crate::train::config::Preset;
     use crate::scene::parameter::{LOG_SCALE, MEAN};
 
     fn schedule(stage: Stage) -> Schedule {
@@ -240,6 +248,16 @@ mod tests {
         near(at(40_001).rate_network_f, 1e-5);
         near(at(1).bias_gaussians[0], 10.0);
         near(at(3000).bias_network_f[0], 10.0);
+    }
+
+    #[test]
+    fn network_f_s_rate_falls_once_all_times_take_part() {
+        let config = Config { iterations: 4000, ..Preset::Dnerf.best() }.scaled();
+        let s = Schedule::new(&config, Stage::Rigid, 4.0);
+        let rate = |i: u64| f64::from(s.step(i, Counts::default(), [0.0; 2]).rate_network_f);
+        assert_eq!([s.window(), Schedule::new(&config, Stage::Static, 4.0).window()], [2000, 0]);
+        let wanted = [(1, 1e-3), (2001, 1e-3), (3001, 1e-4), (4001, 1e-5)];
+        assert!(wanted.iter().all(|&(i, r)| (rate(i) / r - 1.0).abs() < 1e-3), "{:?}", wanted.map(|(i, _)| rate(i)));
     }
 
     #[test]

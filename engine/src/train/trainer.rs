@@ -190,13 +190,13 @@ impl Trainer {
         let parameters = Parameters::upload(gpu, state)?;
         let n = u64::from(parameters.count().max(1));
         let times: Vec<f64> = data.views.iter().map(|v| v.time).collect();
-        let at = &config.scaled().schedule;
-        let window = if stage == Stage::Rigid { at.time_window } else { 0 };
-        let sampler = ViewSampler::new(config.seed, times.len()).with_window(&times, at.time_window_centre, window);
+        let schedule = Schedule::new(&config.scaled(), stage, data.extent);
+        let centre = config.schedule.time_window_centre;
+        let sampler = ViewSampler::new(config.seed, times.len()).with_window(&times, centre, schedule.window());
         Ok(Self {
             gpu: gpu.clone(),
             config: config.clone(),
-            schedule: Schedule::new(&config.scaled(), stage, data.extent),
+            schedule,
             views: data.views.clone(),
             loader: ImageLoader::new(data.views.clone(), config.budget.image_bytes, workers)?,
             sampler,
