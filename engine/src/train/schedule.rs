@@ -218,8 +218,8 @@ impl Schedule {
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
     use super::*;
-    use crate::train::config::Preset;
     use crate::scene::parameter::{LOG_SCALE, MEAN};
+    use crate::train::config::Preset;
 
     fn schedule(stage: Stage) -> Schedule {
         Schedule::new(&Config::default(), stage, 4.0)
