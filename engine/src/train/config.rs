@@ -18,7 +18,7 @@ use crate::data::dataset::DatasetOptions;
 use crate::error::{Error, Result};
 use crate::scene::parameter::{PARAMETERS, Present, REQUIRED};
 use crate::scene::{Blend, DeformSize};
-pub use preset::{Base, Method, Preset};
+pub use preset::Preset;
 pub use run::{BudgetConfig, ExportConfig, LogConfig};
 
 /// Which form of a formula is used where paper and code disagree.
@@ -37,8 +37,6 @@ pub enum Form {
 pub struct Config {
     /// The preset that these values started from.
     pub preset: Preset,
-    /// Whose values for it: the paper's, or what measured better.
-    pub method: Method,
     /// Length of the run, in iterations of one image each.
     pub iterations: u64,
     /// Seed of every random choice (image order, first points, time noise, split positions, network weights).
@@ -85,9 +83,9 @@ pub struct Schedule {
     pub scale: bool,
     /// Iterations without motion; then superpoints are initialised (paper and code: 3 k).
     pub warm_up: u64,
-    /// Photos are drawn from a window of times that opens over this many iterations; 0: from all at once (paper and code).
-    /// For objects that move by more than their size between most photos. The rate of network F begins to fall when all
-    /// take part: what comes last is learnt as fast as what came first.
+    /// Photos are drawn from a window of times that opens over this many iterations; 0: from all at once (paper and code,
+    /// the default). For objects that move by more than their size between most photos. The rate of network F begins to fall
+    /// when all take part: what comes last is learnt as fast as what came first.
     pub time_window: u64,
     /// Where that window begins, as a share of the time range.
     pub time_window_centre: f64,
@@ -312,11 +310,11 @@ pub struct DensityConfig {
 }
 
 impl Config {
-    /// Reads a TOML file over a preset: the file's own `preset` and `method` if it names them, else those of `fallback`.
+    /// Reads a TOML file over a preset: the file's own `preset` if it names one, else `fallback`.
     ///
     /// # Errors
     /// [`Error::Corrupt`] naming the file, the line and the key; [`Error::Usage`] for a value out of range; [`Error::Io`].
-    pub fn read(path: &Path, fallback: impl Into<Base>) -> Result<Self> {
+    pub fn read(path: &Path, fallback: Preset) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
         Self::parse(&text, fallback, path)
     }
@@ -325,7 +323,7 @@ impl Config {
     ///
     /// # Errors
     /// As [`Config::read`].
-    pub fn parse(text: &str, fallback: impl Into<Base>, path: &Path) -> Result<Self> {
+    pub fn parse(text: &str, fallback: Preset, path: &Path) -> Result<Self> {
         let corrupt = |e: &toml::de::Error| {
             let at =
                 e.span().map_or("the file".into(), |s| format!("line {}", text[..s.start].matches('\n').count() + 1));
@@ -333,18 +331,14 @@ impl Config {
             Error::corrupt(path, at, message, "a training configuration (`spgs train --print-config`)")
         };
         let own: toml::Table = text.parse().map_err(|e| corrupt(&e))?;
-        let mut base = fallback.into();
-        if let Some(name) = own.get("preset") {
-            // A kind of data by its name alone means the paper's values for it.
-            base = Base::from(name.clone().try_into::<Preset>().map_err(|e| corrupt(&e))?);
-        }
-        if let Some(name) = own.get("method") {
-            base.method = name.clone().try_into().map_err(|e| corrupt(&e))?;
-        }
+        let preset = match own.get("preset") {
+            Some(name) => name.clone().try_into().map_err(|e: toml::de::Error| corrupt(&e))?,
+            None => fallback,
+        };
         // Parsed once alone, for the places of mistakes; then over the preset.
         toml::from_str::<Self>(text).map_err(|e| corrupt(&e))?;
         let mut merged =
-            toml::Table::try_from(base.config()).map_err(|e| Error::usage("preset", e.to_string(), "TOML"))?;
+            toml::Table::try_from(preset.config()).map_err(|e| Error::usage("preset", e.to_string(), "TOML"))?;
         merge(&mut merged, own);
         let config: Self = merged.try_into().map_err(|e: toml::de::Error| corrupt(&e))?;
         config.check()?;

@@ -3,9 +3,7 @@
 //!
 //! With a time window the first iterations draw from the photos nearest to one time only, and from more and more until all
 //! take part: motion that is faster than the objects are large is then followed from a moment where they are known. (The same
-//! curriculum as D-NeRF's, Pumarola et al. 2021, which adds photos in order of time.) Once many take part, half of the draws
-//! are of those that joined last: in equal shares each would hardly be seen before the next joins, and what moves fast would
-//! be lost.
+//! curriculum as D-NeRF's, Pumarola et al. 2021, which adds photos in order of time.)
 
 use super::rng;
 
@@ -15,8 +13,6 @@ const STREAM: u32 = 0x5649_4557;
 const WINDOW_STREAM: u32 = 0x5749_4e44;
 /// Photos in the window at its beginning, if there are so many.
 const FIRST_IN_WINDOW: u64 = 8;
-/// Photos that count as those that joined the window last.
-const FRONT: u64 = 8;
 
 /// The order of images.
 #[derive(Debug, Clone)]
@@ -32,21 +28,6 @@ pub struct ViewSampler {
 struct Window {
     nearest: Vec<u32>,
     iterations: u64,
-}
-
-impl Window {
-    /// How many take part at `iteration`.
-    fn open(&self, iteration: u64) -> u64 {
-        let n = self.nearest.len() as u64;
-        (n * iteration).div_ceil(self.iterations).max(FIRST_IN_WINDOW).min(n)
-    }
-
-    /// A place among the first `open`: of all, or of the [`FRONT`] last once they are few among them. Before that they would
-    /// pull away what the middle has just found.
-    fn drawn(open: u64, bits: u64) -> u64 {
-        let count = if bits >> 63 == 0 || open < 4 * FRONT { open } else { FRONT };
-        open - 1 - (bits & u64::from(u32::MAX)) % count
-    }
 }
 
 impl ViewSampler {
@@ -74,8 +55,9 @@ impl ViewSampler {
     /// The image of `iteration` (from 1).
     pub fn view(&mut self, iteration: u64) -> usize {
         if let Some(w) = self.window.as_ref().filter(|w| iteration <= w.iterations) {
-            return w.nearest[Window::drawn(w.open(iteration), rng::bits(self.seed, WINDOW_STREAM, iteration)) as usize]
-                as usize;
+            let n = w.nearest.len() as u64;
+            let open = (n * iteration).div_ceil(w.iterations).max(FIRST_IN_WINDOW).min(n);
+            return w.nearest[(rng::bits(self.seed, WINDOW_STREAM, iteration) % open) as usize] as usize;
         }
         let n = self.order.len().max(1) as u64;
         let (epoch, position) = ((iteration - 1) / n, (iteration - 1) % n);
@@ -135,19 +117,6 @@ mod tests {
         assert!((after - 0.75).abs() < 1e-12, "{after}");
         let still = ViewSampler::new(3, 4).with_window(&[0.5; 4], 0.5, 1000);
         assert!(still.window.is_none());
-    }
-
-    #[test]
-    fn those_that_join_are_seen_often_before_the_next_do() {
-        let times: Vec<f64> = (0..100).map(|i| f64::from(i) / 99.0).collect();
-        let mut s = ViewSampler::new(3, 100).with_window(&times, 0.0, 2000);
-        // Image 90 joins at iteration 1800; in equal shares it would be drawn once in the 100 iterations that follow.
-        let drawn = |s: &mut ViewSampler, view: usize| (1801..=1900).filter(|&i| s.view(i) == view).count();
-        let [new, old] = [drawn(&mut s, 90), drawn(&mut s, 20)];
-        assert!(new >= 3 && old <= 3, "{new} {old}");
-        // At first all in equal shares: image 0, the oldest, as often as the newest.
-        let early = (161..=600).filter(|&i| s.view(i) == 0).count();
-        assert!((20..=45).contains(&early), "{early}");
     }
 
     #[test]

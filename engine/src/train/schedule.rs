@@ -219,7 +219,6 @@ mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
     use super::*;
     use crate::scene::parameter::{LOG_SCALE, MEAN};
-    use crate::train::config::Preset;
 
     fn schedule(stage: Stage) -> Schedule {
         Schedule::new(&Config::default(), stage, 4.0)
@@ -252,7 +251,9 @@ mod tests {
 
     #[test]
     fn network_f_s_rate_falls_once_all_times_take_part() {
-        let config = Config { iterations: 4000, ..Preset::Dnerf.best() }.scaled();
+        let mut config = Config { iterations: 4000, ..Config::default() };
+        config.schedule.time_window = 20_000;
+        let config = config.scaled();
         let s = Schedule::new(&config, Stage::Rigid, 4.0);
         let rate = |i: u64| f64::from(s.step(i, Counts::default(), [0.0; 2]).rate_network_f);
         assert_eq!([s.window(), Schedule::new(&config, Stage::Static, 4.0).window()], [2000, 0]);
