@@ -89,7 +89,7 @@ impl Trainer {
         let kept = 2 * (3 * 4 * u64::from(self.parameters.planes()) + rows + 16);
         let each = kept + WORK_BYTES + work + INSTANCES * INSTANCE_BYTES;
         let pixels = |v: &View| u64::from(v.camera.width) * u64::from(v.camera.height);
-        let images = PIXEL_BYTES * self.views.iter().map(pixels).max().unwrap_or(0);
+        let images = PIXEL_BYTES * self.pyramid.views.iter().map(pixels).max().unwrap_or(0);
         // The step's own buffers for the Gaussians there are were freed before this.
         let own = n * (WORK_BYTES + INSTANCES * INSTANCE_BYTES);
         let free = budget.saturating_sub(used + images + own);

@@ -33,8 +33,8 @@ pub struct Checkpoint {
     pub iteration: u64,
     /// Gaussians with moments and statistics.
     pub parameters: ParameterState,
-    /// What the model of motion keeps, as its module writes it; empty before motion begins.
-    pub deformation: Saved,
+    /// What the model of motion and the window of times keep, as their modules write it.
+    pub saved: Saved,
 }
 
 impl Checkpoint {
@@ -68,7 +68,7 @@ impl Checkpoint {
 
     fn tensors(&self) -> Vec<NamedTensor<'_>> {
         let mut out = parameter_tensors(&self.parameters);
-        out.extend(self.deformation.tensors());
+        out.extend(self.saved.tensors());
         out
     }
 
@@ -92,8 +92,8 @@ impl Checkpoint {
             return Err(wrong("sh_degree", sh_degree.to_string()));
         }
         let in_file = |error: Error| Problem::from(error).corrupt(path);
-        let (parameters, deformation) = parameters(Saved(tensors), sh_degree).map_err(in_file)?;
-        let checkpoint = Self { config, stage, iteration, parameters, deformation };
+        let (parameters, saved) = parameters(Saved(tensors), sh_degree).map_err(in_file)?;
+        let checkpoint = Self { config, stage, iteration, parameters, saved };
         // What it moves by is read for its errors.
         deformation::of_checkpoint(&checkpoint.stored()).map_err(in_file)?;
         Ok(checkpoint)
@@ -101,7 +101,7 @@ impl Checkpoint {
 
     /// What the model of motion goes on from.
     pub(super) fn stored(&self) -> Stored<'_> {
-        Stored { config: &self.config, parameters: &self.parameters, saved: &self.deformation }
+        Stored { config: &self.config, parameters: &self.parameters, saved: &self.saved }
     }
 
     /// The scene as the run has it at this moment, without the association.

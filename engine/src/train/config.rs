@@ -83,9 +83,12 @@ pub struct Schedule {
     pub scale: bool,
     /// Iterations without motion; then superpoints are initialised (paper and code: 3 k).
     pub warm_up: u64,
-    /// Photos are drawn from a window of times that opens over this many iterations; 0: from all at once (paper and code,
-    /// the default). For objects that move by more than their size between most photos. The rate of network F begins to fall
-    /// when all take part: what comes last is learnt as fast as what came first.
+    /// Photos begin at about 25 pixels a side and double until they are full after this many iterations; 0: they always are
+    /// (paper and code).
+    pub coarse_to_fine: u64,
+    /// Photos are drawn from a window of times that opens as far as motion is followed, and is open after this many iterations
+    /// at the latest; 0: from all at once (paper and code). For objects that move by more than their size between most
+    /// photos. The rate of network F begins to fall after as many: what comes last is learnt as fast as what came first.
     pub time_window: u64,
     /// Where that window begins, as a share of the time range.
     pub time_window_centre: f64,
@@ -440,6 +443,7 @@ impl Config {
             };
             [
                 &mut c.schedule.warm_up,
+                &mut c.schedule.coarse_to_fine,
                 &mut c.schedule.time_window,
                 &mut c.schedule.sh_degree_interval,
                 &mut c.schedule.time_noise_iterations,

@@ -58,6 +58,7 @@ pub mod parameters;
 mod photos;
 #[doc(hidden)]
 pub mod property_loss;
+mod pyramid;
 #[doc(hidden)]
 pub mod rng;
 pub mod sampler;
@@ -69,6 +70,7 @@ pub mod status;
 #[doc(hidden)]
 pub mod step;
 mod target;
+mod time_window;
 pub mod trainer;
 pub mod usage;
 

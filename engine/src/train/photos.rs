@@ -101,9 +101,9 @@ impl Photos {
         self.lanes.len()
     }
 
-    /// Whether all photos are on the device: nothing is decoded or uploaded any more.
-    pub(super) fn all_there(&self) -> bool {
-        self.plan.ring.is_empty() && self.filled.iter().all(|filled| *filled)
+    /// Whether these photos are on the device to stay: none of them is decoded or uploaded any more.
+    pub(super) fn are_there(&self, mut views: std::ops::Range<usize>) -> bool {
+        self.plan.ring.is_empty() && views.all(|view| self.filled[view])
     }
 
     /// Where a photo begins that is on the device to stay.

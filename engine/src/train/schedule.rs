@@ -85,9 +85,16 @@ impl Schedule {
         }
     }
 
-    /// Iterations until photos of all times take part; 0: from the start.
-    pub fn window(&self) -> u64 {
-        if self.stage == Stage::Rigid { self.config.schedule.time_window } else { 0 }
+    /// The iterations from which photos of more times take part, and by which all do; 0 and 0: all from the start.
+    pub fn window(&self) -> [u64; 2] {
+        let s = &self.config.schedule;
+        let opens = self.stage == Stage::Rigid && s.time_window > 0;
+        if opens { [s.warm_up, s.time_window] } else { [0; 2] }
+    }
+
+    /// Iterations until photos have their full size; 0: from the start.
+    pub fn coarse_to_fine(&self) -> u64 {
+        if self.stage == Stage::Rigid { self.config.schedule.coarse_to_fine } else { 0 }
     }
 
     fn density_until(&self) -> u64 {
@@ -158,7 +165,7 @@ impl Schedule {
     pub fn step(&self, iteration: u64, counts: Counts, time: [f64; 2]) -> Step {
         let (c, r) = (&self.config, &self.config.learning_rate);
         let before = iteration - 1;
-        let open = self.window();
+        let [_, open] = self.window();
         let deform =
             decayed(r.deform, r.deform_final, before.saturating_sub(open), r.deform_iterations.saturating_sub(open));
         let association =
@@ -256,7 +263,7 @@ mod tests {
         let config = config.scaled();
         let s = Schedule::new(&config, Stage::Rigid, 4.0);
         let rate = |i: u64| f64::from(s.step(i, Counts::default(), [0.0; 2]).rate_network_f);
-        assert_eq!([s.window(), Schedule::new(&config, Stage::Static, 4.0).window()], [2000, 0]);
+        assert_eq!([s.window(), Schedule::new(&config, Stage::Static, 4.0).window()], [[300, 2000], [0, 0]]);
         let wanted = [(1, 1e-3), (2001, 1e-3), (3001, 1e-4), (4001, 1e-5)];
         assert!(wanted.iter().all(|&(i, r)| (rate(i) / r - 1.0).abs() < 1e-3), "{:?}", wanted.map(|(i, _)| rate(i)));
     }

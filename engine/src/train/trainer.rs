@@ -12,12 +12,14 @@ use super::deformation::{self, Trained};
 use super::density::DensityChange;
 use super::parameters::{ParameterState, Parameters};
 use super::photos::Photos;
+use super::pyramid::Pyramid;
 use super::rng;
 use super::sampler::ViewSampler;
 use super::schedule::{Counts, Schedule, Stage};
 use super::status;
 use super::step::Step;
 use super::target::{Target, TargetSize};
+use super::time_window::TimeWindow;
 use crate::data::dataset::View;
 use crate::data::loader::ImageLoader;
 use crate::data::pixels::Pixels;
@@ -116,9 +118,12 @@ pub struct Trainer {
     pub(super) gpu: Gpu,
     pub(super) config: Config,
     pub(super) schedule: Schedule,
-    pub(super) views: Arc<[View]>,
+    /// Photos at all sizes.
+    pub(super) pyramid: Pyramid,
     pub(super) loader: ImageLoader,
     pub(super) sampler: ViewSampler,
+    /// Photos that take part while it opens; `None` once all do.
+    pub(super) window: Option<TimeWindow>,
     pub(super) iteration: u64,
     pub(super) parameters: Parameters,
     /// What moves the Gaussians; `None` before motion begins, and where nothing moves.
@@ -191,21 +196,22 @@ impl Trainer {
         let n = u64::from(parameters.count().max(1));
         let times: Vec<f64> = data.views.iter().map(|v| v.time).collect();
         let schedule = Schedule::new(&config.scaled(), stage, data.extent);
-        let centre = config.schedule.time_window_centre;
-        let sampler = ViewSampler::new(config.seed, times.len()).with_window(&times, centre, schedule.window());
+        let window = TimeWindow::new(&times, config.schedule.time_window_centre, schedule.window());
+        let pyramid = Pyramid::new(&data.views, schedule.coarse_to_fine());
+        let views = &pyramid.views;
         Ok(Self {
             gpu: gpu.clone(),
             config: config.clone(),
             schedule,
-            views: data.views.clone(),
-            loader: ImageLoader::new(data.views.clone(), config.budget.image_bytes, workers)?,
-            sampler,
+            loader: ImageLoader::new(views.clone(), config.budget.image_bytes, workers)?,
+            sampler: ViewSampler::new(config.seed, times.len()),
+            window,
             iteration,
             deformation: None,
             density_change: None,
             targets: Vec::new(),
             capacity: (n * FIRST_INSTANCES_PER_GAUSSIAN).max(4096),
-            photos: Photos::new(gpu, &data.views, config.budget.photo_bytes, FLIGHT)?,
+            photos: Photos::new(gpu, views, config.budget.photo_bytes, FLIGHT)?,
             slots: (0..FLIGHT).map(|_| Slot::new(gpu)).collect::<Result<_>>()?,
             flying: VecDeque::new(),
             finished: VecDeque::new(),
@@ -214,6 +220,7 @@ impl Trainer {
             splat_gradient: gpu.buffer("splat_gradient", n * u64::from(ROW_WORDS) * 4, Memory::Device)?,
             pose_gradient: gpu.buffer("pose_gradient", n * pose_gradient_bytes(config), Memory::Device)?,
             parameters,
+            pyramid,
             profile: Profile::Off,
             timings: Vec::new(),
             repeated: 0,
@@ -234,7 +241,7 @@ impl Trainer {
     pub fn with_flight(mut self, steps: usize) -> Result<Self> {
         self.settled()?;
         let steps = steps.clamp(1, 8);
-        self.photos = Photos::new(&self.gpu, &self.views, self.config.budget.photo_bytes, steps)?;
+        self.photos = Photos::new(&self.gpu, &self.pyramid.views, self.config.budget.photo_bytes, steps)?;
         self.slots = (0..steps).map(|_| Slot::new(&self.gpu)).collect::<Result<_>>()?;
         self.targets.clear();
         Ok(self)
@@ -330,7 +337,7 @@ impl Trainer {
         FrameOptions {
             background: self.config.background,
             near: self.config.near,
-            time: self.views[view].time,
+            time: self.pyramid.views[view].time,
             gaussians: self.parameters.count(),
             superpoints: self.superpoints(),
             sh_degree: self.parameters.scene.sh_degree,
@@ -343,7 +350,7 @@ impl Trainer {
     fn step_of(&self, iteration: u64, view: usize, photo: u32) -> Step {
         let slots = self.association().map_or(0, |a| a.slots);
         let (gaussians, superpoints) = (self.parameters.count(), self.superpoints());
-        let time = self.views[view].time;
+        let time = self.pyramid.views[view].time;
         // Annealed smooth training of Deformable 3D Gaussians, as the released code has it: relative to the photos left.
         let spacing = 1.0 / self.sampler.remaining(iteration) as f64;
         let noise =

@@ -121,6 +121,37 @@ fn a_checkpoint_between_steps_in_flight_is_exact() {
 }
 
 #[test]
+fn small_photos_and_a_window_of_times_change_no_bit_either() {
+    let posed = posed(&PosedOptions { sizes: vec![[64, 56]], train: 24, ..PosedOptions::default() });
+    let (_, data) = load(&posed);
+    let gpu = gpu();
+    let over = "[schedule]\ncoarse_to_fine = 30\ntime_window = 36";
+    let mut begun = Vec::new();
+    let runs =
+        [(1, "", None), (3, "", None), (8, "\n[budget]\nphoto_bytes = 0", None), (3, "", Some(23)), (3, "", Some(33))];
+    let outcomes = runs.map(|(flight, photos, pause)| {
+        let config = config(&format!("{over}{photos}"));
+        let mut trainer = trainer(&gpu, &config, &data).unwrap().with_flight(flight).unwrap();
+        let mut reports = fly(&mut trainer, pause.unwrap_or(40));
+        if pause.is_some() {
+            let half = trainer.checkpoint().unwrap();
+            trainer = Trainer::resume(&gpu, &data, &half).unwrap().with_flight(flight).unwrap();
+            reports.extend(fly(&mut trainer, 40));
+        }
+        let mut checkpoint = trainer.checkpoint().unwrap();
+        checkpoint.config = self::config("");
+        begun = reports[..31].iter().map(|r| r.view).collect();
+        (reports, bytes(&checkpoint))
+    });
+    for (run, outcome) in runs.iter().zip(&outcomes).skip(1) {
+        assert!(*outcome == outcomes[0], "{run:?}: other bits than one step at a time");
+    }
+    begun.sort_unstable();
+    begun.dedup();
+    assert!(begun.len() <= 8 && begun.last() <= Some(&23), "a window of eight photos: {begun:?}");
+}
+
+#[test]
 fn the_device_never_waits_for_a_step() {
     let posed = posed(&PosedOptions::default());
     let (_, data) = load(&posed);

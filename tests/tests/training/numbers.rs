@@ -14,9 +14,9 @@ type Spoil = (&'static str, usize, fn(&mut Checkpoint, f32));
 
 /// Puts a value into an array of the model of motion.
 fn put(checkpoint: &mut Checkpoint, array: &str, at: usize, value: f32) {
-    let mut values = checkpoint.deformation.floats(array, None).unwrap();
+    let mut values = checkpoint.saved.floats(array, None).unwrap();
     values[at] = value;
-    checkpoint.deformation.put_floats(array, vec![values.len()], &values);
+    checkpoint.saved.put_floats(array, vec![values.len()], &values);
 }
 
 fn spoils() -> Vec<Spoil> {
@@ -105,16 +105,16 @@ fn a_network_that_overflows_ends_the_run() {
     advance(&mut nonrigid, 1).unwrap();
     let mut nonrigid = nonrigid.checkpoint().unwrap();
 
-    let mut state = rigid.deformation.network("network_f").unwrap();
+    let mut state = rigid.saved.network("network_f").unwrap();
     let mut network = state.deform(config.motion.network_size()).unwrap();
     overflow(&mut network.linear);
     state.weights = network.flatten();
-    rigid.deformation.put_network("network_f", &state);
-    let mut state = nonrigid.deformation.network("network_g").unwrap();
+    rigid.saved.put_network("network_f", &state);
+    let mut state = nonrigid.saved.network("network_g").unwrap();
     let mut network = state.nonrigid().unwrap();
     overflow(&mut network.linear);
     state.weights = network.flatten();
-    nonrigid.deformation.put_network("network_g", &state);
+    nonrigid.saved.put_network("network_g", &state);
 
     for (name, checkpoint) in [("network F", &rigid), ("network G", &nonrigid)] {
         match Trainer::resume(&gpu, &data, checkpoint).unwrap().step() {

@@ -91,6 +91,16 @@ pub struct View {
     pub image: ImageSource,
 }
 
+impl View {
+    /// The same view of `factor` times fewer pixels a side, rounded; at least one.
+    #[must_use]
+    pub fn reduced(&self, factor: u32) -> Self {
+        let size = views::scaled([self.camera.width, self.camera.height], factor);
+        let image = ImageSource { size, ..self.image.clone() };
+        Self { name: self.name.clone(), time: self.time, camera: self.camera.resized(size[0], size[1]), image }
+    }
+}
+
 /// A data set ready for training.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Dataset {

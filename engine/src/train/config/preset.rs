@@ -97,6 +97,7 @@ impl Default for Schedule {
             reference_iterations: 40_000,
             scale: true,
             warm_up: 3000,
+            coarse_to_fine: 0,
             time_window: 0,
             time_window_centre: 0.5,
             sh_degree_interval: 1000,

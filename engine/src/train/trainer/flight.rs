@@ -30,6 +30,9 @@ pub const FLIGHT: usize = 3;
 /// Photos announced ahead of their use.
 const PREFETCH: u64 = 8;
 
+/// Iterations from one look at the window of times to the next.
+const WIDEN_INTERVAL: u64 = 16;
+
 /// A step that was submitted.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::train) struct Job {
@@ -69,13 +72,38 @@ impl Trainer {
     /// As [`Trainer::step`], of this step or of one in flight; [`Trainer::iteration`] is then the last good one.
     pub fn advance(&mut self) -> Result<()> {
         let iteration = self.iteration + 1;
-        if !self.photos.all_there() {
-            let ahead = (0..PREFETCH).map(|k| self.sampler.view(iteration + k));
-            let ahead: Vec<usize> = ahead.filter(|view| self.photos.find(*view).is_none()).collect();
+        self.widen_window(iteration)?;
+        if !self.photos.are_there(self.pyramid.places(iteration)) {
+            let mut ahead: Vec<usize> = (0..PREFETCH).map(|k| self.view_at(iteration + k)).collect();
+            ahead.retain(|view| self.photos.find(*view).is_none());
             self.loader.prefetch(&ahead);
         }
-        let view = self.sampler.view(iteration);
+        let view = self.view_at(iteration);
         self.advance_on(view, None)
+    }
+
+    /// What is drawn at an iteration, as the window is now: a photo at the size of that iteration.
+    fn view_at(&mut self, iteration: u64) -> usize {
+        let window = self.window.as_ref();
+        let photo = window.map_or_else(|| self.sampler.view(iteration), |w| w.draw(self.config.seed, iteration));
+        self.pyramid.at(photo, iteration)
+    }
+
+    /// Opens the window of times further where it is time to look, which is settled by the iteration alone.
+    fn widen_window(&mut self, iteration: u64) -> Result<()> {
+        if self.window.is_none() || !iteration.is_multiple_of(WIDEN_INTERVAL) {
+            return Ok(());
+        }
+        self.drain()?;
+        self.window = self
+            .window
+            .take()
+            .map(|mut w| {
+                w.widen(iteration);
+                w
+            })
+            .filter(|w| !w.is_open());
+        Ok(())
     }
 
     /// [`Trainer::advance`] on this view, with a photo that is not the loader's.
@@ -160,10 +188,14 @@ impl Trainer {
         }
         let loaded = if given.is_none() { Some(self.loader.get(view)?) } else { None };
         let Some(photo) = given.or(loaded.as_deref()) else { return Ok(0) };
-        let camera = &self.views[view].camera;
+        let camera = &self.pyramid.views[view].camera;
         if [photo.width, photo.height] != [camera.width, camera.height] {
             let found = format!("{}×{} pixels", photo.width, photo.height);
-            return Err(Error::usage(format!("photo of {}", self.views[view].name), found, "the camera's size"));
+            return Err(Error::usage(
+                format!("photo of {}", self.pyramid.views[view].name),
+                found,
+                "the camera's size",
+            ));
         }
         let first = self.photos.upload(&self.gpu, slot, view, photo)?;
         if self.photos.stays(view) {
@@ -176,9 +208,9 @@ impl Trainer {
     fn launch(&mut self, job: &mut Job) -> Result<()> {
         let Job { iteration, view, slot, photo, .. } = *job;
         self.parameters.scene.sh_degree = self.schedule.sh_degree(iteration).min(self.parameters.sh_degree);
-        let camera = &self.views[view].camera;
+        let camera = &self.pyramid.views[view].camera;
         let at = self.target([camera.width, camera.height])?;
-        let camera = &self.views[view].camera;
+        let camera = &self.pyramid.views[view].camera;
         let frame = Frame::new(camera, self.parameters.scene.origin, &self.frame_options(view, at))?;
         let step = self.step_of(iteration, view, photo);
         self.slots[slot].step.write(0, bytemuck::bytes_of(&step))?;
@@ -198,7 +230,7 @@ impl Trainer {
 
     /// The recording that a step was submitted with.
     fn commands_of(&self, job: &Job) -> Option<&Commands> {
-        let camera = &self.views[job.view].camera;
+        let camera = &self.pyramid.views[job.view].camera;
         let target = self.targets.iter().find(|t| t.size == [camera.width, camera.height])?;
         target.commands[job.slot].as_ref().map(|(_, commands)| commands)
     }
@@ -226,6 +258,9 @@ impl Trainer {
     }
 
     fn finish(&mut self, job: &Job, report: StepReport) -> Result<()> {
+        if let Some(window) = &mut self.window {
+            window.note(report.view, report.l1);
+        }
         let timed = self.is_timed(job.iteration);
         let commands = self.commands_of(job).filter(|_| timed);
         let timings = commands.map_or(Ok(Vec::new()), Commands::timings)?;
@@ -300,7 +335,7 @@ impl Trainer {
         let weights = [c.lambda_position, c.lambda_rotation, c.lambda_translation].map(f64::from);
         Ok(Outcome::Applied(StepReport {
             iteration: job.iteration,
-            view: job.view,
+            view: self.pyramid.photo(job.view),
             loss: float(1, 0) + property.iter().zip(weights).map(|(p, w)| p * w).sum::<f64>(),
             l1: float(1, 1),
             ssim: float(1, 2),

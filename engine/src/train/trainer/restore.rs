@@ -19,6 +19,10 @@ impl Trainer {
     pub fn resume(gpu: &Gpu, data: &TrainingData, checkpoint: &Checkpoint) -> Result<Self> {
         let c = checkpoint;
         let mut trainer = Self::assemble(gpu, &c.config, data, c.stage, c.iteration, &c.parameters)?;
+        if let Some(window) = &mut trainer.window {
+            window.restore(&c.saved)?;
+        }
+        trainer.window = trainer.window.take().filter(|w| !w.is_open());
         if let Some(model) = deformation::restore(gpu, &c.config, &c.stored())? {
             trainer.set_deformation(model);
         }
@@ -53,10 +57,13 @@ impl Trainer {
             stage: self.schedule.stage(),
             iteration: self.iteration,
             parameters: self.parameters.download(&self.gpu)?,
-            deformation: Saved::default(),
+            saved: Saved::default(),
         };
         if let Some(model) = &self.deformation {
-            model.save(&self.gpu, &self.parameters.scene, &mut checkpoint.deformation)?;
+            model.save(&self.gpu, &self.parameters.scene, &mut checkpoint.saved)?;
+        }
+        if let Some(window) = &self.window {
+            window.save(&mut checkpoint.saved);
         }
         Ok(checkpoint)
     }

@@ -1,0 +1,91 @@
+//! Coarse to fine: a run begins on small photos and ends on full ones.
+//!
+//! A Gaussian feels only the pixels that it covers. In a small photo things have moved by fewer pixels, so that what has moved
+//! far is found; and steps cost less.
+
+use std::sync::Arc;
+
+use crate::data::dataset::View;
+
+/// No photo is made smaller than this on its shorter side, pixels.
+const SMALLEST_SIDE: u32 = 24;
+/// Halvings of a photo of 16,384 pixels that leave [`SMALLEST_SIDE`].
+const MOST_LEVELS: u32 = 9;
+
+/// The photos of a run, at full size and halved again and again.
+#[derive(Debug, Clone)]
+pub(super) struct Pyramid {
+    /// All sizes, the full one first.
+    pub(super) views: Arc<[View]>,
+    /// Photos of one size.
+    photos: usize,
+    /// Iterations until photos are full; 0: they always are.
+    iterations: u64,
+}
+
+impl Pyramid {
+    /// Of these photos, which are full after `iterations`.
+    pub(super) fn new(views: &Arc<[View]>, iterations: u64) -> Self {
+        let smallest = views.iter().map(|v| v.camera.width.min(v.camera.height)).min().unwrap_or(0);
+        let halvings = (1..=MOST_LEVELS).take_while(|k| smallest >> k >= SMALLEST_SIDE);
+        let levels: Vec<u32> = halvings.take_while(|_| iterations > 0).collect();
+        if levels.is_empty() {
+            return Self { views: views.clone(), photos: views.len(), iterations: 0 };
+        }
+        let smaller = levels.iter().flat_map(|&k| views.iter().map(move |v| v.reduced(1 << k)));
+        Self { photos: views.len(), iterations, views: views.iter().cloned().chain(smaller).collect() }
+    }
+
+    /// Place in `views` of a photo as it is at `iteration` (from 1). Every size has the same number of iterations.
+    pub(super) fn at(&self, photo: usize, iteration: u64) -> usize {
+        let levels = (self.views.len() / self.photos.max(1)).saturating_sub(1) as u64;
+        let left = (self.iterations + 1).saturating_sub(iteration);
+        photo + self.photos * (left * levels).div_ceil(self.iterations.max(1)) as usize
+    }
+
+    /// Which photo a place in `views` is.
+    pub(super) fn photo(&self, place: usize) -> usize {
+        place % self.photos.max(1)
+    }
+
+    /// Places of the photos as they are at `iteration`.
+    pub(super) fn places(&self, iteration: u64) -> std::ops::Range<usize> {
+        let first = self.at(0, iteration);
+        first..first + self.photos
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::data::pixels::ImageSource;
+    use crate::scene::Camera;
+    use glam::DVec3;
+
+    fn views(size: [u32; 2]) -> Arc<[View]> {
+        let camera = Camera::look_at(DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO, DVec3::Y, 0.8, size);
+        let image = ImageSource { path: "a.png".into(), stored: size, size, lens: None, mask: None };
+        vec![View { name: "a".into(), camera, time: 0.0, image }; 3].into()
+    }
+
+    #[test]
+    fn photos_double_until_they_are_full() {
+        let p = Pyramid::new(&views([200, 120]), 100);
+        let sides = |i: u64| p.views[p.at(2, i)].image.size;
+        assert_eq!(
+            [1, 50, 51, 100, 101, 1000].map(sides),
+            [[50, 30], [50, 30], [100, 60], [100, 60], [200, 120], [200, 120]]
+        );
+        assert_eq!(([1, 51, 101].map(|i| p.photo(p.at(2, i))), p.places(51)), ([2; 3], 3..6));
+        let small = &p.views[p.at(0, 1)];
+        assert_eq!([small.camera.width, small.camera.height], small.image.size);
+        assert!((small.camera.fx * 4.0 / p.views[0].camera.fx - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn small_photos_and_no_iterations_leave_photos_as_they_are() {
+        for p in [Pyramid::new(&views([47, 300]), 100), Pyramid::new(&views([800, 800]), 0)] {
+            assert_eq!((p.views.len(), p.at(2, 1), p.places(7)), (3, 2, 0..3));
+        }
+    }
+}
