@@ -18,7 +18,7 @@ use crate::data::dataset::DatasetOptions;
 use crate::error::{Error, Result};
 use crate::scene::parameter::{PARAMETERS, Present, REQUIRED};
 use crate::scene::{Blend, DeformSize};
-pub use preset::Preset;
+pub use preset::{Base, Method, Preset};
 pub use run::{BudgetConfig, ExportConfig, LogConfig};
 
 /// Which form of a formula is used where paper and code disagree.
@@ -37,6 +37,8 @@ pub enum Form {
 pub struct Config {
     /// The preset that these values started from.
     pub preset: Preset,
+    /// Whose values for it: the paper's, or what measured better.
+    pub method: Method,
     /// Length of the run, in iterations of one image each.
     pub iterations: u64,
     /// Seed of every random choice (image order, first points, time noise, split positions, network weights).
@@ -313,11 +315,11 @@ pub struct DensityConfig {
 }
 
 impl Config {
-    /// Reads a TOML file over a preset: the file's own `preset` if it names one, else `fallback`.
+    /// Reads a TOML file over a preset: the file's own `preset` and `method` if it names them, else those of `fallback`.
     ///
     /// # Errors
     /// [`Error::Corrupt`] naming the file, the line and the key; [`Error::Usage`] for a value out of range; [`Error::Io`].
-    pub fn read(path: &Path, fallback: Preset) -> Result<Self> {
+    pub fn read(path: &Path, fallback: impl Into<Base>) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
         Self::parse(&text, fallback, path)
     }
@@ -326,7 +328,7 @@ impl Config {
     ///
     /// # Errors
     /// As [`Config::read`].
-    pub fn parse(text: &str, fallback: Preset, path: &Path) -> Result<Self> {
+    pub fn parse(text: &str, fallback: impl Into<Base>, path: &Path) -> Result<Self> {
         let corrupt = |e: &toml::de::Error| {
             let at =
                 e.span().map_or("the file".into(), |s| format!("line {}", text[..s.start].matches('\n').count() + 1));
@@ -334,14 +336,18 @@ impl Config {
             Error::corrupt(path, at, message, "a training configuration (`spgs train --print-config`)")
         };
         let own: toml::Table = text.parse().map_err(|e| corrupt(&e))?;
-        let preset = match own.get("preset") {
-            Some(name) => name.clone().try_into().map_err(|e: toml::de::Error| corrupt(&e))?,
-            None => fallback,
-        };
+        let mut base = fallback.into();
+        if let Some(name) = own.get("preset") {
+            // A kind of data by its name alone means the paper's values for it.
+            base = Base::from(name.clone().try_into::<Preset>().map_err(|e| corrupt(&e))?);
+        }
+        if let Some(name) = own.get("method") {
+            base.method = name.clone().try_into().map_err(|e| corrupt(&e))?;
+        }
         // Parsed once alone, for the places of mistakes; then over the preset.
         toml::from_str::<Self>(text).map_err(|e| corrupt(&e))?;
         let mut merged =
-            toml::Table::try_from(preset.config()).map_err(|e| Error::usage("preset", e.to_string(), "TOML"))?;
+            toml::Table::try_from(base.config()).map_err(|e| Error::usage("preset", e.to_string(), "TOML"))?;
         merge(&mut merged, own);
         let config: Self = merged.try_into().map_err(|e: toml::de::Error| corrupt(&e))?;
         config.check()?;

@@ -165,7 +165,7 @@ impl Schedule {
     pub fn step(&self, iteration: u64, counts: Counts, time: [f64; 2]) -> Step {
         let (c, r) = (&self.config, &self.config.learning_rate);
         let before = iteration - 1;
-        let [_, open] = self.window();
+        let open = self.window()[1].max(self.coarse_to_fine());
         let deform =
             decayed(r.deform, r.deform_final, before.saturating_sub(open), r.deform_iterations.saturating_sub(open));
         let association =

@@ -1,4 +1,4 @@
-//! The paper's settings by data set.
+//! The paper's settings by data set, and those that measured better.
 
 use std::collections::BTreeMap;
 
@@ -28,6 +28,43 @@ pub enum Preset {
     Nvidia,
 }
 
+/// Whose values a configuration starts from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Method {
+    /// The paper's, exactly; what a configuration file without this key means.
+    #[default]
+    Paper,
+    /// The paper's but for what measured better: [`Preset::best`].
+    Best,
+}
+
+/// What a configuration file is read over, where it does not name it itself.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Base {
+    /// The kind of data.
+    pub preset: Preset,
+    /// Whose values for it.
+    pub method: Method,
+}
+
+impl Base {
+    /// Its values.
+    pub fn config(self) -> Config {
+        match self.method {
+            Method::Paper => self.preset.config(),
+            Method::Best => self.preset.best(),
+        }
+    }
+}
+
+impl From<Preset> for Base {
+    /// The paper's values.
+    fn from(preset: Preset) -> Self {
+        Self { preset, method: Method::Paper }
+    }
+}
+
 impl Preset {
     /// All of them.
     pub const ALL: [Self; 4] = [Self::Dnerf, Self::Hypernerf, Self::Nerfds, Self::Nvidia];
@@ -42,7 +79,16 @@ impl Preset {
         }
     }
 
-    /// The preset's values.
+    /// The paper's values but for what measured better; the table in tools/docs/training.md has the runs that chose each.
+    pub fn best(self) -> Config {
+        let mut c = Config { method: Method::Best, ..self.config() };
+        if self == Self::Dnerf {
+            c.schedule.coarse_to_fine = 20_000;
+        }
+        c
+    }
+
+    /// The paper's values.
     pub fn config(self) -> Config {
         let mut c = Config { preset: self, ..Config::default() };
         match self {
@@ -66,10 +112,11 @@ impl Preset {
 }
 
 impl Default for Config {
-    /// The preset `dnerf`.
+    /// The paper's values for `dnerf`.
     fn default() -> Self {
         Self {
             preset: Preset::Dnerf,
+            method: Method::Paper,
             iterations: 40_000,
             seed: 0,
             deterministic: false,

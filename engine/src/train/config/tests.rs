@@ -8,9 +8,10 @@ fn parse(text: &str) -> Result<Config> {
 #[test]
 fn every_preset_is_valid_and_survives_toml() {
     for preset in Preset::ALL {
-        let config = preset.config();
-        config.check().unwrap();
-        assert_eq!(Config::parse(&config.to_toml().unwrap(), Preset::Dnerf, Path::new("x")).unwrap(), config);
+        for config in [preset.config(), preset.best()] {
+            config.check().unwrap();
+            assert_eq!(Config::parse(&config.to_toml().unwrap(), Preset::Dnerf, Path::new("x")).unwrap(), config);
+        }
     }
 }
 
@@ -23,6 +24,18 @@ fn a_file_changes_only_what_it_names() {
     let expected = Config { seed: 7, ..Preset::Hypernerf.config() };
     assert_eq!(c.density.until, 10_000);
     assert_eq!(Config { density: expected.density.clone(), ..c }, expected);
+}
+
+#[test]
+fn a_kind_of_data_by_name_means_the_paper_s_values_for_it() {
+    let best = Base { preset: Preset::Dnerf, method: Method::Best };
+    let read = |text: &str| Config::parse(text, best, Path::new("run.toml")).unwrap();
+    assert_eq!(read("seed = 3"), Config { seed: 3, ..Preset::Dnerf.best() });
+    assert_eq!(read("preset = \"dnerf\""), Preset::Dnerf.config());
+    assert_eq!(read("preset = \"dnerf\"\nmethod = \"best\""), Preset::Dnerf.best());
+    assert_eq!(read("method = \"paper\""), Preset::Dnerf.config());
+    // Without its key a file of an earlier version is what it was: the paper's.
+    assert_eq!(Config::default().method, Method::Paper);
 }
 
 #[test]

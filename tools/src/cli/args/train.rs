@@ -3,8 +3,45 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use engine::data::dataset::DatasetKind;
+use engine::train::config::{Base, Method, Preset};
 
 use crate::report::benchmark::Benchmark;
+
+/// Values that a configuration starts from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum PresetName {
+    /// The paper's for the data set's format, but for what measured better (see `spgs help training`)
+    Best,
+    /// The paper's for the data set's format, exactly
+    Paper,
+    /// The paper's for D-NeRF: synthetic scenes with exact cameras and times
+    #[value(alias = "dnerf")]
+    DNerf,
+    /// The paper's for HyperNeRF: hand-held captures
+    #[value(name = "hypernerf")]
+    HyperNerf,
+    /// The paper's for NeRF-DS: specular objects
+    #[value(alias = "nerfds")]
+    NerfDs,
+    /// The paper's for NVIDIA Dynamic Scene (Yoon et al.)
+    Nvidia,
+}
+
+impl PresetName {
+    /// What it names, for data in this format; D-NeRF's where there is none.
+    pub fn base(self, kind: Option<DatasetKind>) -> Base {
+        let of_format = kind.map(Benchmark::preset_of_format).unwrap_or_default();
+        match self {
+            Self::Best => Base { preset: of_format, method: Method::Best },
+            Self::Paper => of_format.into(),
+            Self::DNerf => Preset::Dnerf.into(),
+            Self::HyperNerf => Preset::Hypernerf.into(),
+            Self::NerfDs => Preset::Nerfds.into(),
+            Self::Nvidia => Preset::Nvidia.into(),
+        }
+    }
+}
 
 /// `spgs train`.
 #[derive(Debug, Args)]
@@ -19,9 +56,9 @@ pub struct TrainArgs {
     /// Number of iterations; the schedule scales with it [default: the configuration's, 40000]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
     pub iterations: Option<u64>,
-    /// The paper's values for a kind of data [default: by the data set's format]
-    #[arg(long, value_enum)]
-    pub preset: Option<Benchmark>,
+    /// Whose values for the hyper-parameters
+    #[arg(long, value_enum, default_value = "best")]
+    pub preset: PresetName,
     /// File with hyper-parameters that override the preset (see --print-config)
     #[arg(long, value_name = "F.toml")]
     pub config: Option<PathBuf>,

@@ -3,26 +3,21 @@
 use engine::data::dataset::{Dataset, DatasetKind};
 use engine::error::Result;
 use engine::scene::Gaussians;
-use engine::train::config::{Config, Preset};
+use engine::train::config::Config;
 use engine::train::start;
 
 use crate::cli::args::TrainArgs;
 use crate::cli::model;
-use crate::report::benchmark::Benchmark;
 
 /// The configuration of a new run.
 ///
 /// # Errors
 /// Those of reading and checking it.
 pub(super) fn config(args: &TrainArgs, kind: Option<DatasetKind>) -> Result<Config> {
-    let preset = match (args.preset, kind) {
-        (Some(benchmark), _) => benchmark.preset(),
-        (None, Some(kind)) => Benchmark::preset_of_format(kind),
-        (None, None) => Preset::default(),
-    };
+    let base = args.preset.base(kind);
     let config = match &args.config {
-        Some(path) => Config::read(path, preset)?,
-        None => preset.config(),
+        Some(path) => Config::read(path, base)?,
+        None => base.config(),
     };
     resumed(args, &config)
 }
