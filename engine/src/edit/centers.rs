@@ -17,8 +17,7 @@ pub fn centers(scene: &Scene, time: f64) -> Result<Vec<DVec3>> {
     }
     let mean = &scene.gaussians.mean;
     let at = |i: usize| DVec3::from_array(mean[i].map(f64::from));
-    let (Some(poses), Some(s)) =
-        (poses(scene, time, MotionSource::Auto)?, scene.deformation.superpoint_deformation())
+    let (Some(poses), Some(s)) = (poses(scene, time, MotionSource::Auto)?, scene.deformation.superpoint_deformation())
     else {
         return Ok((0..mean.len()).map(at).collect());
     };

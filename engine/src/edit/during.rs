@@ -72,7 +72,8 @@ pub fn transform_during(
     if to + ease < first || from - ease > last {
         return Err(Error::usage("during", format!("{from}..{to}"), format!("times of the scene, {first}..{last}")));
     }
-    let knots: Vec<f64> = [from - ease, from, to, to + ease].into_iter().filter(|t| (first..=last).contains(t)).collect();
+    let knots: Vec<f64> =
+        [from - ease, from, to, to + ease].into_iter().filter(|t| (first..=last).contains(t)).collect();
     let turning = s.turn.to_scaled_axis().length();
     let error_px = Some(remake(table, &own, &exact, &knots, turning, &corners, bound)?);
     let keys_added = table.times.len() as i64 - old.times.len() as i64;

@@ -72,7 +72,9 @@ fn join_motion(scene: &mut Scene, other: &mut Scene) -> Result<()> {
         scene.deformation = Deformation::None;
         return Ok(());
     }
-    for (s, rests, range) in [(&mut *scene, one == Moves::Still, other.time_range()), (other, two == Moves::Still, [0.0; 2])] {
+    for (s, rests, range) in
+        [(&mut *scene, one == Moves::Still, other.time_range()), (other, two == Moves::Still, [0.0; 2])]
+    {
         if rests {
             with_table(s, [range[0] as f32, range[0] as f32]);
         }
@@ -107,7 +109,8 @@ fn join(a: &mut SuperpointDeformation, b: &SuperpointDeformation, counts: [usize
 }
 
 fn side_by_side(rows: [&[[f32; 3]]; 2], widths: [usize; 2], count: usize) -> Vec<[f32; 3]> {
-    let row = |k: usize| (0..2).flat_map(move |side| rows[side][k * widths[side]..(k + 1) * widths[side]].iter().copied());
+    let row =
+        |k: usize| (0..2).flat_map(move |side| rows[side][k * widths[side]..(k + 1) * widths[side]].iter().copied());
     (0..count).flat_map(row).collect()
 }
 

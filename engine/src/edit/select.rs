@@ -84,7 +84,11 @@ fn numbered(count: usize, ranges: &[[u64; 2]], what: &str) -> Result<Vec<bool>> 
     let mut chosen = vec![false; count];
     for &[first, last] in ranges {
         if first > last || last >= count as u64 {
-            return Err(Error::usage(what, format!("{first}-{last}"), format!("numbers below {count}, the lower first")));
+            return Err(Error::usage(
+                what,
+                format!("{first}-{last}"),
+                format!("numbers below {count}, the lower first"),
+            ));
         }
         chosen[first as usize..=last as usize].fill(true);
     }
@@ -97,7 +101,8 @@ fn numbered(count: usize, ranges: &[[u64; 2]], what: &str) -> Result<Vec<bool>> 
 /// Those of placing Gaussians.
 pub fn center(scene: &Scene, mask: &[bool], time: f64) -> Result<Option<DVec3>> {
     let all = centers(scene, time)?;
-    let (sum, count) = all.iter().zip(mask).filter(|(_, m)| **m).fold((DVec3::ZERO, 0), |(s, n), (x, _)| (s + *x, n + 1));
+    let (sum, count) =
+        all.iter().zip(mask).filter(|(_, m)| **m).fold((DVec3::ZERO, 0), |(s, n), (x, _)| (s + *x, n + 1));
     Ok((count > 0).then(|| sum / f64::from(count)))
 }
 

@@ -109,9 +109,7 @@ impl Session {
                     Pivot::Center => select::center(&self.scene, &mask, time)?.unwrap_or_default(),
                 };
                 return match (similarity(*change, pivot), during) {
-                    (Err(factors), None) if *frame == Frame::World => {
-                        stretch(&mut self.scene, &mask, factors, pivot)
-                    }
+                    (Err(factors), None) if *frame == Frame::World => stretch(&mut self.scene, &mask, factors, pivot),
                     (Err(factors), _) => {
                         let expected = "one factor: a part turns, and a moment's scale bends poses";
                         Err(Error::usage("scale", format!("factors {factors} that differ"), expected))

@@ -94,7 +94,8 @@ pub(crate) fn remake(
         follow(motion, &old, part, exact, turning);
         let errors = interval_errors(motion, part, exact, corners, bound);
         let worst = errors.iter().copied().fold(0.0, f64::max);
-        let wide: Vec<f64> = (0..errors.len()).filter(|&k| errors[k] > bound.pixels).map(|k| middle(&times, k)).collect();
+        let wide: Vec<f64> =
+            (0..errors.len()).filter(|&k| errors[k] > bound.pixels).map(|k| middle(&times, k)).collect();
         let before = times.len();
         if !wide.is_empty() && round < ROUNDS {
             times = sorted(times.iter().map(|&t| f64::from(t)).chain(wide));

@@ -150,7 +150,8 @@ fn retime_lifespans(scene: &mut Scene, mask: &[bool], map: TimeMap) -> Result<()
         let [middle, log_length] = [f64::from(row[0]), f64::from(row[1])];
         match map {
             TimeMap::Freeze(time) => {
-                let opacity = 1.0 / (1.0 + f64::from(-g.opacity_logit[i]).exp()) * lifespan_share(middle, log_length, time);
+                let opacity =
+                    1.0 / (1.0 + f64::from(-g.opacity_logit[i]).exp()) * lifespan_share(middle, log_length, time);
                 // The logit of nothing at all has no number: this is 1e-13 of it.
                 g.opacity_logit[i] = (opacity / (1.0 - opacity)).ln().max(-30.0) as f32;
                 row.copy_from_slice(&[0.5, ENDLESS]);

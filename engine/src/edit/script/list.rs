@@ -94,7 +94,9 @@ impl EditList {
     /// [`Error::Usage`] for what TOML cannot hold.
     pub fn to_text(&self) -> Result<String> {
         let text = toml::to_string(self).map_err(|e| Error::usage("edit list", e.to_string(), "what TOML can hold"))?;
-        Ok(format!("# Edits that were applied, in order. They make the same model again: spgs edit IN OUT --script THIS\n{text}"))
+        Ok(format!(
+            "# Edits that were applied, in order. They make the same model again: spgs edit IN OUT --script THIS\n{text}"
+        ))
     }
 
     /// Reads what [`Self::to_text`] wrote; `path` names it in errors.

@@ -10,7 +10,8 @@ use crate::scene::Camera;
 
 const COMMANDS: &str = "select, add, subtract, intersect, invert, grow, name, move, rotate, scale, delete, keep, duplicate, \
                         recolor, freeze, time, merge or camera";
-const TERMS: &str = "all, none, superpoints, gaussians, sphere, box, click, rect, opacity, size, color, floaters or named";
+const TERMS: &str =
+    "all, none, superpoints, gaussians, sphere, box, click, rect, opacity, size, color, floaters or named";
 
 /// The commands of a script.
 ///
@@ -248,8 +249,7 @@ fn merge(reader: &mut Reader<'_>) -> Result<Action, ScriptError> {
 }
 
 fn camera(reader: &mut Reader<'_>) -> Result<Action, ScriptError> {
-    let (mut eye, mut target, mut up, mut fov, mut size, mut time) =
-        (None, None, DVec3::Z, 45.0, [800_u32; 2], None);
+    let (mut eye, mut target, mut up, mut fov, mut size, mut time) = (None, None, DVec3::Z, 45.0, [800_u32; 2], None);
     while !reader.is_done() {
         if reader.takes("eye") {
             eye = Some(reader.vector("a place x,y,z")?);

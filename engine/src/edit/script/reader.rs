@@ -90,11 +90,7 @@ impl<'a> Reader<'a> {
     }
 
     /// What `read` makes of the next word.
-    pub(super) fn value<T>(
-        &mut self,
-        expected: &str,
-        read: impl FnOnce(&str) -> Option<T>,
-    ) -> Result<T, ScriptError> {
+    pub(super) fn value<T>(&mut self, expected: &str, read: impl FnOnce(&str) -> Option<T>) -> Result<T, ScriptError> {
         let found = self.words.get(self.at).and_then(|word| read(&word.text)).ok_or_else(|| self.mistake(expected))?;
         self.at += 1;
         Ok(found)

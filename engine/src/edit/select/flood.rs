@@ -46,9 +46,8 @@ pub fn similar(scene: &Scene, mask: &[bool], most: Likeness, bound: &Bound) -> R
     let fits = |j: usize, fit: &[Similarity]| bodies.residual(j, fit, most, bound) <= limit;
     loop {
         let fit = bodies.fit(&inside);
-        let edge: Vec<usize> = (0..inside.len())
-            .filter(|&j| !inside[j] && bodies.neighbors[j].iter().any(|&k| inside[k]))
-            .collect();
+        let edge: Vec<usize> =
+            (0..inside.len()).filter(|&j| !inside[j] && bodies.neighbors[j].iter().any(|&k| inside[k])).collect();
         let joins: Vec<usize> = edge.into_par_iter().filter(|&j| fits(j, &fit)).collect();
         if joins.is_empty() {
             break;
@@ -57,10 +56,8 @@ pub fn similar(scene: &Scene, mask: &[bool], most: Likeness, bound: &Bound) -> R
     }
     // Who joined early may be off by the final fit.
     let fit = bodies.fit(&inside);
-    let stays: Vec<bool> = (0..inside.len())
-        .into_par_iter()
-        .map(|j| seeds[j] || (inside[j] && fits(j, &fit)))
-        .collect();
+    let stays: Vec<bool> =
+        (0..inside.len()).into_par_iter().map(|j| seeds[j] || (inside[j] && fits(j, &fit))).collect();
     Ok(superpoints.of_gaussian.iter().map(|&j| stays[j as usize]).collect())
 }
 
