@@ -20,6 +20,8 @@ mod session;
 mod similarity;
 mod split;
 mod table;
+#[cfg(test)]
+mod tests;
 mod time;
 mod transform;
 

@@ -54,5 +54,7 @@ fn take_superpoints(s: &mut SuperpointDeformation, indices: &[usize]) {
 }
 
 fn pick<T: Copy>(values: &[T], width: usize, indices: &[usize]) -> Vec<T> {
-    indices.iter().flat_map(|&i| values[i * width..(i + 1) * width].iter().copied()).collect()
+    let mut picked = Vec::with_capacity(indices.len() * width);
+    indices.iter().for_each(|&i| picked.extend_from_slice(&values[i * width..(i + 1) * width]));
+    picked
 }

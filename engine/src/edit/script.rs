@@ -5,8 +5,6 @@
 mod list;
 mod parse;
 mod reader;
-#[cfg(test)]
-mod tests;
 
 use glam::DVec3;
 

@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::script::{Action, Change, Command, Frame, Mode, Pivot, Retime, Term};
 use super::select::{self, Depth, Likeness};
+use super::split::{tidy, used};
 use super::{
     Bound, Placement, Similarity, TimeMap, Touched, duplicate, keep, merge, recolor, retime, stretch, transform,
     transform_during, transform_in_part,
@@ -29,6 +30,8 @@ pub struct Session {
     named: BTreeMap<String, Vec<bool>>,
     camera: Option<Camera>,
     time: Option<f64>,
+    /// `[M]` superpoints that had no Gaussians from the start.
+    empty: Vec<bool>,
     /// Whether the result depends on [`Self::cameras`].
     uses_cameras: bool,
 }
@@ -51,6 +54,7 @@ impl Session {
     /// A session in which nothing is selected yet.
     pub fn new(scene: Scene, cameras: Vec<Camera>, bound_px: f64) -> Self {
         Self {
+            empty: used(&scene).into_iter().map(|used| !used).collect(),
             scene,
             cameras,
             bound_px,
@@ -70,6 +74,11 @@ impl Session {
     /// The cameras, if the result so far depends on them.
     pub fn cameras_used(&self) -> &[Camera] {
         if self.uses_cameras { &self.cameras } else { &[] }
+    }
+
+    /// Ends it: superpoints that have lost all their Gaussians go. Returns their number; numbers of later ones change.
+    pub fn finish(&mut self) -> usize {
+        tidy(&mut self.scene, &self.empty)
     }
 
     /// Carries out a command.

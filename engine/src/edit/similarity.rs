@@ -127,7 +127,7 @@ mod tests {
         let mut previous = DVec3::ZERO;
         for step in 0..=400 {
             let expected = axis * (f64::from(step) * 0.05);
-            let found = unwrapped(crate::reference::exp_quaternion(expected), previous);
+            let found = unwrapped(exp_quaternion(expected), previous);
             assert!((found - expected).length() < 1e-9, "{step}: {found} {expected}");
             assert!((exp(found) - exp(expected)).abs_diff_eq(DMat3::ZERO, 1e-9));
             previous = found;

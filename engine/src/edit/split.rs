@@ -1,6 +1,7 @@
 //! Superpoints of a selection by itself: where others move with one too, the selection gets a copy of it.
 
 use crate::error::{Error, Result};
+use crate::scene::gaussians::retain_chunks;
 use crate::scene::{Deformation, Motion, Scene, SuperpointDeformation, Superpoints};
 
 use super::rows::is_field;
@@ -90,6 +91,45 @@ fn rename(s: &mut SuperpointDeformation, mask: &[bool], own: &[usize]) {
             }
         }
     }
+}
+
+/// `[M]` whether a Gaussian moves with each superpoint.
+pub(crate) fn used(scene: &Scene) -> Vec<bool> {
+    let mut used = vec![false; scene.deformation.superpoint_count()];
+    if let Some(s) = scene.deformation.superpoint_deformation() {
+        (0..scene.gaussians.len()).flat_map(|i| s.slots(i)).for_each(|(j, _)| used[j] = true);
+    }
+    used
+}
+
+/// Takes superpoints without Gaussians away, but for those of `stays` `[M]`, and says how many. All stay with an association,
+/// which names them.
+pub(crate) fn tidy(scene: &mut Scene, stays: &[bool]) -> usize {
+    let kept: Vec<bool> =
+        used(scene).into_iter().enumerate().map(|(j, u)| u || stays.get(j).copied().unwrap_or(false)).collect();
+    let Deformation::Superpoints(s) = &mut scene.deformation else { return 0 };
+    let gone = kept.iter().filter(|kept| !**kept).count();
+    if gone == 0 || gone == kept.len() || s.association.is_some() {
+        return 0;
+    }
+    let mut index = Vec::with_capacity(kept.len());
+    let mut next = 0;
+    for &kept in &kept {
+        index.push(next);
+        next += u32::from(kept);
+    }
+    retain_chunks(&mut s.superpoints.position, 1, &kept);
+    if let Some(table) = &mut s.table {
+        let all = kept.repeat(table.times.len());
+        retain_chunks(&mut table.rotation, 1, &all);
+        retain_chunks(&mut table.translation, 1, &all);
+    }
+    s.superpoints.of_gaussian.iter_mut().for_each(|j| *j = index[*j as usize]);
+    if let Some(b) = &mut s.blend {
+        // A slot without weight may name one that goes: then it names another.
+        b.index.iter_mut().for_each(|j| *j = if kept[*j as usize] { index[*j as usize] } else { 0 });
+    }
+    gone
 }
 
 /// Gives a scene in which nothing moves one superpoint that rests, at the ends of `times`, so that some of it can move.

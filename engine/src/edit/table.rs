@@ -1,5 +1,7 @@
 //! Key-time tables with other poses and other key times.
 
+use std::collections::HashMap;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -17,6 +19,9 @@ const ROUNDS: usize = 12;
 const PROBES: [f64; 3] = [0.25, 0.5, 0.75];
 /// Largest turn between two samples along which rotations are followed, radians.
 const STEP: f64 = 0.4;
+/// Rotation vectors are not followed beyond this length, radians: near 2π, where no turn at all has every axis, a path of
+/// rotations that passes by has no continuous vectors. There two keys one f32 apart take over to the shortest vector.
+const LONGEST: f64 = 5.0;
 
 /// Key times: those given, each once, in order. Times that are not finite are left out.
 pub(crate) fn sorted(times: impl IntoIterator<Item = f64>) -> Vec<f32> {
@@ -88,14 +93,21 @@ pub(crate) fn remake(
 ) -> Result<f64> {
     let old = motion.clone();
     let mut times = sorted(old.times.iter().map(|&t| f64::from(t)).chain(knots.iter().copied()));
+    // Errors of intervals that stayed as they were.
+    let mut known = HashMap::new();
     for round in 0.. {
         check_keys(times.len(), "edit")?;
         *motion = resampled(&old, &times);
-        follow(motion, &old, part, exact, turning);
-        let errors = interval_errors(motion, part, exact, corners, bound);
+        let jumps = follow(motion, &old, part, exact, turning);
+        if !jumps.is_empty() && round < ROUNDS {
+            known.clear();
+            times = sorted(times.iter().map(|&t| f64::from(t)).chain(jumps));
+            continue;
+        }
+        let errors = interval_errors(motion, part, exact, corners, bound, &mut known);
         let worst = errors.iter().copied().fold(0.0, f64::max);
-        let wide: Vec<f64> =
-            (0..errors.len()).filter(|&k| errors[k] > bound.pixels).map(|k| middle(&times, k)).collect();
+        let is_wide = |k: &usize| errors[*k] > bound.pixels;
+        let wide: Vec<f64> = (0..errors.len()).filter(is_wide).map(|k| middle(&times, k)).collect();
         let before = times.len();
         if !wide.is_empty() && round < ROUNDS {
             times = sorted(times.iter().map(|&t| f64::from(t)).chain(wide));
@@ -112,18 +124,16 @@ fn middle(times: &[f32], k: usize) -> f64 {
 }
 
 /// Writes the exact poses at the key times; rotations are followed from the first key on, in steps small enough to tell a turn
-/// from one the other way.
+/// from one the other way. Returns key times that it lacks where a vector gets too long.
 fn follow(
     motion: &mut Motion,
     old: &Motion,
     part: &[usize],
     exact: &(dyn Fn(f64) -> Vec<Similarity> + Sync),
     turning: f64,
-) {
-    let m = motion.superpoint_count();
-    let start = motion.times.first().map_or(0.0, |&t| f64::from(t));
-    let before = table_poses(old, start);
-    let mut rotation: Vec<DVec3> = part.iter().map(|&j| before[j].rotation).collect();
+) -> Vec<f64> {
+    let (m, mut jumps) = (motion.superpoint_count(), Vec::new());
+    let mut rotation = vec![DVec3::ZERO; part.len()];
     for k in 0..motion.times.len() {
         let time = f64::from(motion.times[k]);
         if k > 0 {
@@ -132,16 +142,32 @@ fn follow(
             let largest = part.iter().map(|&j| from[j].rotation.distance(to[j].rotation)).fold(0.0, f64::max);
             let steps = ((largest + turning) / STEP).ceil().clamp(1.0, 1000.0) as usize;
             for step in 1..steps {
-                let between = exact(last + (time - last) * step as f64 / steps as f64);
+                let key = (last + (time - last) * step as f64 / steps as f64) as f32;
+                let between = exact(f64::from(key));
                 rotation.iter_mut().zip(&between).for_each(|(r, s)| *r = unwrapped(s.turn, *r));
+                if rotation.iter().any(|r| r.length() > LONGEST) {
+                    jumps.extend([f64::from(key), f64::from(key.next_up())]);
+                    rotation.iter_mut().zip(&between).for_each(|(r, s)| *r = unwrapped(s.turn, DVec3::ZERO));
+                }
             }
         }
         for ((&j, r), s) in part.iter().zip(&mut rotation).zip(exact(time)) {
-            *r = unwrapped(s.turn, *r);
+            let is_long = takes_over(&motion.times, k) && r.length() > std::f64::consts::PI;
+            *r = unwrapped(s.turn, if is_long { DVec3::ZERO } else { *r });
             motion.rotation[k * m + j] = r.as_vec3().to_array();
             motion.translation[k * m + j] = s.shift.as_vec3().to_array();
         }
+        if rotation.iter().any(|r| r.length() > LONGEST) {
+            jumps.push(f64::from(motion.times[k].next_up()));
+            rotation.iter_mut().zip(exact(time)).for_each(|(r, s)| *r = unwrapped(s.turn, DVec3::ZERO));
+        }
     }
+    jumps
+}
+
+/// Whether a key takes over from one just before it; no time lies between them.
+fn takes_over(times: &[f32], k: usize) -> bool {
+    k > 0 && times[k] == times[k - 1].next_up()
 }
 
 /// Largest displacement in each key interval, pixels.
@@ -151,8 +177,16 @@ fn interval_errors(
     exact: &(dyn Fn(f64) -> Vec<Similarity> + Sync),
     corners: &[Vec<DVec3>],
     bound: &Bound,
+    known: &mut HashMap<[u32; 2], f64>,
 ) -> Vec<f64> {
+    let name = |k: usize| [motion.times[k].to_bits(), motion.times[k + 1].to_bits()];
     let error = |k: usize| {
+        if takes_over(&motion.times, k + 1) {
+            return 0.0;
+        }
+        if let Some(error) = known.get(&name(k)) {
+            return *error;
+        }
         let [from, to] = [k, k + 1].map(|k| f64::from(motion.times[k]));
         let at = |share: f64| {
             let time = from + (to - from) * share;
@@ -166,5 +200,7 @@ fn interval_errors(
         };
         PROBES.into_iter().map(at).fold(0.0, f64::max)
     };
-    (0..motion.times.len().saturating_sub(1)).into_par_iter().map(error).collect()
+    let errors: Vec<f64> = (0..motion.times.len().saturating_sub(1)).into_par_iter().map(error).collect();
+    known.extend(errors.iter().enumerate().map(|(k, error)| (name(k), *error)));
+    errors
 }

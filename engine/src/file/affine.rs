@@ -122,14 +122,19 @@ pub(crate) fn turn_colors(g: &mut Gaussians, m: DMat3, is_turned: impl Fn(usize)
         }
     }
     g.sh.par_chunks_exact_mut(k3).enumerate().filter(|(i, _)| is_turned(*i)).for_each(|(_, sh)| {
-        let mut old = [0.0; 48];
-        old.iter_mut().zip(&*sh).for_each(|(old, now)| *old = f64::from(*now));
+        // Four numbers each, of which the last is 0: they fit registers.
+        let mut old = [[0.0; 4]; 16];
+        for (old, now) in old.iter_mut().zip(sh.as_chunks::<3>().0) {
+            *old = [f64::from(now[0]), f64::from(now[1]), f64::from(now[2]), 0.0];
+        }
         for band in 1..=degree as usize {
             let inside = band * band..(band + 1) * (band + 1);
             for k in inside.clone() {
-                for c in 0..3 {
-                    sh[3 * k + c] = inside.clone().map(|j| matrix[k][j] * old[3 * j + c]).sum::<f64>() as f32;
+                let mut sum = [0.0; 4];
+                for (old, share) in old[inside.clone()].iter().zip(&matrix[k][inside.clone()]) {
+                    sum.iter_mut().zip(old).for_each(|(sum, old)| *sum += share * old);
                 }
+                (0..3).for_each(|c| sh[3 * k + c] = sum[c] as f32);
             }
         }
     });

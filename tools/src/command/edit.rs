@@ -84,6 +84,7 @@ pub fn edit(args: &EditArgs, global: &Global) -> Result<Summary> {
         steps.push(session.apply(command).map_err(|e| at(e, source, command))?);
         bar.inc(1);
     }
+    session.finish();
     let after = counts(&session.scene);
     let mut dropped = Vec::new();
     if let Some(target) = &target {

@@ -80,7 +80,7 @@ impl Bodies {
             .map(|list| {
                 let step = list.len().div_ceil(POINTS).max(1);
                 let at = |&i: &usize| DVec3::from_array(scene.gaussians.mean[i].map(f64::from));
-                list.iter().step_by(step).map(at).collect()
+                spread(list.iter().step_by(step).map(at).collect())
             })
             .collect();
         let step = table.times.len().div_ceil(TIMES).max(1);
@@ -122,6 +122,18 @@ impl Bodies {
         };
         (1..self.times).map(at).fold(0.0, f64::max)
     }
+}
+
+/// The points, and six around their centre: in a row they would leave a turn open.
+fn spread(mut points: Vec<DVec3>) -> Vec<DVec3> {
+    let count = points.len().max(1) as f64;
+    let center = points.iter().sum::<DVec3>() / count;
+    let radius = (points.iter().map(|x| x.distance_squared(center)).sum::<f64>() / count).sqrt();
+    if !points.is_empty() {
+        let axes = [DVec3::X, DVec3::Y, DVec3::Z];
+        points.extend(axes.into_iter().flat_map(|e| [center + radius * e, center - radius * e]));
+    }
+    points
 }
 
 /// The nearest of each by centres at the first time, both ways.

@@ -18,14 +18,17 @@ pub fn grow(scene: &Scene, mask: &[bool], distance: f64, time: f64) -> Result<Ve
         return Err(Error::usage("grow", distance.to_string(), "a distance above 0"));
     }
     let all = centers(scene, time)?;
-    let cell = |x: DVec3| (x / distance).floor().as_i64vec3();
+    // Cells twice as wide as the distance: what is near to a point is in its own or, on each axis, in one beside it.
+    let scaled = |x: DVec3| x / (2.0 * distance);
+    let cell = |x: DVec3| scaled(x).floor().as_i64vec3();
     let mut cells: HashMap<I64Vec3, Vec<DVec3>> = HashMap::new();
     for (x, _) in all.iter().zip(mask).filter(|(_, is_selected)| **is_selected) {
         cells.entry(cell(*x)).or_default().push(*x);
     }
     let is_near = |x: DVec3| {
-        let home = cell(x);
-        let around = (0..27).map(|k| home + I64Vec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1));
+        let (home, side) = (cell(x), scaled(x).fract_gl().round() * 2.0 - 1.0);
+        let side = side.as_i64vec3();
+        let around = (0..8).map(|k| home + side * I64Vec3::new(k & 1, k >> 1 & 1, k >> 2));
         around.filter_map(|c| cells.get(&c)).flatten().any(|y| y.distance(x) <= distance)
     };
     Ok(all.into_par_iter().zip(mask).map(|(x, &is_selected)| is_selected || is_near(x)).collect())
