@@ -31,6 +31,7 @@
 //! | [`metrics`] | how far an image is from its ground truth: PSNR, SSIM, MS-SSIM, FLIP, LPIPS, flicker |
 //! | [`render`] | scene(t) + camera → image on the GPU: kernels, their twins, the frame; [`render::embed`]: frames in other programs |
 //! | [`train`] | posed images → scene on the GPU: loss, backward kernels, Adam, density, checkpoints |
+//! | [`edit`] | select Gaussians; move, turn, scale, recolour, retime, merge them |
 //! | [`self_test`] | whether a device computes what it must: every kernel of a frame or a step on a small scene; [`gpu::Gpu::new`] |
 //!
 //! ## A frame
@@ -114,6 +115,7 @@
 #![deny(unsafe_code)]
 
 pub mod data;
+pub mod edit;
 pub mod error;
 pub mod file;
 #[allow(unsafe_code, reason = "raw Vulkan calls")]

@@ -8,6 +8,7 @@ pub const PAGES: &[Page] = &[
     Page { topic: "commands", text: include_str!("../docs/commands.md") },
     Page { topic: "viewer", text: include_str!("../docs/viewer.md") },
     Page { topic: "video", text: include_str!("../docs/video.md") },
+    Page { topic: "editing", text: include_str!("../docs/editing.md") },
     Page { topic: "training", text: include_str!("../docs/training.md") },
     Page { topic: "quality", text: include_str!("../docs/quality.md") },
     Page { topic: "measuring", text: include_str!("../docs/measuring.md") },
@@ -25,6 +26,7 @@ pub fn pages() -> impl Iterator<Item = &'static Page> {
 pub mod commands {
     //! [data]: ../../../engine/manual/data/index.html
     //! [drivers]: super::drivers
+    //! [editing]: super::editing
     //! [formats]: ../../../engine/manual/formats/index.html
     //! [measuring]: super::measuring
     //! [metrics]: ../../../engine/manual/metrics/index.html
@@ -44,6 +46,12 @@ pub mod viewer {
 pub mod video {
     //! [viewer]: super::viewer
     #![doc = include_str!("../docs/video.md")]
+}
+
+pub mod editing {
+    //! [formats]: ../../../engine/manual/formats/index.html
+    //! [viewer]: super::viewer
+    #![doc = include_str!("../docs/editing.md")]
 }
 
 pub mod training {

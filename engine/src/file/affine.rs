@@ -46,7 +46,7 @@ pub(crate) fn transform(g: &mut Gaussians, map: &DAffine3) -> bool {
         }
     });
     if orthogonal.is_finite() {
-        turn_colors(g, orthogonal);
+        turn_colors(g, orthogonal, |_| true);
     }
     keeps_shapes
 }
@@ -100,9 +100,10 @@ const LEGENDRE: [(f64, f64); 4] = [
 /// Directions around the axis, exact to degree 7 as well.
 const AROUND: usize = 8;
 
-/// Turns view-dependent colours by an orthogonal matrix. The coefficients of f(M⁻¹d) are its integrals with the basis
-/// functions, which are orthonormal; the quadrature is exact for products of two of degree 3.
-fn turn_colors(g: &mut Gaussians, m: DMat3) {
+/// Turns view-dependent colours of the Gaussians for which `is_turned` holds by an orthogonal matrix. The coefficients of
+/// f(M⁻¹d) are its integrals with the basis functions, which are orthonormal; the quadrature is exact for products of two of
+/// degree 3.
+pub(crate) fn turn_colors(g: &mut Gaussians, m: DMat3, is_turned: impl Fn(usize) -> bool + Sync) {
     let (degree, k3) = (g.sh_degree, g.sh_coefficients() * 3);
     if degree == 0 {
         return;
@@ -120,14 +121,20 @@ fn turn_colors(g: &mut Gaussians, m: DMat3) {
             }
         }
     }
-    g.sh.par_chunks_exact_mut(k3).for_each(|sh| {
-        let old: Vec<f64> = sh.iter().map(|&v| f64::from(v)).collect();
+    g.sh.par_chunks_exact_mut(k3).enumerate().filter(|(i, _)| is_turned(*i)).for_each(|(_, sh)| {
+        // Four numbers each, of which the last is 0: they fit registers.
+        let mut old = [[0.0; 4]; 16];
+        for (old, now) in old.iter_mut().zip(sh.as_chunks::<3>().0) {
+            *old = [f64::from(now[0]), f64::from(now[1]), f64::from(now[2]), 0.0];
+        }
         for band in 1..=degree as usize {
             let inside = band * band..(band + 1) * (band + 1);
             for k in inside.clone() {
-                for c in 0..3 {
-                    sh[3 * k + c] = inside.clone().map(|j| matrix[k][j] * old[3 * j + c]).sum::<f64>() as f32;
+                let mut sum = [0.0; 4];
+                for (old, share) in old[inside.clone()].iter().zip(&matrix[k][inside.clone()]) {
+                    sum.iter_mut().zip(old).for_each(|(sum, old)| *sum += share * old);
                 }
+                (0..3).for_each(|c| sh[3 * k + c] = sum[c] as f32);
             }
         }
     });

@@ -11,7 +11,7 @@
 //! | glTF ([`gltf`]) | `.glb`, `.gltf`; plain or holding `.spz` | `.glb` | Gaussians in f32, `KHR_gaussian_splatting` |
 //! | training runs of SP-GS, Deformable-3DGS, 4D-GS, SC-GS ([`checkpoint`]), by a reader of PyTorch files ([`torch`]) that runs no code | yes | no | Gaussians and motion |
 
-mod affine;
+pub(crate) mod affine;
 pub(crate) mod archive;
 pub(crate) mod check;
 pub mod checkpoint;

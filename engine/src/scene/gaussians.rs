@@ -82,13 +82,15 @@ impl Gaussians {
     #[must_use]
     pub fn selected(&self, indices: &[usize]) -> Self {
         let k = self.sh_coefficients() * 3;
+        let mut sh = Vec::with_capacity(indices.len() * k);
+        indices.iter().for_each(|&i| sh.extend_from_slice(&self.sh[i * k..(i + 1) * k]));
         Self {
             mean: indices.iter().map(|&i| self.mean[i]).collect(),
             log_scale: indices.iter().map(|&i| self.log_scale[i]).collect(),
             rotation: indices.iter().map(|&i| self.rotation[i]).collect(),
             opacity_logit: indices.iter().map(|&i| self.opacity_logit[i]).collect(),
             sh_degree: self.sh_degree,
-            sh: indices.iter().flat_map(|&i| self.sh[i * k..(i + 1) * k].iter().copied()).collect(),
+            sh,
             optional: self.optional.selected(indices),
         }
     }

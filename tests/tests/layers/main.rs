@@ -24,6 +24,7 @@ const LAYERS: &[&[&str]] = &[
     &["metrics"],
     &["render"],
     &["train"],
+    &["edit"],
     &["self_test"],
 ];
 /// Names that the crate root re-exports, and where they live.

@@ -7,6 +7,7 @@ mod compare;
 mod convert;
 mod demo;
 mod devices;
+mod edit;
 mod eval;
 mod help;
 mod inspect;
@@ -23,6 +24,7 @@ pub use compare::CompareArgs;
 pub use convert::ConvertArgs;
 pub use demo::DemoArgs;
 pub use devices::DevicesArgs;
+pub use edit::EditArgs;
 pub use eval::{EvalArgs, SplitArg};
 pub use help::{HelpArgs, topics};
 pub use inspect::InspectArgs;
@@ -62,6 +64,8 @@ pub enum Command {
     Eval(EvalArgs),
     /// Convert a model to another format: whole, at one time, or as a sequence
     Convert(ConvertArgs),
+    /// Select what moves together; move, turn, scale, delete, copy, recolour, retime or merge it
+    Edit(EditArgs),
     /// Describe a model file or a data set
     Inspect(InspectArgs),
     /// List the Vulkan devices, and what unusable ones lack

@@ -15,6 +15,13 @@ pub fn counter(what: &str, quiet: bool) -> ProgressBar {
     shown(None, quiet, "{spinner} {pos} {msg}, {elapsed}").with_message(what.to_owned())
 }
 
+/// A bar over the commands of a script, with the one that is carried out.
+pub fn steps(total: u64, quiet: bool) -> ProgressBar {
+    let bar = shown(Some(total), quiet, "{bar:30} {pos}/{len} edits, {elapsed}; {wide_msg}");
+    bar.enable_steady_tick(Duration::from_millis(500));
+    bar
+}
+
 /// A bar over the settings of a sweep, with the one that is measured.
 pub fn sweep(total: u64, quiet: bool) -> ProgressBar {
     shown(Some(total), quiet, "{bar:30} {pos}/{len}, {eta} left; {msg}")

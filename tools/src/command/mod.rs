@@ -5,6 +5,7 @@ pub mod compare;
 pub mod convert;
 pub mod demo;
 pub mod devices;
+pub mod edit;
 pub mod eval;
 pub mod help;
 pub mod inspect;
@@ -58,6 +59,7 @@ pub fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Compare(args) => compare::run(args, global),
         Command::Eval(args) => eval::run(args, global),
         Command::Convert(args) => convert::run(args, global),
+        Command::Edit(args) => edit::run(args, global),
         Command::Inspect(args) => inspect::run(args),
         Command::Devices(args) => devices::run(args, global),
         Command::Help(args) => help::run(args),

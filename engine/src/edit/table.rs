@@ -1,0 +1,206 @@
+//! Key-time tables with other poses and other key times.
+
+use std::collections::HashMap;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::measure::Bound;
+use super::similarity::{Similarity, unwrapped};
+use crate::error::{Error, Result};
+use crate::reference::table_poses;
+use crate::scene::{Motion, Scene};
+
+/// Most key times that an edit may make.
+pub(crate) const MOST_KEYS: usize = 65_536;
+/// Intervals are halved this often at most.
+const ROUNDS: usize = 12;
+/// Where between two keys the error is measured.
+const PROBES: [f64; 3] = [0.25, 0.5, 0.75];
+/// Largest turn between two samples along which rotations are followed, radians.
+const STEP: f64 = 0.4;
+/// Rotation vectors are not followed beyond this length, radians: near 2π, where no turn at all has every axis, a path of
+/// rotations that passes by has no continuous vectors. There two keys one f32 apart take over to the shortest vector.
+const LONGEST: f64 = 5.0;
+
+/// Key times: those given, each once, in order. Times that are not finite are left out.
+pub(crate) fn sorted(times: impl IntoIterator<Item = f64>) -> Vec<f32> {
+    let mut times: Vec<f32> = times.into_iter().map(|t| t as f32).filter(|t| t.is_finite()).collect();
+    times.sort_unstable_by(f32::total_cmp);
+    times.dedup();
+    times
+}
+
+/// The same motion at other key times: at its own ones with all bits.
+pub(crate) fn resampled(motion: &Motion, times: &[f32]) -> Motion {
+    let rows: Vec<_> = times.iter().map(|&t| table_poses(motion, f64::from(t))).collect();
+    let (rotation, translation) = (|r: DVec3| r.as_vec3().to_array(), |t: DVec3| t.as_vec3().to_array());
+    Motion {
+        times: times.to_vec(),
+        rotation: rows.iter().flatten().map(|p| rotation(p.rotation)).collect(),
+        translation: rows.iter().flatten().map(|p| translation(p.translation)).collect(),
+    }
+}
+
+/// Refuses tables that are too large.
+///
+/// # Errors
+/// [`Error::Limit`].
+pub(crate) fn check_keys(count: usize, what: &str) -> Result<()> {
+    if count <= MOST_KEYS {
+        return Ok(());
+    }
+    Err(Error::Limit { what: format!("{what}: key times"), need: count as u128, have: MOST_KEYS as u128 })
+}
+
+/// Corners of a box around what moves with a superpoint: canonical centres and two standard deviations around them. A rigid
+/// displacement is largest at a corner.
+pub(crate) fn corners(scene: &Scene, part: &[usize]) -> Vec<Vec<DVec3>> {
+    let Some(s) = scene.deformation.superpoint_deformation() else { return Vec::new() };
+    let mut place = vec![usize::MAX; s.superpoints.position.len()];
+    part.iter().enumerate().for_each(|(k, &j)| place[j] = k);
+    let mut boxes = vec![(DVec3::INFINITY, DVec3::NEG_INFINITY); part.len()];
+    let g = &scene.gaussians;
+    for i in 0..g.len() {
+        let mean = DVec3::from_array(g.mean[i].map(f64::from));
+        let reach = 2.0 * g.log_scale[i].map(f64::from).into_iter().fold(f64::NEG_INFINITY, f64::max).exp();
+        for (j, _) in s.slots(i).filter(|(j, _)| place[*j] != usize::MAX) {
+            let (low, high) = &mut boxes[place[j]];
+            (*low, *high) = (low.min(mean - reach), high.max(mean + reach));
+        }
+    }
+    let eight = |(low, high): (DVec3, DVec3)| {
+        let corner = |k: usize| DVec3::select(glam::BVec3::new(k & 1 > 0, k & 2 > 0, k & 4 > 0), high, low);
+        if low.x <= high.x { (0..8).map(corner).collect() } else { Vec::new() }
+    };
+    boxes.into_iter().map(eight).collect()
+}
+
+/// Gives the superpoints `part` of `motion` the rigid poses that `exact` says for any time, at its key times, those of
+/// `knots` and as many more as it takes for points (`corners` of each) to stay within the bound between keys. `turning` is the
+/// largest turn in radians that `exact` adds within a key interval. Returns the largest error, pixels.
+///
+/// # Errors
+/// [`Error::Limit`] for more keys than a table may have.
+pub(crate) fn remake(
+    motion: &mut Motion,
+    part: &[usize],
+    exact: &(dyn Fn(f64) -> Vec<Similarity> + Sync),
+    knots: &[f64],
+    turning: f64,
+    corners: &[Vec<DVec3>],
+    bound: &Bound,
+) -> Result<f64> {
+    let old = motion.clone();
+    let mut times = sorted(old.times.iter().map(|&t| f64::from(t)).chain(knots.iter().copied()));
+    // Errors of intervals that stayed as they were.
+    let mut known = HashMap::new();
+    for round in 0.. {
+        check_keys(times.len(), "edit")?;
+        *motion = resampled(&old, &times);
+        let jumps = follow(motion, &old, part, exact, turning);
+        if !jumps.is_empty() && round < ROUNDS {
+            known.clear();
+            times = sorted(times.iter().map(|&t| f64::from(t)).chain(jumps));
+            continue;
+        }
+        let errors = interval_errors(motion, part, exact, corners, bound, &mut known);
+        let worst = errors.iter().copied().fold(0.0, f64::max);
+        let is_wide = |k: &usize| errors[*k] > bound.pixels;
+        let wide: Vec<f64> = (0..errors.len()).filter(is_wide).map(|k| middle(&times, k)).collect();
+        let before = times.len();
+        if !wide.is_empty() && round < ROUNDS {
+            times = sorted(times.iter().map(|&t| f64::from(t)).chain(wide));
+        }
+        if times.len() == before {
+            return Ok(worst);
+        }
+    }
+    Ok(0.0)
+}
+
+fn middle(times: &[f32], k: usize) -> f64 {
+    0.5 * (f64::from(times[k]) + f64::from(times[k + 1]))
+}
+
+/// Writes the exact poses at the key times; rotations are followed from the first key on, in steps small enough to tell a turn
+/// from one the other way. Returns key times that it lacks where a vector gets too long.
+fn follow(
+    motion: &mut Motion,
+    old: &Motion,
+    part: &[usize],
+    exact: &(dyn Fn(f64) -> Vec<Similarity> + Sync),
+    turning: f64,
+) -> Vec<f64> {
+    let (m, mut jumps) = (motion.superpoint_count(), Vec::new());
+    let mut rotation = vec![DVec3::ZERO; part.len()];
+    for k in 0..motion.times.len() {
+        let time = f64::from(motion.times[k]);
+        if k > 0 {
+            let last = f64::from(motion.times[k - 1]);
+            let (from, to) = (table_poses(old, last), table_poses(old, time));
+            let largest = part.iter().map(|&j| from[j].rotation.distance(to[j].rotation)).fold(0.0, f64::max);
+            let steps = ((largest + turning) / STEP).ceil().clamp(1.0, 1000.0) as usize;
+            for step in 1..steps {
+                let key = (last + (time - last) * step as f64 / steps as f64) as f32;
+                let between = exact(f64::from(key));
+                rotation.iter_mut().zip(&between).for_each(|(r, s)| *r = unwrapped(s.turn, *r));
+                if rotation.iter().any(|r| r.length() > LONGEST) {
+                    jumps.extend([f64::from(key), f64::from(key.next_up())]);
+                    rotation.iter_mut().zip(&between).for_each(|(r, s)| *r = unwrapped(s.turn, DVec3::ZERO));
+                }
+            }
+        }
+        for ((&j, r), s) in part.iter().zip(&mut rotation).zip(exact(time)) {
+            let is_long = takes_over(&motion.times, k) && r.length() > std::f64::consts::PI;
+            *r = unwrapped(s.turn, if is_long { DVec3::ZERO } else { *r });
+            motion.rotation[k * m + j] = r.as_vec3().to_array();
+            motion.translation[k * m + j] = s.shift.as_vec3().to_array();
+        }
+        if rotation.iter().any(|r| r.length() > LONGEST) {
+            jumps.push(f64::from(motion.times[k].next_up()));
+            rotation.iter_mut().zip(exact(time)).for_each(|(r, s)| *r = unwrapped(s.turn, DVec3::ZERO));
+        }
+    }
+    jumps
+}
+
+/// Whether a key takes over from one just before it; no time lies between them.
+fn takes_over(times: &[f32], k: usize) -> bool {
+    k > 0 && times[k] == times[k - 1].next_up()
+}
+
+/// Largest displacement in each key interval, pixels.
+fn interval_errors(
+    motion: &Motion,
+    part: &[usize],
+    exact: &(dyn Fn(f64) -> Vec<Similarity> + Sync),
+    corners: &[Vec<DVec3>],
+    bound: &Bound,
+    known: &mut HashMap<[u32; 2], f64>,
+) -> Vec<f64> {
+    let name = |k: usize| [motion.times[k].to_bits(), motion.times[k + 1].to_bits()];
+    let error = |k: usize| {
+        if takes_over(&motion.times, k + 1) {
+            return 0.0;
+        }
+        if let Some(error) = known.get(&name(k)) {
+            return *error;
+        }
+        let [from, to] = [k, k + 1].map(|k| f64::from(motion.times[k]));
+        let at = |share: f64| {
+            let time = from + (to - from) * share;
+            let (found, wanted) = (table_poses(motion, time), exact(time));
+            let of_part = |k: usize| {
+                let found = Similarity::from(found[part[k]]);
+                let apart = |x: &DVec3| bound.views.displacement(found.apply(*x), wanted[k].apply(*x));
+                corners[k].iter().map(apart).fold(0.0, f64::max)
+            };
+            (0..part.len()).map(of_part).fold(0.0, f64::max)
+        };
+        PROBES.into_iter().map(at).fold(0.0, f64::max)
+    };
+    let errors: Vec<f64> = (0..motion.times.len().saturating_sub(1)).into_par_iter().map(error).collect();
+    known.extend(errors.iter().enumerate().map(|(k, error)| (name(k), *error)));
+    errors
+}
