@@ -90,7 +90,9 @@ pub fn edit(args: &EditArgs, global: &Global) -> Result<Summary> {
     if let Some(target) = &target {
         bar.set_message("writing");
         target.check(&session.scene)?;
-        note(&mut session.scene, &steps);
+        if target.kind.holds_motion() {
+            note(&mut session.scene, &steps);
+        }
         dropped = file::save_as(&target.model, &session.scene, target.kind)?;
         let edits = steps.iter().map(listed).collect();
         write_text(&target.list, &EditList::new(plan.bound_px, edits, session.cameras_used()).to_text()?)?;
