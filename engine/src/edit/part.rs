@@ -12,7 +12,7 @@ use super::measure::{Bound, Touched};
 use super::similarity::Similarity;
 use super::split::{Moves, movable, split};
 use super::table::{corners, remake};
-use super::transform::{change_gaussians, point, transform};
+use super::transform::{change_gaussians, point, promote, transform};
 use crate::error::{Error, Result};
 use crate::file::affine;
 use crate::reference::{Pose, table_poses};
@@ -76,13 +76,21 @@ pub fn transform_in_part(
     let (mut keys_added, mut error_px) = (0, None);
     if !remade.is_empty() {
         let corners = corners(scene, &remade);
-        let turning = 4.0 * s.turn.to_scaled_axis().length();
+        // The part turns there and back around the change.
+        let turning = 4.0 * s.turn.to_scaled_axis().length() + 2.0 * largest_turn(&old, part);
         if let Some(table) = scene.deformation.table_mut() {
             error_px = Some(remake(table, &remade, &exact, &[], turning, &corners, bound)?);
             keys_added = table.times.len() as i64 - old.times.len() as i64;
         }
     }
     Ok(Touched { gaussians, superpoints: own.len(), keys_added, error_px, notes: Vec::new() })
+}
+
+/// Largest turn of a superpoint between neighbouring keys, radians.
+fn largest_turn(table: &Motion, j: usize) -> f64 {
+    let m = table.superpoint_count();
+    let at = |k: usize| promote(table.rotation[k * m + j]);
+    (1..table.times.len()).map(|k| at(k).distance(at(k - 1))).fold(0.0, f64::max)
 }
 
 /// Whether two superpoints have the same poses, bit for bit.

@@ -16,12 +16,14 @@ pub(crate) const MOST_KEYS: usize = 65_536;
 /// Intervals are halved this often at most.
 const ROUNDS: usize = 12;
 /// Where between two keys the error is measured.
-const PROBES: [f64; 3] = [0.25, 0.5, 0.75];
+const PROBES: [f64; 3] = [0.21, 0.5, 0.79];
 /// Largest turn between two samples along which rotations are followed, radians.
 const STEP: f64 = 0.4;
 /// Rotation vectors are not followed beyond this length, radians: near 2π, where no turn at all has every axis, a path of
 /// rotations that passes by has no continuous vectors. There two keys one f32 apart take over to the shortest vector.
 const LONGEST: f64 = 5.0;
+/// The same on the way to such keys.
+const LONGEST_BEFORE: f64 = 5.8;
 
 /// Key times: those given, each once, in order. Times that are not finite are left out.
 pub(crate) fn sorted(times: impl IntoIterator<Item = f64>) -> Vec<f32> {
@@ -95,11 +97,14 @@ pub(crate) fn remake(
     let mut times = sorted(old.times.iter().map(|&t| f64::from(t)).chain(knots.iter().copied()));
     // Errors of intervals that stayed as they were.
     let mut known = HashMap::new();
-    for round in 0.. {
+    let mut round = 0;
+    loop {
         check_keys(times.len(), "edit")?;
         *motion = resampled(&old, &times);
-        let jumps = follow(motion, &old, part, exact, turning);
-        if !jumps.is_empty() && round < ROUNDS {
+        let mut jumps = follow(motion, &old, part, exact, turning);
+        jumps.retain(|&t| times.binary_search_by(|key| key.total_cmp(&(t as f32))).is_err());
+        round += 1;
+        if !jumps.is_empty() && round <= ROUNDS {
             known.clear();
             times = sorted(times.iter().map(|&t| f64::from(t)).chain(jumps));
             continue;
@@ -109,14 +114,13 @@ pub(crate) fn remake(
         let is_wide = |k: &usize| errors[*k] > bound.pixels;
         let wide: Vec<f64> = (0..errors.len()).filter(is_wide).map(|k| middle(&times, k)).collect();
         let before = times.len();
-        if !wide.is_empty() && round < ROUNDS {
+        if !wide.is_empty() && round <= ROUNDS {
             times = sorted(times.iter().map(|&t| f64::from(t)).chain(wide));
         }
         if times.len() == before {
             return Ok(worst);
         }
     }
-    Ok(0.0)
 }
 
 fn middle(times: &[f32], k: usize) -> f64 {
@@ -136,16 +140,18 @@ fn follow(
     let mut rotation = vec![DVec3::ZERO; part.len()];
     for k in 0..motion.times.len() {
         let time = f64::from(motion.times[k]);
-        if k > 0 {
+        // Nothing lies between keys of which one takes over from the other.
+        if k > 0 && !takes_over(&motion.times, k) {
             let last = f64::from(motion.times[k - 1]);
             let (from, to) = (table_poses(old, last), table_poses(old, time));
             let largest = part.iter().map(|&j| from[j].rotation.distance(to[j].rotation)).fold(0.0, f64::max);
             let steps = ((largest + turning) / STEP).ceil().clamp(1.0, 1000.0) as usize;
+            let longest = if takes_over(&motion.times, k + 1) { LONGEST_BEFORE } else { LONGEST };
             for step in 1..steps {
                 let key = (last + (time - last) * step as f64 / steps as f64) as f32;
                 let between = exact(f64::from(key));
                 rotation.iter_mut().zip(&between).for_each(|(r, s)| *r = unwrapped(s.turn, *r));
-                if rotation.iter().any(|r| r.length() > LONGEST) {
+                if rotation.iter().any(|r| r.length() > longest) {
                     jumps.extend([f64::from(key), f64::from(key.next_up())]);
                     rotation.iter_mut().zip(&between).for_each(|(r, s)| *r = unwrapped(s.turn, DVec3::ZERO));
                 }
@@ -157,7 +163,8 @@ fn follow(
             motion.rotation[k * m + j] = r.as_vec3().to_array();
             motion.translation[k * m + j] = s.shift.as_vec3().to_array();
         }
-        if rotation.iter().any(|r| r.length() > LONGEST) {
+        let goes_on = k + 1 == motion.times.len() || takes_over(&motion.times, k + 1);
+        if !goes_on && rotation.iter().any(|r| r.length() > LONGEST) {
             jumps.push(f64::from(motion.times[k].next_up()));
             rotation.iter_mut().zip(exact(time)).for_each(|(r, s)| *r = unwrapped(s.turn, DVec3::ZERO));
         }
@@ -167,7 +174,7 @@ fn follow(
 
 /// Whether a key takes over from one just before it; no time lies between them.
 fn takes_over(times: &[f32], k: usize) -> bool {
-    k > 0 && times[k] == times[k - 1].next_up()
+    k > 0 && k < times.len() && times[k] == times[k - 1].next_up()
 }
 
 /// Largest displacement in each key interval, pixels.

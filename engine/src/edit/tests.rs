@@ -1,5 +1,5 @@
 //! Edits against the f64 reference and against their definitions in f64.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "tests")]
 
 mod motion;
 mod replay;

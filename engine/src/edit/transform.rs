@@ -89,10 +89,9 @@ pub fn stretch(scene: &mut Scene, mask: &[bool], factors: DVec3, pivot: DVec3) -
 fn stretch_gaussians(g: &mut Gaussians, mask: &[bool], map: &DAffine3) {
     let indices: Vec<usize> = (0..g.len()).filter(|&i| mask[i]).collect();
     let mut some = g.selected(&indices);
-    let sh = std::mem::take(&mut some.sh);
+    // Colours stay.
     (some.sh_degree, some.sh) = (0, vec![0.0; 3 * some.len()]);
     affine::transform(&mut some, map);
-    drop(sh);
     for (k, i) in indices.into_iter().enumerate() {
         (g.mean[i], g.log_scale[i], g.rotation[i]) = (some.mean[k], some.log_scale[k], some.rotation[k]);
     }

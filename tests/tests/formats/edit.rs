@@ -94,6 +94,12 @@ fn mistakes_leave_no_file_and_say_where_they_are() {
     refused(&["-e", "select click 3,3 view 0"], 2, &["without cameras", "--data"]);
     refused(&["-e", "merge nothing.ply"], 3, &["nothing.ply"]);
     refused(&["-e", "select all", "--data", text(&at("none"))], 3, &["none"]);
+    let plain = edit(&[text(&input), text(&at("plain.ply")), "-e", "select all; scale 0.5 pivot origin"]).unwrap();
+    assert!(plain.dropped.is_empty() && at("plain.ply").exists() && at("plain.edits.toml").exists());
+    let moving = folder.path().join("moving.safetensors");
+    file::save(&moving, &moving_scene(50, 2, 3, 1, false)).unwrap();
+    let error = edit(&[text(&moving), text(&at("moving.ply")), "-e", "select all; scale 0.5"]).unwrap_err();
+    assert!(error.to_string().contains("--time") && !at("moving.ply").exists(), "{error}");
     let error = edit(&[text(&input), text(&at("out.xyz")), "-e", "select all"]).unwrap_err();
     assert!(error.to_string().contains(".xyz") && error.exit_code() == 2, "{error}");
     let error = edit(&[text(&input), text(&at("no/folder.ply")), "-e", "select all"]).unwrap_err();

@@ -89,7 +89,10 @@ pub fn edit(args: &EditArgs, global: &Global) -> Result<Summary> {
     let mut dropped = Vec::new();
     if let Some(target) = &target {
         bar.set_message("writing");
-        note(&mut session.scene, &steps);
+        target.check(&session.scene)?;
+        if target.kind.holds_motion() {
+            note(&mut session.scene, &steps);
+        }
         dropped = file::save_as(&target.model, &session.scene, target.kind)?;
         let edits = steps.iter().map(listed).collect();
         write_text(&target.list, &EditList::new(plan.bound_px, edits, session.cameras_used()).to_text()?)?;
@@ -126,6 +129,15 @@ impl Target {
         durable::check_target(path)?;
         durable::check_target(&list)?;
         Ok(Self { model: path.to_owned(), list, kind })
+    }
+
+    /// Refuses to leave motion out: Gaussians alone are not where the edits have put them.
+    fn check(&self, scene: &Scene) -> Result<()> {
+        if self.kind.holds_motion() || !scene.deformation.moves() {
+            return Ok(());
+        }
+        let expected = "a .safetensors file; `spgs convert --time T` makes one of a moment of it";
+        Err(Error::usage(format!("output {}", self.model.display()), "a format without motion", expected))
     }
 }
 

@@ -105,7 +105,7 @@ impl EditList {
     /// [`Error::Corrupt`] with line and column.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let list: Self = toml::from_str(text).map_err(|e| {
-            let before = &text[..text.floor_char_boundary(e.span().map_or(0, |span| span.start))];
+            let before = text.get(..e.span().map_or(0, |span| span.start)).unwrap_or(text);
             let column = before.lines().last().filter(|_| !before.ends_with('\n')).map_or(0, |l| l.chars().count()) + 1;
             let at = format!("line {}, column {column}", before.matches('\n').count() + 1);
             Error::corrupt(path, at, e.message(), "a list of edits")

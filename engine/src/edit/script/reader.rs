@@ -153,8 +153,8 @@ pub(super) fn color(text: &str) -> Option<DVec3> {
 pub(super) fn linear(text: &str) -> Option<[f64; 2]> {
     let head = text.strip_suffix('t')?;
     // The sign in front of the rate: not the first character, and not the sign of an exponent.
-    let signs = head.char_indices().filter(|&(i, c)| i > 0 && "+-".contains(c) && !head[..i].ends_with(['e', 'E']));
-    let (offset, rate) = signs.last().map_or(("", head), |(i, _)| head.split_at(i));
+    let mut signs = head.char_indices().filter(|&(i, c)| i > 0 && "+-".contains(c) && !head[..i].ends_with(['e', 'E']));
+    let (offset, rate) = signs.next_back().map_or(("", head), |(i, _)| head.split_at(i));
     let rate = match rate.strip_suffix('*').unwrap_or(rate) {
         "" | "+" => 1.0,
         "-" => -1.0,
