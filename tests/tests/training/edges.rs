@@ -6,8 +6,8 @@ use engine::train::export::export;
 use engine::train::trainer::Trainer;
 
 use crate::common::{
-    PosedOptions, advance, bytes, checkpoints, config, config_file, gpu, load, log, outcome, posed, succeed, train,
-    trainer,
+    PosedOptions, advance, bytes, checkpoints, config, config_file, gpu, load, log, outcome, posed, spgs, succeed,
+    train, trainer,
 };
 
 fn small() -> PosedOptions {
@@ -130,4 +130,27 @@ fn wrong_use_is_one_clear_error() {
     let (code, text) = outcome(train(&posed, &out, &["--config", wrong.to_str().unwrap()]));
     assert!(code == 2 && text.contains("motion.neighbors"), "{code} {text}");
     assert!(checkpoints(&out).is_empty());
+}
+
+#[test]
+fn the_printed_configuration_is_the_one_for_the_data() {
+    let posed = posed(&PosedOptions::default());
+    let print = |data: &std::path::Path, more: &[&str]| {
+        succeed(spgs(&[&["train", data.to_str().unwrap(), "--print-config"][..], more].concat()))
+    };
+    let has =
+        |text: &str, lines: [&str; 3]| assert!(lines.iter().all(|line| text.contains(line)), "{lines:?} in {text}");
+    let (best, paper) = (print(posed.path(), &[]), print(posed.path(), &["--preset", "paper"]));
+    has(&best, ["preset = \"dnerf\"", "method = \"best\"", "coarse_to_fine = 20000"]);
+    has(&paper, ["preset = \"dnerf\"", "method = \"paper\"", "coarse_to_fine = 0"]);
+    if let Some(capture) = tests_harness::data("nerfies_capture1") {
+        has(&print(&capture, &[]), ["preset = \"hypernerf\"", "method = \"best\"", "coarse_to_fine = 0"]);
+    }
+}
+
+#[test]
+fn photos_of_several_sizes_grow() {
+    let options = PosedOptions { sizes: vec![[64, 56], [50, 90]], ..small() };
+    let trainer = runs(&options, "[schedule]\nwarm_up = 4\ncoarse_to_fine = 9\n");
+    assert_eq!(trainer.iteration(), 12);
 }

@@ -14,6 +14,7 @@ use engine::data::loader::ImageLoader;
 use engine::error::{Error, Result};
 use engine::file::durable::write_atomic;
 use engine::train::checkpoint::Checkpoint;
+use engine::train::config::Config;
 use engine::train::schedule::Stage;
 use engine::train::trainer::{Profile, Trainer, TrainingData};
 
@@ -30,7 +31,9 @@ use crate::report::files::create_folder;
 /// As the engine's; an interrupted run saves a checkpoint and ends without error.
 pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     if args.print_config {
-        output::line(decide::config(args, None)?.to_toml()?.trim_end());
+        let config =
+            args.data.as_deref().map_or_else(|| decide::config(args, None), |data| Ok(begin(data, args)?.1))?;
+        output::line(config.to_toml()?.trim_end());
         return Ok(());
     }
     let (Some(path), Some(out)) = (&args.data, &args.out) else {
@@ -41,12 +44,7 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     let saved = if args.resume || args.nonrigid { Some(newest(&checkpoints)?) } else { None };
     let (data, config) = match &saved {
         Some(c) => (load(path, &c.config.data, args)?, decide::resumed(args, &c.config)?),
-        None => {
-            let first = decide::config(args, None)?;
-            let data = load(path, &first.data, args)?;
-            let config = decide::config(args, Some(data.kind))?;
-            (data, config)
-        }
+        None => begin(path, args)?,
     };
     let say = !global.quiet && !args.json;
     if say {
@@ -119,6 +117,14 @@ fn newest(folder: &Path) -> Result<Checkpoint> {
     })?;
     problems.iter().for_each(|p| ::log::warn!("damaged checkpoint passed over: {p}"));
     Ok(checkpoint)
+}
+
+/// The data set of a new run, and its configuration, which depends on the data's format.
+fn begin(path: &Path, args: &TrainArgs) -> Result<(Dataset, Config)> {
+    let first = decide::config(args, None)?;
+    let data = load(path, &first.data, args)?;
+    let config = decide::config(args, Some(data.kind))?;
+    Ok((data, config))
 }
 
 fn load(path: &Path, options: &DatasetOptions, args: &TrainArgs) -> Result<Dataset> {

@@ -62,7 +62,7 @@ pub struct TrainArgs {
     /// File with hyper-parameters that override the preset (see --print-config)
     #[arg(long, value_name = "F.toml")]
     pub config: Option<PathBuf>,
-    /// Print the whole configuration as TOML and exit
+    /// Print the whole configuration, with DATA the one for its format, as TOML and exit
     #[arg(long)]
     pub print_config: bool,
     /// Continue from the newest checkpoint in DIR, with its configuration
