@@ -44,7 +44,7 @@ pub(crate) fn resampled(motion: &Motion, times: &[f32]) -> Motion {
     }
 }
 
-/// Refuses tables that are too large.
+/// Rejects tables that are too large.
 ///
 /// # Errors
 /// [`Error::Limit`].

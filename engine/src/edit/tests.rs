@@ -241,7 +241,7 @@ fn colors_follow_the_map() {
     assert!(tinted.distance(DVec3::new(0.3, 0.15, 0.0)) < 1e-12);
 }
 
-/// Different factors are exact where nothing turns, and refused where something does.
+/// Different factors are exact where nothing turns, and rejected where something does.
 #[test]
 fn stretching_along_axes_needs_what_does_not_turn() {
     let factors = DVec3::new(2.0, 0.5, 1.0);

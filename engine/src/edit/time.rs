@@ -45,7 +45,7 @@ impl TimeMap {
         }
     }
 
-    /// Refuses maps that make no sense.
+    /// Rejects maps that make no sense.
     fn check(self) -> Result<()> {
         let fine = match self {
             Self::Freeze(time) => time.is_finite(),

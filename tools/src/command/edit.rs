@@ -131,7 +131,7 @@ impl Target {
         Ok(Self { model: path.to_owned(), list, kind })
     }
 
-    /// Refuses to leave motion out: Gaussians alone are not where the edits have put them.
+    /// Rejects formats that leave motion out: Gaussians alone are not where the edits have put them.
     fn check(&self, scene: &Scene) -> Result<()> {
         if self.kind.holds_motion() || !scene.deformation.moves() {
             return Ok(());
