@@ -43,8 +43,10 @@ crate::kernel! {
         push: (),
         buffers: SsimForwardBuffers,
         twin: ssim_forward_twin,
-        // Variances are differences of moments: relative to C2 they lose four digits, and derivatives reach 1/C2.
-        tolerance: Tolerance { absolute: 2e-3, relative: 2e-3, flips: 0.0 },
+        // Variances are differences of moments: relative to C2 they lose four digits. Derivatives reach 1/C2 = 1111, and that by
+        // the sum of variances is var_d/b_2²: where images are flat and apart, rounding of E[d²] (6e-8·d², a few times) is
+        // divided by C2² = 8e-7. With d² = 0.1 and another order of sums this is 0.02.
+        tolerance: Tolerance { absolute: 2e-2, relative: 2e-3, flips: 0.0 },
         bytes: |w| 56 * w.get("pixels"),
     }
 }
