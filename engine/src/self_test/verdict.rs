@@ -9,9 +9,10 @@ use sha2::{Digest, Sha256};
 
 use super::Suite;
 use crate::file::durable;
+use crate::gpu::kernel::Tolerance;
 use crate::gpu::{DeviceInfo, GpuOptions, cache_path};
 
-/// What a verdict holds for. With another driver, other shaders or other subgroups a device is tested again.
+/// What a verdict holds for. With another driver, other shaders, tolerances or subgroups a device is tested again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Subject {
     /// Device name.
@@ -74,12 +75,17 @@ impl Subject {
     }
 }
 
-/// SHA-256 of the SPIR-V of all kernels, hexadecimal.
+/// SHA-256 of the SPIR-V of all kernels and what they are judged by, hexadecimal: another test is not answered by an old verdict.
 fn shaders(options: &GpuOptions) -> String {
     static COMMITTED: OnceLock<String> = OnceLock::new();
     let committed = COMMITTED.get_or_init(|| {
         let mut hash = Sha256::new();
-        crate::kernels().for_each(|kernel| hash.update(kernel.spirv));
+        hash.update(env!("CARGO_PKG_VERSION"));
+        for kernel in crate::kernels() {
+            let Tolerance { absolute, relative, flips } = kernel.tolerance;
+            hash.update(kernel.spirv);
+            [absolute, relative, flips].iter().for_each(|part| hash.update(part.to_le_bytes()));
+        }
         hex(&hash.finalize())
     });
     if options.replace_spirv.is_empty() {
