@@ -4,10 +4,9 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use super::measure::Touched;
+use crate::file::codec::SH_C0;
 use crate::scene::Scene;
 
-/// √(1/4π), the basis function of band 0.
-const C0: f64 = 0.282_094_791_773_878_14;
 /// Shares of red, green and blue in brightness (ITU-R BT.709).
 const LUMA: DVec3 = DVec3::new(0.2126, 0.7152, 0.0722);
 
@@ -35,7 +34,7 @@ pub fn recolor(scene: &mut Scene, mask: &[bool], change: &Recolor) -> Touched {
     if matrix == DMat3::IDENTITY && offset == DVec3::ZERO {
         return Touched::default();
     }
-    let shift = (matrix * DVec3::splat(0.5) - DVec3::splat(0.5) + offset) / C0;
+    let shift = (matrix * DVec3::splat(0.5) - DVec3::splat(0.5) + offset) / SH_C0;
     let width = 3 * scene.gaussians.sh_coefficients();
     let rows = scene.gaussians.sh.par_chunks_exact_mut(width).enumerate().filter(|(i, _)| mask[*i]);
     rows.for_each(|(_, row)| {
@@ -47,8 +46,8 @@ pub fn recolor(scene: &mut Scene, mask: &[bool], change: &Recolor) -> Touched {
     Touched { gaussians, ..Touched::default() }
 }
 
-/// The colour of band 0 of each Gaussian, `[N]`: what it looks like on average.
+/// The colour of band 0 of a Gaussian: what it looks like on average.
 pub(crate) fn mean_color(scene: &Scene, i: usize) -> DVec3 {
     let at = i * 3 * scene.gaussians.sh_coefficients();
-    DVec3::from_array([0, 1, 2].map(|c| 0.5 + C0 * f64::from(scene.gaussians.sh[at + c])))
+    DVec3::from_array([0, 1, 2].map(|c| 0.5 + SH_C0 * f64::from(scene.gaussians.sh[at + c])))
 }

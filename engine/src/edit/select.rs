@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::centers::centers;
 use super::color::mean_color;
 use crate::error::{Error, Result};
+use crate::file::codec::sigmoid;
 use crate::scene::{Camera, Scene};
 
 pub use flood::{Likeness, similar};
@@ -63,9 +64,7 @@ pub fn select(scene: &Scene, criterion: &Criterion, time: f64, cameras: &[Camera
         }
         Criterion::Sphere(center, radius) => placed(&|x| x.distance(*center) <= *radius),
         Criterion::Box(low, high) => placed(&|x| x.cmpge(*low).all() && x.cmple(*high).all()),
-        Criterion::Opacity([low, high]) => {
-            Ok(by(&|i| (*low..=*high).contains(&(1.0 / (1.0 + f64::from(-g.opacity_logit[i]).exp())))))
-        }
+        Criterion::Opacity([low, high]) => Ok(by(&|i| (*low..=*high).contains(&sigmoid(g.opacity_logit[i])))),
         Criterion::Size([low, high]) => Ok(by(&|i| {
             let largest = g.log_scale[i].into_iter().fold(f32::NEG_INFINITY, f32::max);
             (*low..=*high).contains(&f64::from(largest).exp())

@@ -271,7 +271,7 @@ fn stretching_along_axes_needs_what_does_not_turn() {
 
 /// What cannot follow a change says so, and what needs no change of places works.
 #[test]
-fn networks_are_refused_where_they_cannot_follow() {
+fn networks_are_rejected_where_they_cannot_follow() {
     let mut only_network = moving_scene(50, 3, 4, 1, true);
     only_network.deformation.superpoint_deformation_mut().unwrap().table = None;
     let error = transform(&mut only_network.clone(), &[true; 50], &some_change(1.0)).unwrap_err();

@@ -7,6 +7,7 @@ use super::measure::Touched;
 use super::split::{Moves, movable, split};
 use super::table::{check_keys, resampled, sorted};
 use crate::error::{Error, Result};
+use crate::file::codec::sigmoid;
 use crate::reference::table_poses;
 use crate::scene::parameter::{LIFESPAN, lifespan_share};
 use crate::scene::{Motion, Scene};
@@ -150,8 +151,7 @@ fn retime_lifespans(scene: &mut Scene, mask: &[bool], map: TimeMap) -> Result<()
         let [middle, log_length] = [f64::from(row[0]), f64::from(row[1])];
         match map {
             TimeMap::Freeze(time) => {
-                let opacity =
-                    1.0 / (1.0 + f64::from(-g.opacity_logit[i]).exp()) * lifespan_share(middle, log_length, time);
+                let opacity = sigmoid(g.opacity_logit[i]) * lifespan_share(middle, log_length, time);
                 // The logit of nothing at all has no number: this is 1e-13 of it.
                 g.opacity_logit[i] = (opacity / (1.0 - opacity)).ln().max(-30.0) as f32;
                 row.copy_from_slice(&[0.5, ENDLESS]);

@@ -1,7 +1,7 @@
 //! Checkpoints: everything that the next step depends on, in one durable, checksummed file of named tensors.
 //!
 //! Random choices are functions of the seed and the iteration, and so is the order of the images: the iteration is the state
-//! of the random numbers and the data cursor.
+//! of the random numbers and the data cursor. A window of times opens by what it saw, and has a state of its own.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

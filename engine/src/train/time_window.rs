@@ -21,6 +21,8 @@ const DRAWS: u32 = 2;
 const FOLLOWED: f32 = 1.2;
 /// By what an end opens more each time that they are.
 const ACCELERATION: f32 = 1.5;
+/// Iterations from one look at the newest photos to the next.
+const INTERVAL: u64 = 16;
 /// Weight of a photo's last loss beside its earlier ones.
 const LAST: f32 = 0.5;
 
@@ -79,6 +81,11 @@ impl TimeWindow {
         let (mean, draws) = (&mut self.loss[photo], &mut self.draws[photo]);
         *mean = if *draws == 0 { loss as f32 } else { *mean + LAST * (loss as f32 - *mean) };
         *draws = draws.saturating_add(1);
+    }
+
+    /// Whether it is looked at before `iteration`: a matter of the iteration alone.
+    pub(super) fn looks_at(&self, iteration: u64) -> bool {
+        !self.is_open() && (iteration.is_multiple_of(INTERVAL) || iteration == self.opens[1])
     }
 
     /// Opens the ends whose newest photos are followed, or whose time has come. Called between two steps, with none in flight.
@@ -146,12 +153,13 @@ impl TimeWindow {
         saved.put_indices("window.draws", vec![self.draws.len()], &self.draws);
     }
 
-    /// Takes its state from a checkpoint; one without opens by the iteration alone.
+    /// Takes its state from a checkpoint of `iteration`; where that has none, from an earlier version, it is as open as it must be.
     ///
     /// # Errors
     /// `Usage` naming the array that does not fit.
-    pub(super) fn restore(&mut self, saved: &Saved) -> Result<()> {
+    pub(super) fn restore(&mut self, saved: &Saved, iteration: u64) -> Result<()> {
         if !saved.has("window.open") {
+            self.widen(iteration);
             return Ok(());
         }
         let n = self.order.len();

@@ -122,7 +122,7 @@ pub struct Trainer {
     pub(super) pyramid: Pyramid,
     pub(super) loader: ImageLoader,
     pub(super) sampler: ViewSampler,
-    /// Photos that take part while it opens; `None` once all do.
+    /// Photos that take part until it is open; `None` where all do from the start.
     pub(super) window: Option<TimeWindow>,
     pub(super) iteration: u64,
     pub(super) parameters: Parameters,

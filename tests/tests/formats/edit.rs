@@ -78,22 +78,22 @@ fn mistakes_leave_no_file_and_say_where_they_are() {
     std::fs::write(at("bad.edits.toml"), "format = \"spgs edits\"\nversion = 1\nbound_px = oops\n").unwrap();
     std::fs::write(at("no_text.txt"), [0x73, 0xff, 0x00]).unwrap();
     let (input, output) = (at("in.ply"), at("out.safetensors"));
-    let refused = |rest: &[&str], code: u8, words: &[&str]| {
+    let rejected = |rest: &[&str], code: u8, words: &[&str]| {
         let error = edit(&[&[text(&input), text(&output)], rest].concat()).unwrap_err();
         assert_eq!(error.exit_code(), code, "{error}");
         words.iter().for_each(|word| assert!(error.to_string().contains(word), "{error}"));
         assert_eq!(names(folder.path()), ["bad.edits.toml", "bad.txt", "in.ply", "no_text.txt"], "{error}");
     };
-    refused(&["--script", text(&at("bad.txt"))], 3, &["bad.txt", "line 3, column 15", "`0,0`", "x,y,z"]);
-    refused(&["--script", text(&at("bad.edits.toml"))], 3, &["bad.edits.toml", "line 3, column 12"]);
-    refused(&["--script", text(&at("no_text.txt"))], 3, &["no_text.txt", "byte 1"]);
-    refused(&["--script", text(&at("none.txt"))], 3, &["none.txt", "open"]);
-    refused(&["-e", "select all; frob"], 2, &["-e: line 1, column 13", "`frob`"]);
-    refused(&["-e", "select all; move 1,0,0; time reverse"], 2, &["-e: line 1, column 25", "nothing moves"]);
-    refused(&["-e", "delete"], 2, &["column 1 (`delete`)", "select"]);
-    refused(&["-e", "select click 3,3 view 0"], 2, &["without cameras", "--data"]);
-    refused(&["-e", "merge nothing.ply"], 3, &["nothing.ply"]);
-    refused(&["-e", "select all", "--data", text(&at("none"))], 3, &["none"]);
+    rejected(&["--script", text(&at("bad.txt"))], 3, &["bad.txt", "line 3, column 15", "`0,0`", "x,y,z"]);
+    rejected(&["--script", text(&at("bad.edits.toml"))], 3, &["bad.edits.toml", "line 3, column 12"]);
+    rejected(&["--script", text(&at("no_text.txt"))], 3, &["no_text.txt", "byte 1"]);
+    rejected(&["--script", text(&at("none.txt"))], 3, &["none.txt", "open"]);
+    rejected(&["-e", "select all; frob"], 2, &["-e: line 1, column 13", "`frob`"]);
+    rejected(&["-e", "select all; move 1,0,0; time reverse"], 2, &["-e: line 1, column 25", "nothing moves"]);
+    rejected(&["-e", "delete"], 2, &["column 1 (`delete`)", "select"]);
+    rejected(&["-e", "select click 3,3 view 0"], 2, &["without cameras", "--data"]);
+    rejected(&["-e", "merge nothing.ply"], 3, &["nothing.ply"]);
+    rejected(&["-e", "select all", "--data", text(&at("none"))], 3, &["none"]);
     let plain = edit(&[text(&input), text(&at("plain.ply")), "-e", "select all; scale 0.5 pivot origin"]).unwrap();
     assert!(plain.dropped.is_empty() && at("plain.ply").exists() && at("plain.edits.toml").exists());
     let moving = folder.path().join("moving.safetensors");

@@ -127,8 +127,15 @@ fn small_photos_and_a_window_of_times_change_no_bit_either() {
     let gpu = gpu();
     let over = "[schedule]\ncoarse_to_fine = 30\ntime_window = 36";
     let mut begun = Vec::new();
-    let runs =
-        [(1, "", None), (3, "", None), (8, "\n[budget]\nphoto_bytes = 0", None), (3, "", Some(23)), (3, "", Some(33))];
+    let runs = [
+        (1, "", None),
+        (3, "", None),
+        (8, "\n[budget]\nphoto_bytes = 0", None),
+        (3, "", Some(23)),
+        (3, "", Some(33)),
+        // The window is open by then.
+        (3, "", Some(37)),
+    ];
     let outcomes = runs.map(|(flight, photos, pause)| {
         let config = config(&format!("{over}{photos}"));
         let mut trainer = trainer(&gpu, &config, &data).unwrap().with_flight(flight).unwrap();

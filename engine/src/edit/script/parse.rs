@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::reader::{Reader, color, commands, linear, number, numbers, ranges, span};
+use super::reader::{Reader, color, commands, factors, linear, number, numbers, ranges, span};
 use super::{Action, Change, Command, Frame, Mode, Pivot, Retime, ScriptError, Term};
 use crate::edit::select::{Criterion, Depth, Likeness};
 use crate::edit::{Recolor, Window};
@@ -31,7 +31,7 @@ pub fn parse(script: &str) -> Result<Vec<Command>, ScriptError> {
 }
 
 fn action(reader: &mut Reader<'_>) -> Result<Action, ScriptError> {
-    let word = reader.value(COMMANDS, |word| COMMANDS.split([',', ' ']).find(|c| *c == word && *c != "or"))?;
+    let word = reader.one_of(COMMANDS)?;
     Ok(match word {
         "add" => selection(reader, Mode::Add)?,
         "subtract" => selection(reader, Mode::Subtract)?,
@@ -97,7 +97,7 @@ fn likeness(text: &str) -> Option<Likeness> {
 }
 
 fn term(reader: &mut Reader<'_>) -> Result<Term, ScriptError> {
-    let word = reader.value(TERMS, |word| TERMS.split([',', ' ']).find(|t| *t == word && *t != "or"))?;
+    let word = reader.one_of(TERMS)?;
     const LIST: &str = "numbers, as 3,7-12";
     Ok(Term::Criterion(match word {
         "superpoints" => Criterion::Superpoints(reader.value(LIST, ranges)?),
@@ -144,7 +144,6 @@ fn change(reader: &mut Reader<'_>, word: &str) -> Result<Action, ScriptError> {
             Change::Rotate(axis, reader.number("an angle in degrees")?.to_radians())
         }
         _ => {
-            let factors = |text: &str| number(text).map(DVec3::splat).or_else(|| numbers(text).map(DVec3::from_array));
             let above = |v: &DVec3| v.min_element() > 0.0;
             Change::Scale(reader.value("a factor above 0, or three", |text| factors(text).filter(above))?)
         }
@@ -201,7 +200,6 @@ fn recolor(reader: &mut Reader<'_>) -> Result<Action, ScriptError> {
             let rows = reader.value("nine numbers with commas, row by row", numbers::<9>)?;
             change.matrix = DMat3::from_cols_array(&rows).transpose() * change.matrix;
         } else if reader.takes("gain") {
-            let factors = |text: &str| number(text).map(DVec3::splat).or_else(|| numbers(text).map(DVec3::from_array));
             change.matrix = DMat3::from_diagonal(reader.value("a factor, or three", factors)?) * change.matrix;
         } else if reader.takes("offset") {
             change.offset += reader.vector("an offset r,g,b")?;
@@ -215,9 +213,7 @@ fn recolor(reader: &mut Reader<'_>) -> Result<Action, ScriptError> {
 }
 
 fn retime(reader: &mut Reader<'_>) -> Result<Action, ScriptError> {
-    const WORDS: &str = "shift, stretch, reverse or loop";
-    let word = reader.value(WORDS, |word| WORDS.split([',', ' ']).find(|w| *w == word && *w != "or"))?;
-    Ok(Action::Retime(match word {
+    Ok(Action::Retime(match reader.one_of("shift, stretch, reverse or loop")? {
         "shift" => Retime::Shift(reader.number("a time")?),
         "stretch" => Retime::Stretch(positive(reader, "a factor above 0")?),
         "reverse" => Retime::Reverse,

@@ -96,6 +96,11 @@ impl<'a> Reader<'a> {
         Ok(found)
     }
 
+    /// The next word, which is one of a list for people: `a, b or c`.
+    pub(super) fn one_of(&mut self, list: &'static str) -> Result<&'static str, ScriptError> {
+        self.value(list, |word| list.split([',', ' ']).find(|choice| *choice == word && *choice != "or"))
+    }
+
     /// Takes the next word if it is this one.
     pub(super) fn takes(&mut self, word: &str) -> bool {
         let is_next = self.words.get(self.at).is_some_and(|w| w.text == word);
@@ -125,6 +130,11 @@ pub(super) fn number(text: &str) -> Option<f64> {
 pub(super) fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let all: Vec<f64> = text.split(',').map(number).collect::<Option<_>>()?;
     all.try_into().ok()
+}
+
+/// One number for all three axes, or three with commas.
+pub(super) fn factors(text: &str) -> Option<DVec3> {
+    number(text).map(DVec3::splat).or_else(|| numbers(text).map(DVec3::from_array))
 }
 
 /// `3,7-12`.

@@ -7,6 +7,9 @@ use crate::error::{Error, Result};
 use crate::reference::{ALPHA_MIN, Parameters, ReferenceOptions, Splat, TRANSMITTANCE_MIN, place_scene, project};
 use crate::scene::{Camera, MotionSource, Rejected, Scene};
 
+/// Most pixels of a rectangle: an image of 16,384 a side.
+const MOST_PIXELS: f64 = (1_u64 << 28) as f64;
+
 /// How deep a pick goes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Depth {
@@ -49,13 +52,17 @@ pub fn click(scene: &Scene, camera: &Camera, time: f64, point: [f64; 2], depth: 
 /// seen in it and lies no deeper than asked for behind the surface of that pixel.
 ///
 /// # Errors
-/// [`Error::Usage`] for a rectangle without pixels in the image; those of placing Gaussians.
+/// [`Error::Usage`] for a rectangle without pixels in the image, [`Error::Limit`] for too many; those of placing Gaussians.
 pub fn rectangle(scene: &Scene, camera: &Camera, time: f64, corners: [f64; 4], depth: Depth) -> Result<Vec<bool>> {
     let side = |a: f64, b: f64, most: u32| [a.min(b).floor().max(0.0), a.max(b).ceil().min(f64::from(most))];
     let (x, y) = (side(corners[0], corners[2], camera.width), side(corners[1], corners[3], camera.height));
     if !(x[0] < x[1] && y[0] < y[1]) {
         let expected = format!("corners in the {}x{} image", camera.width, camera.height);
         return Err(Error::usage("rect", format!("{corners:?}"), expected));
+    }
+    let pixels = (x[1] - x[0]) * (y[1] - y[0]);
+    if pixels > MOST_PIXELS {
+        return Err(Error::Limit { what: "pixels of a rect".into(), need: pixels as u128, have: MOST_PIXELS as u128 });
     }
     let splats = splats(scene, camera, time)?;
     let columns = (x[1] - x[0]) as usize;

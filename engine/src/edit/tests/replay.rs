@@ -171,7 +171,7 @@ proptest! {
 
     /// No text makes the parser panic, and each error names a place in the text.
     #[test]
-    fn any_script_is_read_or_refused_at_a_place(text in prop_oneof![words(), any::<String>(), "\\PC*"]) {
+    fn any_script_is_read_or_rejected_at_a_place(text in prop_oneof![words(), any::<String>(), "\\PC*"]) {
         match parse(&text) {
             Ok(commands) => for command in commands {
                 let again = parse(&command.text).unwrap();
@@ -189,7 +189,7 @@ proptest! {
 
     /// No command that can be read makes a session panic.
     #[test]
-    fn any_list_is_read_or_refused(text in any::<String>()) {
+    fn any_list_is_read_or_rejected(text in any::<String>()) {
         let _ = EditList::parse(&text, Path::new("e.toml"));
     }
 }

@@ -14,7 +14,7 @@ fn opened(w: &mut TimeWindow, loss: impl Fn(usize) -> f64) -> u64 {
     for iteration in 1..=UNTIL {
         let photo = w.draw(3, iteration);
         w.note(photo, loss(photo));
-        if iteration.is_multiple_of(16) {
+        if w.looks_at(iteration) {
             w.widen(iteration);
         }
         if w.is_open() {
@@ -79,12 +79,12 @@ fn a_checkpoint_keeps_it() {
     let mut saved = Saved::default();
     w.save(&mut saved);
     let mut again = window();
-    again.restore(&saved).unwrap();
+    again.restore(&saved, 300).unwrap();
     assert_eq!(again, w);
     let mut old = window();
-    old.restore(&Saved::default()).unwrap();
+    old.restore(&Saved::default(), 99).unwrap();
     assert_eq!(old, window());
-    old.widen(UNTIL);
+    old.restore(&Saved::default(), UNTIL).unwrap();
     assert!(old.is_open());
 }
 
@@ -97,7 +97,7 @@ fn a_checkpoint_that_does_not_fit_is_named() {
         if name == "window.loss" {
             saved.put_floats(name, vec![1], &[0.0]);
         }
-        let error = window().restore(&saved).unwrap_err().to_string();
+        let error = window().restore(&saved, 300).unwrap_err().to_string();
         assert!(error.contains(name), "{error}");
     }
 }

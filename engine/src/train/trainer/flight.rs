@@ -30,9 +30,6 @@ pub const FLIGHT: usize = 3;
 /// Photos announced ahead of their use.
 const PREFETCH: u64 = 8;
 
-/// Iterations from one look at the window of times to the next.
-const WIDEN_INTERVAL: u64 = 16;
-
 /// A step that was submitted.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::train) struct Job {
@@ -84,25 +81,18 @@ impl Trainer {
 
     /// What is drawn at an iteration, as the window is now: a photo at the size of that iteration.
     fn view_at(&mut self, iteration: u64) -> usize {
-        let window = self.window.as_ref();
+        let window = self.window.as_ref().filter(|w| !w.is_open());
         let photo = window.map_or_else(|| self.sampler.view(iteration), |w| w.draw(self.config.seed, iteration));
         self.pyramid.at(photo, iteration)
     }
 
     /// Opens the window of times further where it is time to look, which is settled by the iteration alone.
     fn widen_window(&mut self, iteration: u64) -> Result<()> {
-        if self.window.is_none() || !iteration.is_multiple_of(WIDEN_INTERVAL) {
+        if self.window.as_ref().is_none_or(|w| !w.looks_at(iteration)) {
             return Ok(());
         }
         self.drain()?;
-        self.window = self
-            .window
-            .take()
-            .map(|mut w| {
-                w.widen(iteration);
-                w
-            })
-            .filter(|w| !w.is_open());
+        self.window.iter_mut().for_each(|w| w.widen(iteration));
         Ok(())
     }
 
@@ -191,11 +181,8 @@ impl Trainer {
         let camera = &self.pyramid.views[view].camera;
         if [photo.width, photo.height] != [camera.width, camera.height] {
             let found = format!("{}×{} pixels", photo.width, photo.height);
-            return Err(Error::usage(
-                format!("photo of {}", self.pyramid.views[view].name),
-                found,
-                "the camera's size",
-            ));
+            let what = format!("photo of {}", self.pyramid.views[view].name);
+            return Err(Error::usage(what, found, "the camera's size"));
         }
         let first = self.photos.upload(&self.gpu, slot, view, photo)?;
         if self.photos.stays(view) {

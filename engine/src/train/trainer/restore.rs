@@ -20,9 +20,8 @@ impl Trainer {
         let c = checkpoint;
         let mut trainer = Self::assemble(gpu, &c.config, data, c.stage, c.iteration, &c.parameters)?;
         if let Some(window) = &mut trainer.window {
-            window.restore(&c.saved)?;
+            window.restore(&c.saved, c.iteration)?;
         }
-        trainer.window = trainer.window.take().filter(|w| !w.is_open());
         if let Some(model) = deformation::restore(gpu, &c.config, &c.stored())? {
             trainer.set_deformation(model);
         }

@@ -73,7 +73,7 @@ impl Run<'_> {
         match coverage.empty_share() {
             Some(share) if share > MOST_EMPTY && may_be_fast => log::warn!(
                 "{:.1} % of what the images show is left empty: objects that move by more than their size? \
-                 `schedule.time_window` follows them (`spgs help training`)",
+                 `schedule.time_window` may follow them (`spgs help training`)",
                 100.0 * share
             ),
             _ => {}
