@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::data::dataset::DatasetOptions;
 use crate::error::{Error, Result};
+use crate::scene::network::{POSITION_FREQUENCIES, TIME_FREQUENCIES};
 use crate::scene::parameter::{PARAMETERS, Present, REQUIRED};
 use crate::scene::{Blend, DeformSize};
 pub use preset::{Base, Method, Preset};
@@ -154,6 +155,11 @@ pub struct MotionConfig {
     /// Whether network F's heads start at zero, so that motion starts from rest. Paper: yes; code: no (its initialiser is
     /// never called). Default yes: a canonical space that already fits is not thrown away at the end of warm-up.
     pub zero_heads: bool,
+    /// Octaves of a superpoint's centre that network F reads, 0 to 10 (paper and code: 10). Fewer: motion is smoother in space,
+    /// and superpoints beside each other move alike.
+    pub position_octaves: u32,
+    /// Octaves of time that it reads, 0 to 6 (paper and code: 6).
+    pub time_octaves: u32,
     /// Hidden layers of network F, 1 to 8, and their width, a multiple of 32 up to 256. Paper and code: 8 layers of 256, the
     /// default; the paper's ablation loses 0.3 dB with 8 of 128.
     pub network_layers: u32,
@@ -180,6 +186,11 @@ impl MotionConfig {
     /// How large network F is.
     pub fn network_size(&self) -> DeformSize {
         DeformSize { layers: self.network_layers as usize, width: self.network_width as usize }
+    }
+
+    /// Octaves of its encodings of position and time.
+    pub fn octaves(&self) -> [u32; 2] {
+        [self.position_octaves, self.time_octaves]
     }
 }
 
@@ -387,6 +398,14 @@ impl Config {
         if !(self.motion.neighbors..=16).contains(&self.motion.association_slots) {
             let found = self.motion.association_slots.to_string();
             return wrong("motion.association_slots", found, "motion.neighbors to 16");
+        }
+        for (key, found, most) in [
+            ("motion.position_octaves", self.motion.position_octaves, POSITION_FREQUENCIES),
+            ("motion.time_octaves", self.motion.time_octaves, TIME_FREQUENCIES),
+        ] {
+            if found as usize > most {
+                return wrong(key, found.to_string(), &format!("0 to {most}"));
+            }
         }
         Present::of_names(&self.gaussians.optional)?;
         let rates: Vec<String> = self.learning_rate.optional.keys().cloned().collect();

@@ -118,8 +118,9 @@ impl SuperpointTraining {
             scene.gaussians,
             association_options(config),
         )?;
-        let weights = DeformNetwork::init(config.seed, config.motion.network_size(), config.motion.zero_heads);
-        let network = NetworkF::new(gpu, &weights, superpoints.superpoints())?;
+        let (motion, octaves) = (&config.motion, config.motion.octaves());
+        let weights = DeformNetwork::init(config.seed, motion.network_size(), motion.zero_heads).with_octaves(octaves);
+        let network = NetworkF::new(gpu, &weights, superpoints.superpoints())?.with_octaves(octaves);
         Self::new(gpu, superpoints, network)
     }
 
@@ -131,7 +132,7 @@ impl SuperpointTraining {
         let superpoints =
             SuperpointState::from_parts(gpu, &saved.position, &saved.association, [first, second], options)?;
         let weights = saved.network.deform(config.motion.network_size())?;
-        let network = NetworkF::new(gpu, &weights, saved.position.len() as u32)?;
+        let network = NetworkF::new(gpu, &weights, saved.position.len() as u32)?.with_octaves(config.motion.octaves());
         network.upload_moments([&saved.network.moment_1, &saved.network.moment_2])?;
         Self::new(gpu, superpoints, network).map(Some)
     }
