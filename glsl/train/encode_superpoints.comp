@@ -18,7 +18,6 @@ layout(std430, set = 0, binding = 2) writeonly buffer EncodingBlock { float enco
 layout(push_constant) uniform Push {
     uint rows;
     uint position_octaves; // that are read; zeros stand for the others
-    uint time_octaves;
 } push;
 
 const uint ENCODED = 76u; // 3 + 3 * 2 * 10 and 1 + 2 * 6
@@ -29,7 +28,7 @@ void main() {
     EncodedElement e = encoded_element(item % ENCODED);
     if (row < push.rows) {
         float x = e.axis < 3u ? superpoint_position[3u * row + e.axis] : step_data.time;
-        uint octaves = e.axis < 3u ? push.position_octaves : push.time_octaves;
-        encoding[item] = e.part == 0u || e.octave < octaves ? encoded_value(e, x) : 0.0;
+        bool is_read = e.axis == 3u || e.part == 0u || e.octave < push.position_octaves;
+        encoding[item] = is_read ? encoded_value(e, x) : 0.0;
     }
 }

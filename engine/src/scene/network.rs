@@ -24,14 +24,10 @@ pub const TIME_FREQUENCIES: usize = 6;
 /// 63 + 13 inputs.
 pub const ENCODING_WIDTH: usize = 3 + 6 * POSITION_FREQUENCIES + 1 + 2 * TIME_FREQUENCIES;
 
-/// Whether network F reads element `e` of its encoding when it has so many octaves of position and time.
-pub fn reads(e: usize, octaves: [u32; 2]) -> bool {
+/// Whether network F reads element `e` of its encoding when it has so many octaves of position.
+pub fn reads(e: usize, position_octaves: u32) -> bool {
     const TIME: usize = 3 + 6 * POSITION_FREQUENCIES;
-    match e {
-        0..3 | TIME => true,
-        3..TIME => (e - 3) / 6 < octaves[0] as usize,
-        _ => (e - TIME - 1) / 2 < octaves[1] as usize,
-    }
+    !(3..TIME).contains(&e) || (e - 3) / 6 < position_octaves as usize
 }
 
 /// max(y, 0) that keeps NaN, as the kernels have it (`glsl/lib/relu.glsl`): a broken weight must not look like a neuron that
@@ -134,9 +130,9 @@ impl DeformNetwork {
         Self { linear: hidden, translation: head(translation), rotation: head(rotation) }
     }
 
-    /// The same network without weight on all but the lowest octaves of position and time: smooth in space, and in time.
+    /// The same network without weight on all but the lowest octaves of position.
     #[must_use]
-    pub fn with_octaves(mut self, octaves: [u32; 2]) -> Self {
+    pub fn with_position_octaves(mut self, octaves: u32) -> Self {
         let skip = self.size().skip_layer();
         for layer in std::iter::once(0).chain(skip) {
             let Some(layer) = self.linear.get_mut(layer) else { continue };

@@ -19,7 +19,7 @@ use crate::error::{Error, Result};
 use crate::gpu::kernel::Kernel;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
 use crate::scene::DeformNetwork;
-use crate::scene::network::{DeformSize, ENCODING_WIDTH, Linear, POSITION_FREQUENCIES, TIME_FREQUENCIES};
+use crate::scene::network::{DeformSize, ENCODING_WIDTH, Linear, POSITION_FREQUENCIES};
 
 /// Kernels of this module.
 pub static KERNELS: &[&Kernel] = &[&ENCODE_SUPERPOINTS.kernel];
@@ -48,7 +48,7 @@ pub struct NetworkF {
     gpu: Gpu,
     capacity: u32,
     size: DeformSize,
-    octaves: [u32; 2],
+    position_octaves: u32,
     stage: Stage,
     parameters: Parameters,
     /// Encoding, then the hidden layers' outputs.
@@ -84,7 +84,7 @@ impl NetworkF {
             gpu: gpu.clone(),
             capacity,
             size,
-            octaves: [POSITION_FREQUENCIES, TIME_FREQUENCIES].map(|n| n as u32),
+            position_octaves: POSITION_FREQUENCIES as u32,
             stage: Stage::of(gpu),
             activation: buffer("activation", bytes(ENCODING_WIDTH + hidden))?,
             activation_gradient: buffer("activation_gradient", bytes(hidden + HEADS as usize))?,
@@ -100,10 +100,10 @@ impl NetworkF {
         self
     }
 
-    /// The same network with so many octaves of position and time: the weights of the others keep their values.
+    /// The same network with so many octaves of position: the weights of the others keep their values.
     #[must_use]
-    pub fn with_octaves(mut self, octaves: [u32; 2]) -> Self {
-        self.octaves = octaves;
+    pub fn with_position_octaves(mut self, octaves: u32) -> Self {
+        self.position_octaves = octaves;
         self
     }
 
@@ -137,8 +137,7 @@ impl NetworkF {
             superpoint_position: superpoint_position.clone(),
             encoding: self.activation(None, superpoints),
         };
-        let [position_octaves, time_octaves] = self.octaves;
-        let push = EncodeSuperpointsPush { rows: superpoints, position_octaves, time_octaves };
+        let push = EncodeSuperpointsPush { rows: superpoints, position_octaves: self.position_octaves };
         encode_superpoints::record(r, push, buffers)?;
         (0..=self.size.layers).try_for_each(|i| self.layer(i, superpoints, Some(pose)).forward(r))
     }

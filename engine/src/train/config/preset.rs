@@ -178,7 +178,6 @@ impl Default for MotionConfig {
             association_init: Form::Code,
             zero_heads: true,
             position_octaves: 10,
-            time_octaves: 6,
             network_layers: 8,
             network_width: 256,
             time_noise: false,

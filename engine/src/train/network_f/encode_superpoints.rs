@@ -14,10 +14,8 @@ crate::gpu_struct! {
     pub struct EncodeSuperpointsPush {
         /// Superpoints.
         pub rows: u32,
-        /// Octaves of the position that are read, and of the time; zeros stand for the others.
+        /// Octaves of the position that are read; zeros stand for the others.
         pub position_octaves: u32,
-        /// See `position_octaves`.
-        pub time_octaves: u32,
     }
 }
 
@@ -62,12 +60,12 @@ pub(super) fn record(
 }
 
 fn encode_superpoints_twin(call: Call<'_, EncodeSuperpoints>) {
-    let Call { push: EncodeSuperpointsPush { rows, position_octaves, time_octaves }, buffers: b, .. } = call;
+    let Call { push: EncodeSuperpointsPush { rows, position_octaves }, buffers: b, .. } = call;
     let step: Step = struct_at(b.step, 0);
     for row in 0..rows as usize {
         let position = std::array::from_fn(|axis| f32_at(b.superpoint_position, 3 * row + axis));
         for e in 0..ENCODING_WIDTH {
-            let is_read = reads(e, [position_octaves, time_octaves]);
+            let is_read = reads(e, position_octaves);
             set_f32(b.encoding, row * ENCODING_WIDTH + e, if is_read { encoded(position, step.time, e) } else { 0.0 });
         }
     }
