@@ -21,8 +21,17 @@ const REASSIGNED: usize = 2;
 const CONTENT: f64 = 0.5;
 /// The same at the end.
 const CONTENT_AT_LAST: f64 = 0.02;
+/// Times that are looked at first.
+const FIRST_TIMES: usize = 33;
+/// Nearest parts that are looked at, and at the end, where few Gaussians look.
+const FEW: usize = 8;
+const MANY: usize = 32;
 /// How often merging may make room for more splits.
-const AGAIN: usize = 3;
+const AGAIN: usize = 8;
+/// Neighbours merge for that if they stay within this share of what parts above the bound are off by in the middle.
+const CHEAP: f64 = 0.5;
+/// It goes on as long as it takes away this share of the excess.
+const GAIN: f64 = 0.02;
 /// A Gaussian that hardly moves goes with a part that suits it so much better than rest.
 const BETTER_THAN_REST: f64 = 0.5;
 /// What is within this share of the bound at rest stays at rest.
@@ -30,21 +39,39 @@ const RESTS: f64 = 1.0e-3;
 
 /// Parts of `movers` whose Gaussians stay within `bound` pixels of rigid motion, or `most` parts.
 pub(super) fn divide(tracks: &Tracks, movers: &[usize], most: usize, bound: f64, tick: &mut Tick<'_>) -> Parts {
-    let mut parts = Parts::of(tracks, farthest_points(tracks, movers, SEEDS.min(most)));
-    for _ in 0..AGAIN {
-        grow(tracks, &mut parts, most, bound, true, tick);
-        let gone = merge(tracks, &mut parts, bound);
-        let is_full = parts.worst() > bound && gone > most / 50;
-        if !is_full {
-            break;
-        }
-    }
+    // At some of the times first: most of what is to be told apart shows there.
+    let some = tracks.thinned(FIRST_TIMES);
+    let mut parts = Parts::of(&some, farthest_points(&some, movers, SEEDS.min(most)));
+    grow(&some, &mut parts, most, bound, true, tick);
+    merge(&some, &mut parts, bound, FEW);
+    parts = balance(&some, parts, most, bound, tick);
+    let mut parts = Parts::of(tracks, parts.0.into_iter().map(|part| part.members).collect());
     for _ in 0..REASSIGNED {
         tick("superpoints", parts.0.len(), None);
-        parts.reassign(tracks, CONTENT_AT_LAST * bound);
-        merge(tracks, &mut parts, bound);
+        parts.reassign(tracks, CONTENT_AT_LAST * bound, MANY);
+        merge(tracks, &mut parts, bound, MANY);
     }
     grow(tracks, &mut parts, most, bound, false, tick);
+    parts
+}
+
+/// Where there are as many parts as may be, and some above the bound: neighbours that would be off by little together merge, which
+/// makes room to split those that are off by much.
+fn balance(tracks: &Tracks, mut parts: Parts, most: usize, bound: f64, tick: &mut Tick<'_>) -> Parts {
+    for _ in 0..AGAIN {
+        let mut over: Vec<f64> = parts.0.iter().map(Part::worst).filter(|worst| *worst > bound).collect();
+        if over.is_empty() {
+            break;
+        }
+        over.sort_unstable_by(f64::total_cmp);
+        let mut next = parts.clone();
+        merge(tracks, &mut next, bound.max(CHEAP * over[over.len() / 2]), FEW);
+        grow(tracks, &mut next, most, bound, true, tick);
+        if next.excess(tracks, bound) > (1.0 - GAIN) * parts.excess(tracks, bound) {
+            break;
+        }
+        parts = next;
+    }
     parts
 }
 
@@ -53,7 +80,7 @@ fn grow(tracks: &Tracks, parts: &mut Parts, most: usize, bound: f64, reassigned:
     for _ in 0..ROUNDS {
         tick("superpoints", parts.0.len(), None);
         for _ in 0..if reassigned { REASSIGNED } else { 0 } {
-            if parts.reassign(tracks, CONTENT * bound) == 0 {
+            if parts.reassign(tracks, CONTENT * bound, FEW) == 0 {
                 break;
             }
         }
@@ -89,7 +116,7 @@ pub(super) fn adopt(tracks: &Tracks, parts: &mut Parts, still: &[(usize, f64)], 
         }
         let mut work = Vec::with_capacity(tracks.times);
         let mut best = (None, BETTER_THAN_REST * at_rest);
-        for j in parts.nearest(tracks, i) {
+        for j in parts.nearest(tracks, i, FEW) {
             let (_, r) = tracks.in_frame(i, &parts.0[j].frames, best.1, &mut work);
             if r < best.1 {
                 best = (Some(j), r);

@@ -12,16 +12,15 @@ const SAMPLE_SLACK: f64 = 1.5;
 /// Rounds of merging pairs.
 const ROUNDS: usize = 24;
 
-/// Merges pairs whose joint distance stays within `bound` pixels, the closest first, until there is none. Returns how many parts
-/// went.
-pub(super) fn merge(tracks: &Tracks, parts: &mut Parts, bound: f64) -> usize {
-    let before = parts.0.len();
+/// Merges pairs whose joint distance stays within `bound` pixels, the closest first, until there is none. Each part looks at the
+/// `count` nearest.
+pub(super) fn merge(tracks: &Tracks, parts: &mut Parts, bound: f64, count: usize) {
     // Pairs that were looked at and do not fit: of parts by their first member and size, which tell them apart.
     let mut rejected = std::collections::HashSet::new();
     for _ in 0..ROUNDS {
         let name = |j: usize| parts.0[j].members.first().map(|&i| (i, parts.0[j].members.len()));
         let mut pairs: Vec<[usize; 2]> = Vec::new();
-        for (j, near) in parts.neighbors().iter().enumerate() {
+        for (j, near) in parts.neighbors(count).iter().enumerate() {
             pairs.extend(near.iter().map(|&k| [j.min(k), j.max(k)]));
         }
         pairs.sort_unstable();
@@ -53,7 +52,6 @@ pub(super) fn merge(tracks: &Tracks, parts: &mut Parts, bound: f64) -> usize {
         }
         parts.0.retain(|part| !part.members.is_empty());
     }
-    before - parts.0.len()
 }
 
 /// Both in one, if that stays within the bound.

@@ -8,8 +8,6 @@ use super::tracks::{Rest, Tracks};
 
 /// Rounds of frames and rest positions in a fit.
 const ROUNDS: usize = 2;
-/// Parts that a Gaussian may go to: the nearest of its own.
-const NEIGHBORS: usize = 8;
 /// Times at which the distance of parts is taken.
 pub(super) const FEATURE_TIMES: usize = 8;
 
@@ -73,7 +71,7 @@ fn fit(tracks: &Tracks, members: &[usize], rest: &[Rest], share: &impl Fn(usize)
     // About the first member: in f64 small parts far from the origin keep their digits.
     let origin = rest[0].center;
     let origins: Vec<DVec3> = tracks.of(first).iter().map(|p| p.center.as_dvec3()).collect();
-    let mut sums = vec![Sums::default(); tracks.times];
+    let mut sums = vec![Sums::ZERO; tracks.times];
     for (k, (&i, rest)) in members.iter().zip(rest).enumerate() {
         let weight = tracks.weight(i) * share(k);
         let center = rest.center - origin;
@@ -115,7 +113,7 @@ pub(super) fn feature_times(times: usize) -> [usize; FEATURE_TIMES] {
 }
 
 /// A division.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Parts(pub(super) Vec<Part>);
 
 impl Parts {
@@ -124,21 +122,21 @@ impl Parts {
         Self(lists.into_par_iter().filter(|l| !l.is_empty()).map(|l| Part::of(tracks, l)).collect())
     }
 
-    /// The largest distance of all, pixels.
-    pub(super) fn worst(&self) -> f64 {
-        self.0.iter().map(Part::worst).fold(0.0, f64::max)
-    }
-
-    /// For each part the nearest others.
-    pub(super) fn neighbors(&self) -> Vec<Vec<usize>> {
-        let of = |j: usize| nearest_of(&self.0, &self.0[j].place, j);
+    /// For each part the `count` nearest others.
+    pub(super) fn neighbors(&self, count: usize) -> Vec<Vec<usize>> {
+        let of = |j: usize| nearest_of(&self.0, &self.0[j].place, j, count);
         (0..self.0.len()).into_par_iter().map(of).collect()
     }
 
-    /// The parts nearest to a Gaussian.
-    pub(super) fn nearest(&self, tracks: &Tracks, i: usize) -> Vec<usize> {
+    /// What is above `bound` in all parts, weighted by how much it shows.
+    pub(super) fn excess(&self, tracks: &Tracks, bound: f64) -> f64 {
+        self.0.par_iter().map(|part| part.excess(tracks, bound)).sum()
+    }
+
+    /// The `count` parts nearest to a Gaussian.
+    pub(super) fn nearest(&self, tracks: &Tracks, i: usize, count: usize) -> Vec<usize> {
         let path = feature_times(tracks.times).map(|t| tracks.of(i)[t].center.as_dvec3());
-        nearest_of(&self.0, &path, usize::MAX)
+        nearest_of(&self.0, &path, usize::MAX, count)
     }
 
     /// Gives parts more Gaussians, and fits those parts again.
@@ -151,10 +149,10 @@ impl Parts {
         });
     }
 
-    /// Every Gaussian that is farther than `content` pixels from where its part takes it goes to the neighbour that suits it
-    /// best, if that is better. Returns how many went.
-    pub(super) fn reassign(&mut self, tracks: &Tracks, content: f64) -> usize {
-        let neighbors = self.neighbors();
+    /// Every Gaussian that is farther than `content` pixels from where its part takes it goes to that of the `count`
+    /// nearest parts that suits it best, if that is better. Returns how many went.
+    pub(super) fn reassign(&mut self, tracks: &Tracks, content: f64, count: usize) -> usize {
+        let neighbors = self.neighbors(count);
         let parts = &self.0;
         let of_part = |j: usize| -> Vec<(usize, usize)> {
             let mut work = Vec::with_capacity(tracks.times);
@@ -200,14 +198,14 @@ impl Parts {
     }
 }
 
-/// The parts whose mean paths are nearest to a path, but for one.
-fn nearest_of(parts: &[Part], path: &[DVec3; FEATURE_TIMES], but: usize) -> Vec<usize> {
+/// The `count` parts whose mean paths are nearest to a path, but for one.
+fn nearest_of(parts: &[Part], path: &[DVec3; FEATURE_TIMES], but: usize, count: usize) -> Vec<usize> {
     let distance = |part: &Part| -> f64 { part.place.iter().zip(path).map(|(p, q)| p.distance_squared(*q)).sum() };
     let others = (0..parts.len()).filter(|&k| k != but);
     let mut near: Vec<(f64, usize)> = others.map(|k| (distance(&parts[k]), k)).collect();
-    if near.len() > NEIGHBORS {
-        near.select_nth_unstable_by(NEIGHBORS, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        near.truncate(NEIGHBORS);
+    if near.len() > count {
+        near.select_nth_unstable_by(count, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        near.truncate(count);
     }
     near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     near.into_iter().map(|(_, k)| k).collect()

@@ -35,7 +35,7 @@ impl Frame {
 }
 
 /// Sums over pairs of points x and y.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Sums {
     pub(super) weight: f64,
     pub(super) x: DVec3,
@@ -45,9 +45,11 @@ pub(super) struct Sums {
 }
 
 impl Sums {
+    /// Over none.
+    pub(super) const ZERO: Self = Self { weight: 0.0, x: DVec3::ZERO, y: DVec3::ZERO, yx: DMat3::ZERO };
+
     /// The motion that takes x to y best; without any weight, none.
     pub(super) fn fit(&self) -> Frame {
-        // A zero matrix says identity.
         if self.weight <= 0.0 || !self.weight.is_finite() {
             return Frame::IDENTITY;
         }
@@ -121,7 +123,7 @@ mod tests {
     use crate::scene::synthetic::Random;
 
     fn fitted(points: &[DVec3], to: &Frame) -> f64 {
-        let mut sums = Sums::default();
+        let mut sums = Sums::ZERO;
         for &x in points {
             let y = to.apply(x);
             sums.weight += 1.0;
@@ -151,14 +153,14 @@ mod tests {
     #[test]
     fn mirrored_points_give_a_rotation_and_nothing_gives_none() {
         let points = [DVec3::X, DVec3::Y, DVec3::Z, DVec3::ONE];
-        let mut sums = Sums::default();
+        let mut sums = Sums::ZERO;
         for x in points {
             let y = DVec3::new(x.x, x.y, -x.z);
             (sums.weight, sums.x, sums.y) = (sums.weight + 1.0, sums.x + x, sums.y + y);
             sums.yx += outer(y, x);
         }
         assert!((sums.fit().turn.determinant() - 1.0).abs() < 1e-12);
-        assert_eq!(Sums::default().fit(), Frame::IDENTITY);
+        assert_eq!(Sums::ZERO.fit(), Frame::IDENTITY);
     }
 
     #[test]

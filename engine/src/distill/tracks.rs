@@ -1,6 +1,7 @@
 //! Where the probes of Gaussians are at the sampled times, and how well one moving frame explains them.
 
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 
 use super::rigid::Frame;
 
@@ -36,6 +37,17 @@ pub(super) struct Tracks {
 }
 
 impl Tracks {
+    /// The same at about `most` of the times, the first, middle and last among them.
+    pub(super) fn thinned(&self, most: usize) -> Self {
+        let step = self.times.div_ceil(most).max(1);
+        let keeps = |k: &usize| k.abs_diff(self.middle).is_multiple_of(step) || *k == 0 || k + 1 == self.times;
+        let kept: Vec<usize> = (0..self.times).filter(keeps).collect();
+        let middle = kept.iter().position(|k| *k == self.middle).unwrap_or(0);
+        let of = |i: usize| kept.iter().map(move |&k| self.of(i)[k]).collect::<Vec<_>>();
+        let points = (0..self.opacity.len()).into_par_iter().flat_map_iter(of).collect();
+        Self { times: kept.len(), middle, points, opacity: self.opacity.clone() }
+    }
+
     pub(super) fn of(&self, i: usize) -> &[Point] {
         &self.points[i * self.times..(i + 1) * self.times]
     }
