@@ -8,6 +8,9 @@ use super::tracks::{Rest, Tracks};
 
 /// Rounds of frames and rest positions in a fit.
 const ROUNDS: usize = 2;
+/// How much the directions of axes count in a fit, as a share of the mean square distance of the points: of points in a row they
+/// decide the turn around it.
+const DIRECTIONS: f64 = 1.0e-3;
 /// Times at which the distance of parts is taken.
 pub(super) const FEATURE_TIMES: usize = 8;
 
@@ -72,17 +75,23 @@ fn fit(tracks: &Tracks, members: &[usize], rest: &[Rest], share: &impl Fn(usize)
     let origin = rest[0].center;
     let origins: Vec<DVec3> = tracks.of(first).iter().map(|p| p.center.as_dvec3()).collect();
     let mut sums = vec![Sums::ZERO; tracks.times];
+    let count = members.len() as f64;
+    let middle = rest.iter().map(|r| r.center - origin).sum::<DVec3>() / count;
+    let spread = rest.iter().map(|r| (r.center - origin).distance_squared(middle)).sum::<f64>() / count;
     for (k, (&i, rest)) in members.iter().zip(rest).enumerate() {
         let weight = tracks.weight(i) * share(k);
         let center = rest.center - origin;
         let ends = rest.axes.map(|a| center + a);
         let x = weight * (center + ends[0] + ends[1]);
+        // Directions count beside points.
+        let beside = |a: DVec3| a * (DIRECTIONS * spread / a.length_squared().max(f64::MIN_POSITIVE));
+        let of_axes = [0, 1].map(|k| weight * (ends[k] + beside(rest.axes[k])));
         for ((sum, p), origin) in sums.iter_mut().zip(tracks.of(i)).zip(&origins) {
             let (y, axes) = (p.center.as_dvec3() - *origin, p.axes.map(|a| a.as_dvec3()));
             sum.weight += 3.0 * weight;
             sum.x += x;
             sum.y += weight * (3.0 * y + axes[0] + axes[1]);
-            sum.yx += outer(y, x) + outer(weight * axes[0], ends[0]) + outer(weight * axes[1], ends[1]);
+            sum.yx += outer(y, x) + outer(axes[0], of_axes[0]) + outer(axes[1], of_axes[1]);
         }
     }
     let mut frames: Vec<Frame> = sums.iter().map(Sums::fit).collect();

@@ -103,8 +103,9 @@ fn rigid_bodies_are_found_again() {
 fn beam(n: usize, thick: f64) -> Scene {
     let mut random = Random::new(5);
     let along = |i: usize| 2.0 * (i as f64 + 0.5) / n as f64 - 1.0;
-    let means: Vec<DVec3> =
-        (0..n).map(|i| DVec3::new(along(i), thick * random.range(-1.0, 1.0), thick * random.range(-1.0, 1.0))).collect();
+    let means: Vec<DVec3> = (0..n)
+        .map(|i| DVec3::new(along(i), thick * random.range(-1.0, 1.0), thick * random.range(-1.0, 1.0)))
+        .collect();
     let pose = |i: usize, t: f64| {
         let bend = 1.2 * t + 1e-9;
         let s = along(i);
@@ -304,5 +305,6 @@ fn many_gaussians_do_not_take_long() {
     let (teacher, group) = bodies(40, 20_000, 7);
     let Distilled { scene, report } = distilled(&teacher, 0.25, 2048);
     let index = adjusted_rand(&group, scene.deformation.superpoint_of_gaussian());
+    println!("{report:?}");
     assert!(index > 0.999 && report.is_within(), "{index} {report:?}");
 }
