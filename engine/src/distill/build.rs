@@ -5,15 +5,18 @@ use glam::{DMat3, DQuat, DVec3};
 use super::divide::at_rest_place;
 use super::parts::Parts;
 use super::sample::{Order, Samples};
+use super::soft::Soft;
 use super::table::Table;
 use super::tracks::{Rest, Tracks};
-use crate::scene::{Deformation, Gaussians, Scene, SuperpointDeformation, Superpoints};
+use crate::scene::{Blend, Deformation, Gaussians, Scene, SuperpointDeformation, Superpoints};
 
 /// A student that lacks key times.
 #[derive(Debug)]
 pub(super) struct Student {
     gaussians: Gaussians,
     superpoints: Superpoints,
+    /// Where Gaussians move with several.
+    blend: Option<Blend>,
     /// Whether there is a superpoint that rests, the last.
     has_still: bool,
     metadata: std::collections::BTreeMap<String, String>,
@@ -27,6 +30,7 @@ impl Student {
         tracks: &Tracks,
         parts: &Parts,
         rests: &[usize],
+        soft: &[Soft],
     ) -> Self {
         let mut gaussians = teacher.gaussians.selected(kept);
         let still = parts.0.len() as u32;
@@ -43,22 +47,48 @@ impl Student {
         }
         let places: Vec<Rest> = rests.iter().map(|&i| at_rest_place(tracks, i)).collect();
         rests.iter().zip(&places).for_each(|(&i, rest)| put(i, rest));
+        soft.iter().for_each(|soft| put(soft.track, &soft.rest));
         let has_still = !rests.is_empty();
         superpoints.position.extend(has_still.then(|| mean(places.iter())));
-        Self { gaussians, superpoints, has_still, metadata: teacher.metadata.clone() }
+        let blend = (!soft.is_empty()).then(|| blend(&superpoints.of_gaussian, soft));
+        if let Some(blend) = &blend {
+            superpoints.of_gaussian = blend.of_gaussian();
+        }
+        Self { gaussians, superpoints, blend, has_still, metadata: teacher.metadata.clone() }
     }
 
     /// With poses at these of the table's times.
     pub(super) fn scene(&self, table: &Table, keys: &[usize]) -> Scene {
         let moves = self.superpoints.position.len() > usize::from(self.has_still);
         let deformation = if moves {
-            SuperpointDeformation::of_table(self.superpoints.clone(), table.motion(keys, self.has_still)).into()
+            let table = table.motion(keys, self.has_still);
+            let blend = self.blend.clone();
+            SuperpointDeformation { blend, ..SuperpointDeformation::of_table(self.superpoints.clone(), table) }.into()
         } else {
             Deformation::None
         };
         let metadata = self.metadata.clone();
         Scene { gaussians: self.gaussians.clone(), deformation, metadata, ..Scene::default() }
     }
+}
+
+/// Each Gaussian with its own superpoint, but for those that move with several; weights as bytes.
+fn blend(of_gaussian: &[u32], soft: &[Soft]) -> Blend {
+    let neighbors = soft.iter().map(|soft| soft.slots.len()).max().unwrap_or(1);
+    let row = |j: &u32| std::iter::repeat_n(*j, neighbors);
+    let mut blend = Blend {
+        neighbors,
+        index: of_gaussian.iter().flat_map(row).collect(),
+        weight: vec![0.0; neighbors * of_gaussian.len()],
+    };
+    blend.weight.iter_mut().step_by(neighbors).for_each(|w| *w = 1.0);
+    for Soft { track, slots, .. } in soft {
+        let first = track * neighbors;
+        for (k, &(j, w)) in slots.iter().enumerate() {
+            (blend.index[first + k], blend.weight[first + k]) = (j as u32, w as f32);
+        }
+    }
+    blend.quantized()
 }
 
 fn mean<'a>(rests: impl ExactSizeIterator<Item = &'a Rest>) -> [f32; 3] {

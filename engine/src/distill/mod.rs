@@ -26,6 +26,7 @@ mod report;
 mod rigid;
 mod sample;
 mod seeds;
+mod soft;
 mod split;
 mod table;
 #[cfg(test)]
@@ -37,7 +38,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::scene::{Camera, Gaussians, Scene};
+use crate::scene::{Blend, Camera, Gaussians, Scene};
 use crate::train::bake::Views;
 
 use divide::{adopt, at_rest, divide};
@@ -47,6 +48,7 @@ use parts::Parts;
 pub use report::{Report, SizeChange};
 use rigid::Frame;
 use sample::{Moment, Sampler, Samples, lengths};
+use soft::soften;
 use table::Table;
 use tracks::Tracks;
 
@@ -123,8 +125,11 @@ pub fn distill(
     let sampled = begin.elapsed().as_secs_f64();
     let tracks = samples.tracks(opacity);
     let (parts, rests) = motion(&tracks, options, tick);
+    let most = parts.0.len() + usize::from(!rests.is_empty());
+    // Only where there can be no more parts.
+    let soft = if most < options.max_superpoints { Vec::new() } else { soften(&tracks, &parts, options.error_px) };
     let fitted = begin.elapsed().as_secs_f64();
-    let student = build::Student::new(teacher, &kept, &samples, &tracks, &parts, &rests);
+    let student = build::Student::new(teacher, &kept, &samples, &tracks, &parts, &rests, &soft);
     let times = samples.moments.iter().map(|m| m.time).collect();
     let table = Table::new(times, tracks.middle, &parts);
     let found = keyed(
@@ -138,6 +143,7 @@ pub fn distill(
     let mut report = report::of(teacher, &samples, &tracks, &parts, &found, options);
     report.seconds = [sampled, fitted - sampled, begin.elapsed().as_secs_f64() - fitted];
     report.checked_times = checked.len();
+    report.soft = found.scene.deformation.blend().map_or(0, Blend::soft_count);
     Ok(Distilled { scene: found.scene, report })
 }
 
@@ -181,10 +187,15 @@ fn motion(tracks: &Tracks, options: &Options, tick: &mut Tick<'_>) -> (Parts, Ve
     let standing = vec![Frame::IDENTITY; tracks.times];
     let count = tracks.opacity.len();
     let moves: Vec<f64> = (0..count).into_par_iter().map(|i| at_rest(tracks, i, &standing, bound)).collect();
-    let still: Vec<(usize, f64)> = moves.iter().copied().enumerate().filter(|(_, r)| *r <= bound).collect();
-    let movers: Vec<usize> = (0..count).filter(|&i| moves[i] > bound).collect();
+    let mut still: Vec<(usize, f64)> = moves.iter().copied().enumerate().filter(|(_, r)| *r <= bound).collect();
+    let mut movers: Vec<usize> = (0..count).filter(|&i| moves[i] > bound).collect();
     if movers.is_empty() {
         return (Parts::default(), still.into_iter().map(|(i, _)| i).collect());
+    }
+    if options.max_superpoints == 1 {
+        // There is none for what rests.
+        still.clear();
+        movers = (0..count).collect();
     }
     let most = options.max_superpoints.saturating_sub(usize::from(!still.is_empty())).max(1);
     let mut parts = divide(tracks, &movers, most, bound, tick);

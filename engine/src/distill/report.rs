@@ -34,6 +34,8 @@ pub struct Report {
     pub superpoints: [usize; 2],
     /// Superpoints that move one Gaussian.
     pub singletons: usize,
+    /// Gaussians that move with several superpoints: those that rigid motion does not follow where there may be no more.
+    pub soft: usize,
     /// Key times.
     pub key_times: usize,
     /// Times at which the teacher was evaluated to fit its motion.

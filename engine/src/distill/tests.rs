@@ -182,6 +182,7 @@ fn the_measured_error_stays_within_any_bound() {
             "{name}: {report:?}"
         );
         assert!(look(&teacher, &scene) <= 1.1 * report.error_px.largest, "{name}: {report:?}");
+        assert_eq!(report.soft > 0, scene.deformation.blend().is_some());
     }
 }
 
@@ -196,6 +197,32 @@ fn look(teacher: &Scene, student: &Scene) -> f64 {
         kept.iter().zip(&b).map(|(&i, b)| views.displacement(a[i], *b)).fold(0.0, f64::max)
     };
     (0..57).map(at).fold(0.0, f64::max)
+}
+
+#[test]
+fn blends_follow_what_few_rigid_parts_do_not() {
+    // The number of parts is given; then the bend between their motions is blended.
+    let teacher = beam(600, 0.01);
+    let Distilled { scene, report } = distilled(&teacher, 0.02, 12);
+    let blend = scene.deformation.blend().unwrap();
+    assert!(report.capped && report.soft > 300 && blend.soft_count() == report.soft, "{report:?}");
+    assert!(blend.levels().is_some(), "weights as bytes");
+    // The same parts without a blend.
+    let mut hard = scene.clone();
+    hard.deformation.superpoint_deformation_mut().unwrap().blend = None;
+    let [with, without] = [&scene, &hard].map(|s| mean_look(&teacher, s));
+    assert!(with < 0.7 * without, "{with} px on average with a blend, {without} without");
+}
+
+/// Mean displacement of centres at some times, pixels.
+fn mean_look(teacher: &Scene, student: &Scene) -> f64 {
+    let views = views();
+    let at = |k: usize| {
+        let time = (k as f64 + 0.31) / 9.0;
+        let [a, b] = [teacher, student].map(|s| place_scene(s, time, MotionSource::Auto).unwrap().mean);
+        a.iter().zip(&b).map(|(a, b)| views.displacement(*a, *b)).sum::<f64>() / a.len() as f64
+    };
+    (0..9).map(at).sum::<f64>() / 9.0
 }
 
 #[test]
