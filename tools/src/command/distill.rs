@@ -3,10 +3,11 @@
 mod compare;
 mod page;
 mod photos;
+mod summary;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use engine::distill::{self, Options, Report};
+use engine::distill::{self, Options};
 use engine::error::{Error, Result};
 use engine::file::{self, durable};
 use engine::gpu::Gpu;
@@ -15,7 +16,6 @@ use engine::scene::{Camera, Scene};
 use engine::train::bake::Views;
 use engine::train::config::Config;
 use indicatif::ProgressBar;
-use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::cli::args::{DistillArgs, Global, motion_source};
@@ -26,35 +26,17 @@ use crate::command::convert::targets::Targets;
 use crate::command::convert::views;
 use crate::report::files::{to_json, write_text};
 use crate::report::provenance;
-use compare::{Comparison, Shown};
-use photos::Photos;
+use compare::Shown;
+
+pub use summary::Summary;
 
 /// Cameras that pixels are measured through, at most, and the size of those that are made.
 const CAMERAS: usize = 12;
 const SIZE: [u32; 2] = [800, 800];
 /// Views in which images are compared: on a GPU, and on a CPU.
 const COMPARED: [u32; 2] = [256, 16];
-/// Names of the files.
+/// Names of the files, the model first.
 const NAMES: [&str; 3] = ["model.safetensors", "report.json", "report.html"];
-
-/// What was done.
-#[derive(Debug, Serialize)]
-pub struct Summary {
-    /// What was read.
-    pub teacher: PathBuf,
-    /// The folder that was written.
-    pub out: PathBuf,
-    /// The motion, and how far off it is.
-    pub motion: Report,
-    /// Bytes of the teacher, where it is one file, and of the student.
-    pub bytes: [Option<u64>; 2],
-    /// Where pixels are measured.
-    pub measured_in: String,
-    /// Images of both.
-    pub images: Option<Comparison>,
-    /// Both beside photos.
-    pub photos: Option<Photos>,
-}
 
 /// Distills, and says what that cost.
 ///
@@ -66,7 +48,7 @@ pub fn run(args: &DistillArgs, global: &Global) -> Result<()> {
         return output::json(&record.0);
     }
     if !global.quiet {
-        lines(&record.1).iter().for_each(|line| output::line(line));
+        record.1.lines().iter().for_each(|line| output::line(line));
     }
     Ok(())
 }
@@ -231,33 +213,4 @@ fn write(mut summary: Summary, scene: &Scene, gpu: Option<&Gpu>, shown: &[Shown]
     write_text(&files[2], &page)?;
     targets.keep();
     Ok((record, summary))
-}
-
-/// For people.
-fn lines(s: &Summary) -> Vec<String> {
-    let m = &s.motion;
-    let [before, after] = m.superpoints;
-    let mut lines = vec![format!(
-        "motion  {after} superpoints ({before} before, {} of one Gaussian), {} key times; {} of {} Gaussians rest",
-        m.singletons, m.key_times, m.still, m.gaussians[1]
-    )];
-    lines.push(format!("error   {}", page::verdict(m)));
-    lines.push(format!(
-        "        at key times {:.4} px, between them {:.4} px; 99.9 % of the Gaussians within {:.4} px, turned by less than {:.2}°",
-        m.at_keys_px, m.between_px, m.error_px.q999, m.rotation_degrees.q999
-    ));
-    lines.push(format!("        measured in {}, at {} times", s.measured_in, m.sampled_times + m.checked_times));
-    if !m.dropped.is_empty() {
-        lines.push(format!("left out: {}", m.dropped.join("; ")));
-    }
-    lines.extend(s.images.iter().map(|images| format!("images  {}", images.line())));
-    lines.extend(s.photos.iter().map(|photos| format!("photos  {}", photos.line())));
-    let bytes = |b: Option<u64>| b.map_or("?".into(), |b| b.to_string());
-    lines.push(format!("bytes   {} of the teacher, {} of the student", bytes(s.bytes[0]), bytes(s.bytes[1])));
-    let [teacher, fit, keys] = m.seconds;
-    lines.push(format!(
-        "time    {teacher:.1} s for the teacher's motion, {fit:.1} s to fit it, {keys:.1} s for key times"
-    ));
-    lines.push(format!("model   {}; report.html beside it", s.out.join(NAMES[0]).display()));
-    lines
 }

@@ -5,25 +5,11 @@ use engine::error::Result;
 use engine::metrics::Planes;
 use serde_json::Value;
 
-use super::Summary;
 use super::compare::Shown;
+use super::summary::{Summary, verdict};
 use crate::report::error_image;
 use crate::report::page::{Align, Axis, Chart, Page, Picture, Series, Standing, Table};
 use crate::report::scores::cell;
-
-/// Whether the error is within the bound, and if not, why.
-pub(super) fn verdict(m: &Report) -> String {
-    let (largest, bound) = (m.error_px.largest, m.bound_px);
-    if m.is_within() {
-        return format!("largest {largest:.4} px, within the bound of {bound} px");
-    }
-    let why = if m.capped {
-        format!("--max-superpoints allows {}", m.superpoints[1])
-    } else {
-        format!("the motion is too quick for {} times", m.sampled_times)
-    };
-    format!("largest {largest:.4} px, above the bound of {bound} px: {} Gaussians are above it; {why}", m.above)
-}
 
 /// A page with tables, a chart of PSNR over time, and images of the worst, the median and the best view.
 pub(super) fn page(record: &Value, s: &Summary, shown: &[Shown]) -> Result<String> {
@@ -37,6 +23,7 @@ pub(super) fn page(record: &Value, s: &Summary, shown: &[Shown]) -> Result<Strin
         ("Student", format!("{} Gaussians, {after} superpoints, {} key times", m.gaussians[1], m.key_times)),
         ("Teacher", format!("{} Gaussians, {before} superpoints", m.gaussians[0])),
         ("Of the superpoints", format!("{} move one Gaussian", m.singletons)),
+        ("Blended", format!("{} Gaussians move with several superpoints", m.soft)),
         ("Rest", format!("{} Gaussians", m.still)),
         ("Pixels", format!("of {}", s.measured_in)),
         ("Times", format!("{} to fit, {} more to measure", m.sampled_times, m.checked_times)),
