@@ -332,6 +332,5 @@ fn many_gaussians_do_not_take_long() {
     let (teacher, group) = bodies(40, 20_000, 7);
     let Distilled { scene, report } = distilled(&teacher, 0.25, 2048);
     let index = adjusted_rand(&group, scene.deformation.superpoint_of_gaussian());
-    println!("{report:?}");
     assert!(index > 0.999 && report.is_within(), "{index} {report:?}");
 }
