@@ -32,6 +32,7 @@
 //! | [`render`] | scene(t) + camera → image on the GPU: kernels, their twins, the frame; [`render::embed`]: frames in other programs |
 //! | [`train`] | posed images → scene on the GPU: loss, backward kernels, Adam, density, checkpoints |
 //! | [`edit`] | select Gaussians; move, turn, scale, recolour, retime, merge them |
+//! | [`distill`] | the motion of any model as superpoints, within a bound in pixels |
 //! | [`self_test`] | whether a device computes what it must: every kernel of a frame or a step on a small scene; [`gpu::Gpu::new`] |
 //!
 //! ## A frame
@@ -115,6 +116,7 @@
 #![deny(unsafe_code)]
 
 pub mod data;
+pub mod distill;
 pub mod edit;
 pub mod error;
 pub mod file;

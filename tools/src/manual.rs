@@ -9,6 +9,7 @@ pub const PAGES: &[Page] = &[
     Page { topic: "viewer", text: include_str!("../docs/viewer.md") },
     Page { topic: "video", text: include_str!("../docs/video.md") },
     Page { topic: "editing", text: include_str!("../docs/editing.md") },
+    Page { topic: "distilling", text: include_str!("../docs/distilling.md") },
     Page { topic: "training", text: include_str!("../docs/training.md") },
     Page { topic: "quality", text: include_str!("../docs/quality.md") },
     Page { topic: "measuring", text: include_str!("../docs/measuring.md") },
@@ -25,6 +26,7 @@ pub fn pages() -> impl Iterator<Item = &'static Page> {
 
 pub mod commands {
     //! [data]: ../../../engine/manual/data/index.html
+    //! [distilling]: super::distilling
     //! [drivers]: super::drivers
     //! [editing]: super::editing
     //! [formats]: ../../../engine/manual/formats/index.html
@@ -52,6 +54,11 @@ pub mod editing {
     //! [formats]: ../../../engine/manual/formats/index.html
     //! [viewer]: super::viewer
     #![doc = include_str!("../docs/editing.md")]
+}
+
+pub mod distilling {
+    //! [formats]: ../../../engine/manual/formats/index.html
+    #![doc = include_str!("../docs/distilling.md")]
 }
 
 pub mod training {

@@ -250,36 +250,41 @@ impl<'a> Baker<'a> {
     /// Greedy choice of keys among the candidates.
     fn keys(&self, tolerance: f64) -> Vec<usize> {
         let last = self.motion.times.len() - 1;
-        let mut keys = vec![0];
-        let mut a = 0;
-        while a < last {
-            // Gallop while it fits, then bisect between the last that fits and the first that does not.
-            let fits = |b: usize| self.interval_error(a, b, tolerance) <= tolerance;
-            let (mut good, mut step) = (a + 1, 1);
-            let mut bad = last + 1;
-            while good < last {
-                let next = (good + step).min(last);
-                if fits(next) {
-                    good = next;
-                    step *= 2;
-                } else {
-                    bad = next;
-                    break;
-                }
-            }
-            while bad <= last && bad - good > 1 {
-                let middle = good.midpoint(bad);
-                if fits(middle) { good = middle } else { bad = middle }
-            }
-            keys.push(good);
-            a = good;
-        }
-        keys
+        fewest_keys(last, |a, b| self.interval_error(a, b, tolerance) <= tolerance)
     }
 
     fn error_of(&self, keys: &[usize]) -> f64 {
         keys.windows(2).map(|w| self.interval_error(w[0], w[1], f64::INFINITY)).fold(0.0, f64::max)
     }
+}
+
+/// Greedy choice of keys among candidates 0 to `last`: from each the farthest next one for which `fits` says that nothing in
+/// between is off by too much. Neighbours always fit.
+pub(crate) fn fewest_keys(last: usize, fits: impl Fn(usize, usize) -> bool) -> Vec<usize> {
+    let mut keys = vec![0];
+    let mut a = 0;
+    while a < last {
+        // Gallop while it fits, then bisect between the last that fits and the first that does not.
+        let (mut good, mut step) = (a + 1, 1);
+        let mut bad = last + 1;
+        while good < last {
+            let next = (good + step).min(last);
+            if fits(a, next) {
+                good = next;
+                step *= 2;
+            } else {
+                bad = next;
+                break;
+            }
+        }
+        while bad <= last && bad - good > 1 {
+            let middle = good.midpoint(bad);
+            if fits(a, middle) { good = middle } else { bad = middle }
+        }
+        keys.push(good);
+        a = good;
+    }
+    keys
 }
 
 /// The cameras whose time is nearest to candidate `k`, and a few others spread over the set.

@@ -6,6 +6,7 @@ mod checkpoints;
 mod convert;
 mod convert_bake;
 mod convert_refusals;
+mod distill;
 mod edit;
 mod fields;
 mod fuzz;

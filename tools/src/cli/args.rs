@@ -7,6 +7,7 @@ mod compare;
 mod convert;
 mod demo;
 mod devices;
+mod distill;
 mod edit;
 mod eval;
 mod help;
@@ -24,6 +25,7 @@ pub use compare::CompareArgs;
 pub use convert::ConvertArgs;
 pub use demo::DemoArgs;
 pub use devices::DevicesArgs;
+pub use distill::DistillArgs;
 pub use edit::EditArgs;
 pub use eval::{EvalArgs, SplitArg};
 pub use help::{HelpArgs, topics};
@@ -66,6 +68,8 @@ pub enum Command {
     Convert(ConvertArgs),
     /// Select what moves together; move, turn, scale, delete, copy, recolour, retime or merge it
     Edit(EditArgs),
+    /// Turn any moving model into superpoints, with a stated error
+    Distill(DistillArgs),
     /// Describe a model file or a data set
     Inspect(InspectArgs),
     /// List the Vulkan devices, and what unusable ones lack

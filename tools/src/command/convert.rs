@@ -2,10 +2,10 @@
 
 mod bake;
 mod loss;
-mod moment;
+pub(crate) mod moment;
 mod summary;
-mod targets;
-mod views;
+pub(crate) mod targets;
+pub(crate) mod views;
 
 use std::path::{Path, PathBuf};
 

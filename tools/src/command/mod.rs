@@ -5,6 +5,7 @@ pub mod compare;
 pub mod convert;
 pub mod demo;
 pub mod devices;
+pub mod distill;
 pub mod edit;
 pub mod eval;
 pub mod help;
@@ -60,6 +61,7 @@ pub fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Eval(args) => eval::run(args, global),
         Command::Convert(args) => convert::run(args, global),
         Command::Edit(args) => edit::run(args, global),
+        Command::Distill(args) => distill::run(args, global),
         Command::Inspect(args) => inspect::run(args),
         Command::Devices(args) => devices::run(args, global),
         Command::Help(args) => help::run(args),

@@ -42,6 +42,15 @@ impl<C: Borrow<Camera>> Views<C> {
         if self.everywhere { self.movement(one, two) } else { self.in_images(one, two).unwrap_or(0.0) }
     }
 
+    /// Pixels that a small move of a point is seen as at most, per world unit: in the images into which it falls, else as a
+    /// camera turned to it would see it; 0 for points that no camera sees, unless those count.
+    pub fn reach(&self, point: DVec3) -> f64 {
+        let seen = self.cameras.iter().filter_map(|c| image_reach(c.borrow(), point, self.near)).reduce(f64::max);
+        let turned = |c: &C| turned_reach(c.borrow(), point, self.near);
+        let unseen = || self.cameras.iter().map(turned).fold(0.0, f64::max);
+        seen.unwrap_or_else(|| if self.everywhere { unseen() } else { 0.0 })
+    }
+
     fn in_images(&self, one: DVec3, two: DVec3) -> Option<f64> {
         self.cameras.iter().filter_map(|c| image_distance(c.borrow(), one, two, self.near)).reduce(f64::max)
     }
@@ -73,4 +82,17 @@ fn image_distance(c: &Camera, one: DVec3, two: DVec3, near: f64) -> Option<f64> 
 fn turned_distance(c: &Camera, one: DVec3, two: DVec3, near: f64) -> f64 {
     let nearest = one.distance(c.position).min(two.distance(c.position)).max(near);
     c.fx.max(c.fy) * one.distance(two) / nearest
+}
+
+/// Pixels per world unit at a point that falls into the image: the norm of the projection's derivative, f/z·√(1 + tan²), tan
+/// being that of the angle to the optical axis.
+fn image_reach(c: &Camera, point: DVec3, near: f64) -> Option<f64> {
+    let p = c.rotation * (point - c.position);
+    let shows = pixel(c, point, near).is_some_and(|p| is_inside(c, p));
+    shows.then(|| c.fx.max(c.fy) / p.z * (1.0 + (p.x / p.z).powi(2) + (p.y / p.z).powi(2)).sqrt())
+}
+
+/// The same in the middle of the image of a camera turned to the point.
+fn turned_reach(c: &Camera, point: DVec3, near: f64) -> f64 {
+    c.fx.max(c.fy) / point.distance(c.position).max(near)
 }

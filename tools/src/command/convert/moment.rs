@@ -7,7 +7,7 @@ use engine::render::FieldEvaluator;
 use engine::scene::{Gaussians, MotionSource, Scene};
 
 /// What places a scene's Gaussians at any time.
-pub(super) struct Moments<'a> {
+pub(crate) struct Moments<'a> {
     scene: &'a Scene,
     source: MotionSource,
     /// A field costs hundreds of thousands of products per Gaussian: the f64 reference on the CPU takes minutes.
@@ -16,7 +16,7 @@ pub(super) struct Moments<'a> {
 
 impl<'a> Moments<'a> {
     /// Without a device a field is evaluated on the CPU.
-    pub(super) fn new(scene: &'a Scene, source: MotionSource, gpu: Option<&Gpu>) -> Result<Self> {
+    pub(crate) fn new(scene: &'a Scene, source: MotionSource, gpu: Option<&Gpu>) -> Result<Self> {
         let field = match (scene.deformation.field(), gpu) {
             (Some(_), Some(gpu)) => Some(FieldEvaluator::new(gpu, scene)?),
             _ => None,
@@ -25,17 +25,17 @@ impl<'a> Moments<'a> {
     }
 
     /// The scene that is placed.
-    pub(super) fn scene(&self) -> &'a Scene {
+    pub(crate) fn scene(&self) -> &'a Scene {
         self.scene
     }
 
     /// Where its motion comes from.
-    pub(super) fn source(&self) -> MotionSource {
+    pub(crate) fn source(&self) -> MotionSource {
         self.source
     }
 
     /// `[N]` offsets of a scene with a field.
-    pub(super) fn offsets(&self, time: f64) -> Result<Vec<Offset>> {
+    pub(crate) fn offsets(&self, time: f64) -> Result<Vec<Offset>> {
         match (&self.field, self.scene.deformation.field()) {
             (Some(evaluator), _) => evaluator.offsets(time),
             (None, Some(field)) => Ok(reference::field_offsets(field, &self.scene.gaussians, time)),
@@ -44,7 +44,7 @@ impl<'a> Moments<'a> {
     }
 
     /// The Gaussians at a time.
-    pub(super) fn at(&self, time: f64) -> Result<Gaussians> {
+    pub(crate) fn at(&self, time: f64) -> Result<Gaussians> {
         match self.scene.deformation.field() {
             Some(_) => freeze_with(&self.scene.gaussians, &self.offsets(time)?, time),
             None => freeze(self.scene, time, self.source),

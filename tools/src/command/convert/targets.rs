@@ -20,7 +20,7 @@ pub struct Written {
 
 /// The names of the files. What was newly made goes when this is dropped, unless it is [kept](Self::keep).
 #[derive(Debug)]
-pub(super) struct Targets {
+pub(crate) struct Targets {
     files: Vec<PathBuf>,
     /// Folders and files that were not there before, in the order in which they were made.
     made: Vec<PathBuf>,
@@ -32,7 +32,7 @@ impl Targets {
     ///
     /// # Errors
     /// [`Error::Usage`] where one cannot.
-    pub(super) fn prepare(files: Vec<PathBuf>) -> Result<Self> {
+    pub(crate) fn prepare(files: Vec<PathBuf>) -> Result<Self> {
         let mut targets = Self { files, made: Vec::new() };
         let Some(first) = targets.files.first().cloned() else { return Ok(targets) };
         if let Some(folder) = first.parent() {
@@ -43,12 +43,12 @@ impl Targets {
         Ok(targets)
     }
 
-    pub(super) fn files(&self) -> &[PathBuf] {
+    pub(crate) fn files(&self) -> &[PathBuf] {
         &self.files
     }
 
     /// To be called before file `index` is written.
-    pub(super) fn begin(&mut self, index: usize) {
+    pub(crate) fn begin(&mut self, index: usize) {
         let file = &self.files[index];
         // A file that was there is not removed: it may be the model that was read.
         if fs::symlink_metadata(file).is_err() {
@@ -57,7 +57,7 @@ impl Targets {
     }
 
     /// Everything is written and stays.
-    pub(super) fn keep(mut self) {
+    pub(crate) fn keep(mut self) {
         self.made.clear();
     }
 

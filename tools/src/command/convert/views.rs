@@ -7,14 +7,14 @@ use super::moment::Moments;
 use crate::cli::camera;
 
 /// Cameras, and the near plane that suits them all.
-pub(super) struct Around {
-    pub(super) cameras: Vec<Camera>,
-    pub(super) near: f32,
+pub(crate) struct Around {
+    pub(crate) cameras: Vec<Camera>,
+    pub(crate) near: f32,
 }
 
 /// Cameras around a scene, all at one time where that is given. A scene need not be where it is at rest, nor as large: each
 /// looks at it as it is at its own time.
-pub(super) fn around(moments: &Moments<'_>, size: [u32; 2], count: usize, time: Option<f64>) -> Result<Around> {
+pub(crate) fn around(moments: &Moments<'_>, size: [u32; 2], count: usize, time: Option<f64>) -> Result<Around> {
     let scene = moments.scene();
     let mut cameras = camera::orbit(scene, size, count);
     if let Some(time) = time {
