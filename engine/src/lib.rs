@@ -32,6 +32,7 @@
 //! | [`render`] | scene(t) + camera → image on the GPU: kernels, their twins, the frame; [`render::embed`]: frames in other programs |
 //! | [`train`] | posed images → scene on the GPU: loss, backward kernels, Adam, density, checkpoints |
 //! | [`edit`] | select Gaussians; move, turn, scale, recolour, retime, merge them |
+//! | [`pose`] | how superpoints and cameras stand in new photos |
 //! | [`self_test`] | whether a device computes what it must: every kernel of a frame or a step on a small scene; [`gpu::Gpu::new`] |
 //!
 //! ## A frame
@@ -123,6 +124,7 @@ pub mod gpu;
 pub mod image;
 pub mod manual;
 pub mod metrics;
+pub mod pose;
 pub mod reference;
 pub mod render;
 pub mod scene;

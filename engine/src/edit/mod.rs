@@ -33,6 +33,7 @@ pub use merge::{Placement, merge};
 pub use part::transform_in_part;
 pub use session::{Session, Step};
 pub use similarity::Similarity;
+pub(crate) use similarity::unwrapped;
 pub use time::{TimeMap, retime};
 pub use transform::{stretch, transform};
 

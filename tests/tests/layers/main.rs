@@ -25,6 +25,7 @@ const LAYERS: &[&[&str]] = &[
     &["render"],
     &["train"],
     &["edit"],
+    &["pose"],
     &["self_test"],
 ];
 /// Names that the crate root re-exports, and where they live.

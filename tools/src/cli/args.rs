@@ -12,6 +12,7 @@ mod eval;
 mod help;
 mod inspect;
 mod options;
+mod pose;
 mod render;
 mod train;
 mod view;
@@ -29,6 +30,7 @@ pub use eval::{EvalArgs, SplitArg};
 pub use help::{HelpArgs, topics};
 pub use inspect::InspectArgs;
 pub use options::{Format, Global, LookArgs, MotionArg, QualityArgs, ResultArgs, SizeArgs, motion_source};
+pub use pose::{PoseArgs, SolveArg};
 pub use render::{PathArg, RenderArgs};
 pub use train::TrainArgs;
 pub use view::ViewerArgs;
@@ -66,6 +68,8 @@ pub enum Command {
     Convert(ConvertArgs),
     /// Select what moves together; move, turn, scale, delete, copy, recolour, retime or merge it
     Edit(EditArgs),
+    /// Find how superpoints and cameras stand in new photos
+    Pose(PoseArgs),
     /// Describe a model file or a data set
     Inspect(InspectArgs),
     /// List the Vulkan devices, and what unusable ones lack
