@@ -13,6 +13,7 @@ use engine::reference::{
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::{Random, moving_scene};
 use engine::scene::{Camera, Scene};
+use engine::train::gradient::{GradientOptions, scene_gradients};
 use engine::train::photo_loss::{PhotoLoss, PhotoLossOptions};
 use glam::{DMat3, DQuat, DVec3};
 use tests_harness::render_case::{RenderInput, test_camera};
@@ -160,8 +161,17 @@ fn run(gpu: &Gpu, scene: &Scene, views: &[View], options: &Options, start: Optio
     follow(gpu, scene, views, options, start, &mut |_: &Progress| true).unwrap().unwrap()
 }
 
-/// Root mean square distance of the Gaussians of each superpoint from where they belong, pixels.
-fn errors_px(scene: &Scene, found: &[Pose], truth: &[Pose], camera: &Camera) -> Vec<f64> {
+/// How much of a photo each Gaussian makes up, pixels.
+fn shares(gpu: &Gpu, scene: &Scene, camera: &Camera, time: f64) -> Vec<f64> {
+    let options = GradientOptions { near: 0.2, background: [0.0; 3] };
+    let ones = vec![1.0; 4 * camera.width as usize * camera.height as usize];
+    let found = scene_gradients(gpu, scene, camera, time, &options, &ones).unwrap();
+    let of_band_0 = found.sh.chunks_exact(3 * scene.gaussians.sh_coefficients());
+    of_band_0.map(|sh| f64::from(sh[..3].iter().fold(0.0_f32, |a, b| a.max(*b))) / 0.2821).collect()
+}
+
+/// Root mean square distance of what is seen of each superpoint from where it belongs, pixels.
+fn errors_px(scene: &Scene, shares: &[f64], found: &[Pose], truth: &[Pose], camera: &Camera) -> Vec<f64> {
     let mut sums = vec![(0.0, 1e-9); truth.len()];
     let s = scene.deformation.superpoint_deformation().unwrap();
     for (i, mean) in scene.gaussians.mean.iter().enumerate() {
@@ -169,7 +179,8 @@ fn errors_px(scene: &Scene, found: &[Pose], truth: &[Pose], camera: &Camera) -> 
         for (j, _) in s.slots(i) {
             let at = |p: &Pose| project(camera, exp(p.rotation) * x + p.translation);
             let ([a, b], [c, d]) = (at(&found[j]).unwrap(), at(&truth[j]).unwrap());
-            sums[j] = (sums[j].0 + (a - c).powi(2) + (b - d).powi(2), sums[j].1 + 1.0);
+            let square = (a - c).powi(2) + (b - d).powi(2);
+            sums[j] = (sums[j].0 + shares[i] * square, sums[j].1 + shares[i]);
         }
     }
     sums.iter().map(|(sum, n)| (sum / n).sqrt()).collect()
@@ -202,8 +213,9 @@ fn disturbed_superpoints_come_back() {
         let table = found.scene.deformation.table().unwrap();
         assert_eq!(table.times.len(), 8);
         let poses = table_poses(table, time);
-        let before = errors_px(&scene, &start, &truth, &cameras[0]);
-        let after = errors_px(&scene, &poses, &truth, &cameras[0]);
+        let shares = shares(&gpu, &scene, &cameras[0], time);
+        let before = errors_px(&scene, &shares, &start, &truth, &cameras[0]);
+        let after = errors_px(&scene, &shares, &poses, &truth, &cameras[0]);
         println!("{count} views, before {before:.3?}\nafter {after:.3?}\n{:?}", found.moments[0]);
         assert!(found.moments[0].is_new_key);
         let seen: Vec<f64> = after

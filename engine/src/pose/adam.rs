@@ -25,10 +25,9 @@ impl Adam {
         self.step_blocks::<1>(gradient, rate)
     }
 
-    /// The same for vectors of three numbers, which share a second moment: they move by `rate` altogether, and what the gradient
-    /// hardly depends on (depth in a single photo) is not driven about by noise.
+    /// The same for vectors of six numbers, which share a second moment: their direction stays, they move by `rate` altogether.
     pub(super) fn step_vectors(&mut self, gradient: &[f64], rate: f64) -> Vec<f64> {
-        self.step_blocks::<3>(gradient, rate)
+        self.step_blocks::<6>(gradient, rate)
     }
 
     fn step_blocks<const B: usize>(&mut self, gradient: &[f64], rate: f64) -> Vec<f64> {

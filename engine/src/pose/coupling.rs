@@ -12,6 +12,7 @@
 use glam::{DQuat, DVec3};
 
 use super::bodies::{Bodies, Stand};
+use super::information::Block;
 use crate::edit::unwrapped;
 use crate::reference::table_poses;
 use crate::scene::Motion;
@@ -81,6 +82,24 @@ impl Coupling {
             gradient[p.k] = gradient[p.k] + Twist { rotation: turn, translation: -pull };
         }
         energy
+    }
+}
+
+impl Coupling {
+    /// Adds `scale` times the curvature of the energy to the blocks of turn and shift in units `[turn, shift]`, with the neighbours
+    /// held.
+    pub(super) fn add_curvature(&self, units: &[[f64; 2]], scale: f64, blocks: &mut [Block]) {
+        for p in &self.pairs {
+            for j in [p.j, p.k] {
+                let [turn, shift] = units[j];
+                let weight = 2.0 * scale * p.weight / units[p.j][1].powi(2);
+                let arm = if j == p.j { p.offset.length_squared() } else { 0.0 };
+                for k in 0..3 {
+                    blocks[j][k][k] += weight * (p.reach.powi(2) + 2.0 / 3.0 * arm) * turn * turn;
+                    blocks[j][3 + k][3 + k] += weight * shift * shift;
+                }
+            }
+        }
     }
 }
 

@@ -17,6 +17,7 @@ mod bodies;
 mod coupling;
 mod follow;
 mod gauge;
+mod information;
 mod keys;
 mod sight;
 mod solver;

@@ -1,21 +1,32 @@
 //! One moment: superpoints, cameras or both from all photos of one time.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::adam::Adam;
 use super::bodies::{Bodies, Stand};
 use super::coupling::Coupling;
 use super::gauge;
+use super::information::{Block, backward, cholesky, forward, information, scaled};
 use super::sight::Sight;
 use super::{Options, Progress, Solve, Watch};
 use crate::error::Result;
 use crate::reference::Pose;
 use crate::train::photo_loss::{PhotoLoss, Twist};
 
-/// Steps in pixels at the beginning and end of a size: the smallest, those between, full size.
-const RATES: [[f64; 2]; 3] = [[0.5, 0.1], [0.3, 0.1], [0.2, 0.004]];
-/// Largest turn of a superpoint in one step, radians.
+/// Steps in pixels of a size: at the beginning of the smallest and of the others, at their ends, and at the very end.
+const FIRST_RATE: f64 = 0.5;
+const NEXT_RATE: f64 = 0.3;
+const LAST_RATE: f64 = 0.1;
+const FINAL_RATE: f64 = 0.004;
+/// Largest turn of a superpoint in one step, radians; largest shift, pixels.
 const LARGEST_TURN: f64 = 0.1;
+const LARGEST_SHIFT: f64 = 2.0;
+/// Random images per photo for the metric of steps.
+const METRIC_PROBES: u32 = 16;
+/// What is known least of a superpoint counts as this share of what is known best.
+const RIDGE: f64 = 3e-3;
+/// Least difference of values that a photo of 8 bits leaves.
+const LEAST_DIFFERENCE: f64 = 0.5 / 255.0;
 
 /// What is searched for at a moment, and what it is searched with.
 pub(super) struct Solver<'s, 'a> {
@@ -37,6 +48,25 @@ pub(super) struct State {
     pub(super) poses: Vec<Pose>,
 }
 
+/// How a superpoint steps: numbers are taken by the root of what is known of them, so that a step goes as far in each direction as
+/// the photos can tell.
+struct Metric {
+    /// L of the block LLᵀ.
+    root: Block,
+    /// Makes a step of 1 that of a pixel in the direction that is known best.
+    scale: f64,
+    /// Of turn, radians, and shift, world units: what moves a superpoint's rim by a pixel.
+    units: [f64; 2],
+}
+
+impl Metric {
+    /// Where nothing is known.
+    fn plain(units: [f64; 2]) -> Self {
+        let root = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { 1.0 } else { 0.0 }));
+        Self { root, scale: 1.0, units }
+    }
+}
+
 /// What a photo looks like at full size.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct PhotoFound {
@@ -48,8 +78,8 @@ pub(super) struct PhotoFound {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Sizes {
     All,
-    /// All but full size, where there are others.
-    Small,
+    /// All, with half the iterations.
+    Again,
     Full,
 }
 
@@ -64,17 +94,22 @@ impl Solver<'_, '_> {
     ) -> Result<bool> {
         let coarsest = state.sights.iter().map(|s| s.sizes.len()).min().unwrap_or(1) - 1;
         let range = match sizes {
-            Sizes::All => 0..=coarsest,
-            Sizes::Small => coarsest.min(1)..=coarsest,
+            Sizes::All | Sizes::Again => 0..=coarsest,
             Sizes::Full => 0..=0,
         };
+        let all = self.options.iterations / if sizes == Sizes::Again { 2 } else { 1 };
         let mut adam = Adam::new(6 * state.stands.len());
         for size in range.rev() {
-            let iterations = (self.options.iterations * if size == 0 { 2 } else { 1 } / (coarsest as u32 + 2)).max(1);
-            let [from, to] = RATES[if size == 0 { 2 } else { usize::from(size != coarsest) }];
+            let iterations = (all * if size == 0 { 2 } else { 1 } / (coarsest as u32 + 2)).max(1);
+            let from = if size == coarsest && size > 0 { FIRST_RATE } else { NEXT_RATE };
+            let to = if size == 0 { FINAL_RATE } else { LAST_RATE };
+            let mut metric = Vec::new();
             for iteration in 0..iterations {
+                if self.options.solve != Solve::Camera && (iteration == 0 || iteration == iterations / 2) {
+                    metric = self.metric(state, size, progress.loss)?;
+                }
                 let share = f64::from(iteration) / f64::from(iterations.max(2) - 1);
-                progress.loss = self.iterate(state, &mut adam, size, from * (to / from).powf(share))?;
+                progress.loss = self.iterate(state, &mut adam, &metric, size, from * (to / from).powf(share))?;
                 progress.iteration += 1;
                 if !watch(progress) {
                     return Ok(false);
@@ -99,7 +134,14 @@ impl Solver<'_, '_> {
     }
 
     /// One step; the loss before it.
-    fn iterate(&mut self, state: &mut State, adam: &mut Adam, size: usize, rate: f64) -> Result<f64> {
+    fn iterate(
+        &mut self,
+        state: &mut State,
+        adam: &mut Adam,
+        metric: &[Metric],
+        size: usize,
+        rate: f64,
+    ) -> Result<f64> {
         let (by_camera, by_poses) = (self.options.solve != Solve::Superpoints, self.options.solve != Solve::Camera);
         state.poses = self.bodies.poses(&state.stands, &state.poses);
         let mut loss = 0.0;
@@ -118,26 +160,56 @@ impl Solver<'_, '_> {
             }
         }
         if by_poses {
-            self.move_superpoints(state, adam, size, rate, &mut gradient);
+            self.move_superpoints(state, adam, metric, rate, &mut gradient);
         }
         Ok(loss)
     }
 
-    fn move_superpoints(&self, state: &mut State, adam: &mut Adam, size: usize, rate: f64, gradient: &mut [Twist]) {
-        let nearest = |x: DVec3| state.sights.iter().map(|s| s.unit_at(size, x)).fold(f64::INFINITY, f64::min);
-        let unit: Vec<f64> = state.stands.iter().map(|s| nearest(s.place)).collect();
+    fn move_superpoints(
+        &self,
+        state: &mut State,
+        adam: &mut Adam,
+        metric: &[Metric],
+        rate: f64,
+        gradient: &mut [Twist],
+    ) {
+        let unit: Vec<f64> = metric.iter().map(|m| m.units[1]).collect();
         self.coupling.add(&state.stands, &unit, self.options.coupling, gradient);
         self.stay_smooth(&state.stands, &unit, gradient);
-        let turn_unit: Vec<f64> = unit.iter().zip(&self.bodies.reach).map(|(u, r)| (u / r).min(LARGEST_TURN)).collect();
-        let scaled = gradient.iter().zip(turn_unit.iter().zip(&unit));
-        let scaled: Vec<f64> = scaled
-            .flat_map(|(g, (t, u))| [(g.rotation * *t).to_array(), (g.translation * *u).to_array()].concat())
-            .collect();
-        let step = adam.step_vectors(&scaled, rate);
-        for (j, stand) in state.stands.iter_mut().enumerate() {
-            let [turn, shift] = [0, 3].map(|k| DVec3::from_slice(&step[6 * j + k..6 * j + k + 3]));
-            *stand = stand.moved(turn * turn_unit[j], shift * unit[j]);
+        let rows = gradient.iter().zip(metric);
+        let whitened: Vec<f64> =
+            rows.flat_map(|(g, m)| forward(&m.root, scaled(*g, DMat3::IDENTITY, &m.units))).collect();
+        let step = adam.step_vectors(&whitened, rate);
+        for ((stand, m), step) in state.stands.iter_mut().zip(metric).zip(step.as_chunks::<6>().0) {
+            let step = backward(&m.root, *step).map(|v| v * m.scale);
+            let [turn, shift] = [0, 3].map(|k| DVec3::from_slice(&step[k..k + 3]));
+            let [turn, shift] = [turn * m.units[0], shift * m.units[1]];
+            *stand =
+                stand.moved(turn.clamp_length_max(LARGEST_TURN), shift.clamp_length_max(LARGEST_SHIFT * m.units[1]));
         }
+    }
+
+    /// In which metric each superpoint steps, from what photos of a size say of it, and its neighbours.
+    fn metric(&mut self, state: &State, size: usize, loss: f64) -> Result<Vec<Metric>> {
+        let nearest = |x: DVec3| state.sights.iter().map(|s| s.unit_at(size, x)).fold(f64::INFINITY, f64::min);
+        let unit = |(stand, reach): (&Stand, &f64)| {
+            let shift = nearest(stand.place);
+            [(shift / reach).min(LARGEST_TURN), shift]
+        };
+        let units: Vec<[f64; 2]> = state.stands.iter().zip(&self.bodies.reach).map(unit).collect();
+        let (axes, probes) = (DMat3::IDENTITY, METRIC_PROBES);
+        let poses = self.bodies.poses(&state.stands, &state.poses);
+        let mut blocks = information(self.loss, &state.stands, &poses, &state.sights, size, axes, &units, probes)?;
+        // |r|/3 curves like r²/(6s) where differences are about s.
+        let typical = (loss / state.sights.len().max(1) as f64).max(LEAST_DIFFERENCE);
+        blocks.iter_mut().flatten().flatten().for_each(|v| *v /= 3.0 * typical);
+        self.coupling.add_curvature(&units, self.options.coupling, &mut blocks);
+        let metric = |(block, units): (&Block, &[f64; 2])| {
+            let root = cholesky(block, RIDGE)?;
+            let largest = (0..6).map(|k| block[k][k]).fold(0.0, f64::max);
+            Some(Metric { root, scale: largest.sqrt(), units: *units })
+        };
+        Ok(blocks.iter().zip(&units).map(|pair| metric(pair).unwrap_or_else(|| Metric::plain(*pair.1))).collect())
     }
 
     /// Adds the gradient of λ Σ (‖x − x̂‖² + ρ²‖log R R̂ᵀ‖²)/u²: what is expected goes on as it went.

@@ -64,7 +64,7 @@ pub(super) fn check(
     for (sight, (start, end)) in state.sights.iter_mut().zip(first.iter().zip(&ends)) {
         mirror(sight, start, end);
     }
-    if !solver.solve(state, Sizes::Small, progress, watch)? {
+    if !solver.solve(state, Sizes::Again, progress, watch)? {
         return Ok(None);
     }
     let again = solver.measure(state)?;

@@ -1,8 +1,7 @@
 //! The loss of one photo, and its gradients by the poses of superpoints and by the camera: the kernels of a training step,
 //! with the Gaussians left as they are and poses that the host gives.
 //!
-//! Per Gaussian the device leaves the gradient by a left tangent ω of its superpoint's rotation about the origin and by the
-//! translation τ. The host sums them in f64 and in a fixed order: by superpoint for the poses, over all of them for the camera,
+//! Per Gaussian the device leaves the gradient by a left tangent ω of its superpoint's rotation and by the translation τ. The host sums them in f64 and in a fixed order: by superpoint for the poses, over all of them for the camera,
 //! which sees a scene that moves as one just as if it moved the other way ([`sums`]).
 
 mod sums;
@@ -353,7 +352,7 @@ impl<'a> PhotoLoss<'a> {
         }
         let loss = |i: u64| f64::from(f32::from_bits(words[(READBACK[1] / 4 + i) as usize]));
         let of_poses = self.floats(READBACK[3], self.pose_gradient.bytes())?;
-        let poses_found = self.pose_sums(&of_poses);
+        let poses_found = self.pose_sums(&of_poses, poses);
         let camera = if by_camera {
             let rows = self.floats(READBACK[3] + self.pose_gradient.bytes(), self.splat_gradient.bytes())?;
             Some(self.camera_gradient(&poses_found, &rows, camera, poses))

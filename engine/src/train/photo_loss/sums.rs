@@ -1,7 +1,8 @@
 //! From gradients of each Gaussian to those of superpoints and of the camera, in f64.
 //!
-//! With g_i the gradient of centre i and ω_i that by a left tangent about the world's origin (torque of the shape + μ_i × g_i), a
-//! rigid change of the whole scene has Σ g_i and Σ ω_i. A camera that goes by δ sees the scene go by −δ, so ∂L/∂c = −Σ g_i. One
+//! The device turns a superpoint with its translation τ held, which is about τ; ω_0 = ω_τ + τ × g is the gradient by a turn about the
+//! world's origin. With g_i the gradient of centre i and ω_i that by such a turn (torque of the shape + μ_i × g_i), a rigid change of
+//! the whole scene has Σ g_i and Σ ω_i. A camera that goes by δ sees the scene go by −δ, so ∂L/∂c = −Σ g_i. One
 //! that turns about its centre c sees the scene turned back, but looks at every Gaussian from the same side as before: the
 //! part of g_i that comes by the direction v_i of the SH colours is left out,
 //! ∂L/∂θ = −Σ (ω_i − c × g_i − v_i × ∂L/∂v_i).
@@ -55,7 +56,7 @@ pub struct CameraGradient {
 
 impl PhotoLoss<'_> {
     /// `[M]` gradients by the poses from `float[6][N]`, or `float[K][7][N]` with soft superpoints.
-    pub(super) fn pose_sums(&self, planes: &[f32]) -> Vec<Twist> {
+    pub(super) fn pose_sums(&self, planes: &[f32], poses: &[Pose]) -> Vec<Twist> {
         let moved = &self.buffers.deformation;
         let (n, slots) = (self.buffers.gaussians as usize, moved.blend_slots() as usize);
         let mut sums = vec![Twist::default(); moved.superpoints as usize];
@@ -76,9 +77,10 @@ impl PhotoLoss<'_> {
                 row.for_each(|(slot, &j)| add(j, slot * SLOT_PLANES as usize, i));
             }),
         }
-        // The device's coordinates begin at the scene's origin.
+        // On the device a superpoint turns with its translation held: about where its pose takes the device's origin.
         let origin = self.buffers.origin;
-        sums.into_iter().map(|sum| sum.about(-origin)).collect()
+        let center = |pose: &Pose| exp(pose.rotation) * origin + pose.translation;
+        sums.into_iter().zip(poses).map(|(sum, pose)| sum.about(-center(pose))).collect()
     }
 
     /// Gradient by the camera, from those of the poses about the world's origin and the rows of the splats.
