@@ -22,25 +22,28 @@ impl Adam {
 
     /// The change of each number at this gradient; about `rate` while the gradient keeps its sign.
     pub(super) fn step(&mut self, gradient: &[f64], rate: f64) -> Vec<f64> {
-        self.step_blocks::<1>(gradient, rate)
+        self.step_blocks::<1>(gradient, |_| [rate, f64::INFINITY])
     }
 
-    /// The same for vectors of six numbers, which share a second moment: their direction stays, they move by `rate` altogether.
-    pub(super) fn step_vectors(&mut self, gradient: &[f64], rate: f64) -> Vec<f64> {
-        self.step_blocks::<6>(gradient, rate)
+    /// The same for vectors of six numbers, in which the function has a curvature of about 1. They share a second moment: their
+    /// direction stays, and a vector moves by its own `rate` altogether, but not further than a step of Newton's method.
+    pub(super) fn step_vectors(&mut self, gradient: &[f64], rate: impl Fn(usize) -> f64) -> Vec<f64> {
+        self.step_blocks::<6>(gradient, |block| [rate(block), 1.0])
     }
 
-    fn step_blocks<const B: usize>(&mut self, gradient: &[f64], rate: f64) -> Vec<f64> {
+    fn step_blocks<const B: usize>(&mut self, gradient: &[f64], rate: impl Fn(usize) -> [f64; 2]) -> Vec<f64> {
         self.steps += 1;
         let [one, two] = [BETA_1, BETA_2].map(|beta: f64| 1.0 - beta.powi(self.steps));
         let blocks = self.first.chunks_exact_mut(B).zip(self.second.chunks_exact_mut(B)).zip(gradient.chunks_exact(B));
         let mut steps = Vec::with_capacity(gradient.len());
-        for ((first, second), g) in blocks {
+        for (block, ((first, second), g)) in blocks.enumerate() {
             let square: f64 = g.iter().map(|g| g * g).sum();
+            let [rate, most] = rate(block);
             for ((first, second), g) in first.iter_mut().zip(second).zip(g) {
                 *first = BETA_1 * *first + (1.0 - BETA_1) * g;
                 *second = BETA_2 * *second + (1.0 - BETA_2) * square;
-                steps.push(-rate * (*first / one) / ((*second / two).sqrt() + EPSILON));
+                let factor = (rate / ((*second / two).sqrt() + EPSILON)).min(most);
+                steps.push(-factor * *first / one);
             }
         }
         steps
@@ -60,5 +63,10 @@ mod tests {
             x += adam.step(&[f64::signum(x)], 0.2 * 0.97_f64.powi(k))[0];
         }
         assert!(x.abs() < 0.02, "{x}");
+        let mut vectors = Adam::new(12);
+        let gradient: Vec<f64> = [3.0, 4.0, 0.0, 0.0, 0.0, 0.0].into_iter().chain([0.01; 6]).collect();
+        let step = vectors.step_vectors(&gradient, |_| 0.5);
+        assert!((step[0] + 0.3).abs() < 1e-9 && (step[1] + 0.4).abs() < 1e-9, "{step:?}");
+        assert!((step[6] + 0.01).abs() < 1e-9, "no further than Newton's: {step:?}");
     }
 }

@@ -39,6 +39,9 @@ pub fn follow(
     if views.is_empty() {
         return Err(Error::usage("photos", "none", "at least one"));
     }
+    if scene.gaussians.is_empty() {
+        return Err(Error::usage("model", "no Gaussians", "at least one"));
+    }
     let carrier = carrier(scene, options.solve)?;
     let Some(table) = carrier.deformation.table() else {
         return Err(Error::usage("model", "no key-time table", "superpoints with one"));
@@ -157,6 +160,7 @@ impl Follower<'_> {
             coupling: &self.coupling,
             options: self.options,
             expected: expected.as_deref(),
+            strength: self.options.coupling,
         };
         let before = solver.measure(&mut state)?;
         if !solver.solve(&mut state, Sizes::All, &mut progress, watch)? {

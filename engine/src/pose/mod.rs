@@ -10,7 +10,9 @@
 //!   its neighbours by it alone.
 //! - x̂, R̂: where the two key times before want the superpoints to go on to, for photos after the last key.
 //!
-//! Steps are in pixels: a step of 1 moves what a number is about by a pixel of the size that is looked at.
+//! A superpoint steps in the metric of its own block of Gauss–Newton's JᵀJ and of its coupling, at most by so many pixels of
+//! the size that is looked at, and not further than Newton's step: directions that photos hardly tell (depth in a single one) do not
+//! drift, and those that they tell are not slowed down.
 
 mod adam;
 mod bodies;
@@ -58,7 +60,7 @@ pub struct Options {
     pub init: Option<f64>,
     /// Iterations per time, over all sizes of its photos.
     pub iterations: u32,
-    /// λ_A.
+    /// λ_A at the end; it is larger while photos are small.
     pub coupling: f64,
     /// λ_v.
     pub smoothness: f64,
@@ -80,7 +82,7 @@ impl Default for Options {
             solve: Solve::default(),
             init: None,
             iterations: 400,
-            coupling: 0.3,
+            coupling: 3.0,
             smoothness: 0.003,
             lambda_dssim: 0.2,
             background: [0.0; 3],

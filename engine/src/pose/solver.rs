@@ -21,6 +21,8 @@ const FINAL_RATE: f64 = 0.004;
 /// Largest turn of a superpoint in one step, radians; largest shift, pixels.
 const LARGEST_TURN: f64 = 0.1;
 const LARGEST_SHIFT: f64 = 2.0;
+/// λ_A at the smallest size, in units of that at the end.
+const FIRM: f64 = 10.0;
 /// Random images per photo for the metric of steps.
 const METRIC_PROBES: u32 = 16;
 /// What is known least of a superpoint counts as this share of what is known best.
@@ -36,6 +38,8 @@ pub(super) struct Solver<'s, 'a> {
     pub(super) options: &'s Options,
     /// Where smoothness over time wants the superpoints.
     pub(super) expected: Option<&'s [Stand]>,
+    /// λ_A of the moment.
+    pub(super) strength: f64,
 }
 
 /// The state of a search.
@@ -104,8 +108,10 @@ impl Solver<'_, '_> {
             let from = if size == coarsest && size > 0 { FIRST_RATE } else { NEXT_RATE };
             let to = if size == 0 { FINAL_RATE } else { LAST_RATE };
             let mut metric = Vec::new();
+            let strengths = self.strengths(size, coarsest);
             for iteration in 0..iterations {
                 if self.options.solve != Solve::Camera && (iteration == 0 || iteration == iterations / 2) {
+                    self.strength = strengths[usize::from(iteration > 0)];
                     metric = self.metric(state, size, progress.loss)?;
                 }
                 let share = f64::from(iteration) / f64::from(iterations.max(2) - 1);
@@ -120,6 +126,14 @@ impl Solver<'_, '_> {
             }
         }
         Ok(true)
+    }
+
+    /// λ_A in the first and second half of a size: neighbours hold on to each other firmly while photos are small, and where they are
+    /// full at first.
+    fn strengths(&self, size: usize, coarsest: usize) -> [f64; 2] {
+        let at = |share: f64| self.options.coupling * FIRM.powf(share);
+        let share = (size as f64 + 1.0) / (coarsest as f64 + 1.0);
+        if size == 0 { [at(share), self.options.coupling] } else { [at(share), at(share)] }
     }
 
     /// Every photo at full size, where things stand.
@@ -174,14 +188,14 @@ impl Solver<'_, '_> {
         gradient: &mut [Twist],
     ) {
         let unit: Vec<f64> = metric.iter().map(|m| m.units[1]).collect();
-        self.coupling.add(&state.stands, &unit, self.options.coupling, gradient);
+        self.coupling.add(&state.stands, &unit, self.strength, gradient);
         self.stay_smooth(&state.stands, &unit, gradient);
         let rows = gradient.iter().zip(metric);
         let whitened: Vec<f64> =
             rows.flat_map(|(g, m)| forward(&m.root, scaled(*g, DMat3::IDENTITY, &m.units))).collect();
-        let step = adam.step_vectors(&whitened, rate);
+        let step = adam.step_vectors(&whitened, |j| rate * metric[j].scale);
         for ((stand, m), step) in state.stands.iter_mut().zip(metric).zip(step.as_chunks::<6>().0) {
-            let step = backward(&m.root, *step).map(|v| v * m.scale);
+            let step = backward(&m.root, *step);
             let [turn, shift] = [0, 3].map(|k| DVec3::from_slice(&step[k..k + 3]));
             let [turn, shift] = [turn * m.units[0], shift * m.units[1]];
             *stand =
@@ -203,7 +217,7 @@ impl Solver<'_, '_> {
         // |r|/3 curves like r²/(6s) where differences are about s.
         let typical = (loss / state.sights.len().max(1) as f64).max(LEAST_DIFFERENCE);
         blocks.iter_mut().flatten().flatten().for_each(|v| *v /= 3.0 * typical);
-        self.coupling.add_curvature(&units, self.options.coupling, &mut blocks);
+        self.coupling.add_curvature(&units, self.strength, &mut blocks);
         let metric = |(block, units): (&Block, &[f64; 2])| {
             let root = cholesky(block, RIDGE)?;
             let largest = (0..6).map(|k| block[k][k]).fold(0.0, f64::max);

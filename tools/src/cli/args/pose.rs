@@ -43,7 +43,7 @@ pub struct PoseArgs {
     #[arg(long, value_name = "N", default_value_t = 400, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub iterations: u32,
     /// How much superpoints hold on to their neighbours
-    #[arg(long, value_name = "X", default_value_t = 0.3, value_parser = weight)]
+    #[arg(long, value_name = "X", default_value_t = 3.0, value_parser = weight)]
     pub coupling: f64,
     /// How much they go on as they went, after the model's last key time
     #[arg(long, value_name = "X", default_value_t = 0.003, value_parser = weight)]
