@@ -228,8 +228,7 @@ fn disturbed_superpoints_come_back() {
         println!("{count} views, seen {seen_px:.0?} px\nbefore {before:.3?}\nafter  {after:.3?}");
         assert!(found.moments[0].is_new_key);
         let seen: Vec<f64> = (0..truth.len()).filter(|&j| seen_px[j] >= SEEN_PX).map(|j| after[j]).collect();
-        let hidden = found.moments[0].superpoints.iter().filter(|u| !u.seen).count();
-        assert_eq!((seen.len() >= 5, hidden), (true, usize::from(count == 1)), "{seen_px:.0?}");
+        assert!(seen.len() >= 5, "{seen_px:.0?}");
         assert!(seen.iter().all(|px| *px <= 0.1), "{seen:.3?}");
     }
 }
