@@ -47,7 +47,7 @@ mod tests {
         let scene = moving_scene(50, 4, 5, 2, false);
         let motion = scene.deformation.table().unwrap();
         let pose = Pose { rotation: DVec3::X, translation: DVec3::new(0.0, 2.0, 0.5) };
-        for (time, keys) in [(-1.0, 6), (0.1, 6), (0.25, 5), (1.0, 5), (3.5, 6)] {
+        for (time, keys) in [(-1.0, 6), (0.125, 6), (0.25, 5), (1.0, 5), (3.5, 6)] {
             let mut changed = motion.clone();
             assert_eq!(put(&mut changed, time, &[pose; 4]).unwrap(), keys == 6);
             assert_eq!(changed.times.len(), keys);
