@@ -33,6 +33,7 @@
 //! | [`train`] | posed images → scene on the GPU: loss, backward kernels, Adam, density, checkpoints |
 //! | [`edit`] | select Gaussians; move, turn, scale, recolour, retime, merge them |
 //! | [`distill`] | the motion of any model as superpoints, within a bound in pixels |
+//! | [`pose`] | how superpoints and cameras stand in new photos |
 //! | [`self_test`] | whether a device computes what it must: every kernel of a frame or a step on a small scene; [`gpu::Gpu::new`] |
 //!
 //! ## A frame
@@ -125,6 +126,7 @@ pub mod gpu;
 pub mod image;
 pub mod manual;
 pub mod metrics;
+pub mod pose;
 pub mod reference;
 pub mod render;
 pub mod scene;

@@ -10,6 +10,7 @@ pub const PAGES: &[Page] = &[
     Page { topic: "video", text: include_str!("../docs/video.md") },
     Page { topic: "editing", text: include_str!("../docs/editing.md") },
     Page { topic: "distilling", text: include_str!("../docs/distilling.md") },
+    Page { topic: "posing", text: include_str!("../docs/posing.md") },
     Page { topic: "training", text: include_str!("../docs/training.md") },
     Page { topic: "quality", text: include_str!("../docs/quality.md") },
     Page { topic: "measuring", text: include_str!("../docs/measuring.md") },
@@ -32,6 +33,7 @@ pub mod commands {
     //! [formats]: ../../../engine/manual/formats/index.html
     //! [measuring]: super::measuring
     //! [metrics]: ../../../engine/manual/metrics/index.html
+    //! [posing]: super::posing
     //! [quality]: super::quality
     //! [training]: super::training
     //! [video]: super::video
@@ -59,6 +61,11 @@ pub mod editing {
 pub mod distilling {
     //! [formats]: ../../../engine/manual/formats/index.html
     #![doc = include_str!("../docs/distilling.md")]
+}
+
+pub mod posing {
+    //! [data]: ../../../engine/manual/data/index.html
+    #![doc = include_str!("../docs/posing.md")]
 }
 
 pub mod training {

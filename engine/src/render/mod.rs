@@ -33,7 +33,7 @@ pub mod blend_rgba32f;
 #[doc(hidden)]
 pub mod blend_rgba8;
 pub(crate) mod bounds;
-mod capacity;
+pub(crate) mod capacity;
 #[doc(hidden)]
 pub mod compact;
 #[doc(hidden)]

@@ -55,6 +55,7 @@ pub mod network_g;
 mod numbers;
 #[doc(hidden)]
 pub mod parameters;
+pub mod photo_loss;
 mod photos;
 #[doc(hidden)]
 pub mod property_loss;

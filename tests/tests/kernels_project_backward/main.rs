@@ -227,8 +227,8 @@ fn adam_takes_the_step_of_the_gradient() {
     let cases = [(3, 600), (0, 33), (1, 129), (2, 257)];
     for (degree, n) in cases.into_iter().take(if tests_harness::small() { 1 } else { 4 }) {
         // Each is two pipelines, which take seconds to compile: in small, those that have the most parameters.
-        let (first, step) = if tests_harness::small() { (4, 2) } else { (0, 1) };
-        for (what, input) in variants(n, degree, 40 + u64::from(degree)).into_iter().skip(first).step_by(step) {
+        let (first, each) = if tests_harness::small() { (4, 2) } else { (0, 1) };
+        for (what, input) in variants(n, degree, 40 + u64::from(degree)).into_iter().skip(first).step_by(each) {
             let camera = test_camera(120, 90);
             let gradients = case(&input, &camera, OUTPUT_GRADIENT, 9).run(&gpu).gpu;
             let before = case(&input, &camera, OUTPUT_ADAM, 9).buffers;

@@ -26,6 +26,7 @@ const LAYERS: &[&[&str]] = &[
     &["train"],
     &["edit"],
     &["distill"],
+    &["pose"],
     &["self_test"],
 ];
 /// Names that the crate root re-exports, and where they live.

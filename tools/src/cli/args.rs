@@ -13,6 +13,7 @@ mod eval;
 mod help;
 mod inspect;
 mod options;
+mod pose;
 mod render;
 mod train;
 mod view;
@@ -31,6 +32,7 @@ pub use eval::{EvalArgs, SplitArg};
 pub use help::{HelpArgs, topics};
 pub use inspect::InspectArgs;
 pub use options::{Format, Global, LookArgs, MotionArg, QualityArgs, ResultArgs, SizeArgs, motion_source};
+pub use pose::{PoseArgs, SolveArg};
 pub use render::{PathArg, RenderArgs};
 pub use train::TrainArgs;
 pub use view::ViewerArgs;
@@ -70,6 +72,8 @@ pub enum Command {
     Edit(EditArgs),
     /// Turn any moving model into superpoints, with a stated error
     Distill(DistillArgs),
+    /// Find how superpoints and cameras stand in new photos
+    Pose(PoseArgs),
     /// Describe a model file or a data set
     Inspect(InspectArgs),
     /// List the Vulkan devices, and what unusable ones lack

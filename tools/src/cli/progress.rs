@@ -22,6 +22,11 @@ pub fn steps(total: u64, quiet: bool) -> ProgressBar {
     bar
 }
 
+/// A bar over the times of photos, with the search at one of them.
+pub fn poses(total: u64, quiet: bool) -> ProgressBar {
+    shown(Some(total), quiet, "{bar:30} {pos}/{len} times, {elapsed}; {wide_msg}")
+}
+
 /// A bar over the settings of a sweep, with the one that is measured.
 pub fn sweep(total: u64, quiet: bool) -> ProgressBar {
     shown(Some(total), quiet, "{bar:30} {pos}/{len}, {eta} left; {msg}")

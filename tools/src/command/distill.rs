@@ -41,7 +41,7 @@ const NAMES: [&str; 3] = ["model.safetensors", "report.json", "report.html"];
 /// Distills, and says what that cost.
 ///
 /// # Errors
-/// As [`distill`].
+/// As [`distill()`].
 pub fn run(args: &DistillArgs, global: &Global) -> Result<()> {
     let record = distill(args, global)?;
     if args.json {

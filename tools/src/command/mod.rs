@@ -10,6 +10,7 @@ pub mod edit;
 pub mod eval;
 pub mod help;
 pub mod inspect;
+pub mod pose;
 pub mod render;
 pub mod train;
 pub mod view;
@@ -62,6 +63,7 @@ pub fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Convert(args) => convert::run(args, global),
         Command::Edit(args) => edit::run(args, global),
         Command::Distill(args) => distill::run(args, global),
+        Command::Pose(args) => pose::run(args, global),
         Command::Inspect(args) => inspect::run(args),
         Command::Devices(args) => devices::run(args, global),
         Command::Help(args) => help::run(args),
