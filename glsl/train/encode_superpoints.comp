@@ -15,10 +15,7 @@ layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
 layout(std430, set = 0, binding = 1) readonly buffer SuperpointPositionBlock { float superpoint_position[]; };
 layout(std430, set = 0, binding = 2) writeonly buffer EncodingBlock { float encoding[]; }; // [M, 76]
 
-layout(push_constant) uniform Push {
-    uint rows;
-    uint position_octaves; // that are read; zeros stand for the others
-} push;
+layout(push_constant) uniform Push { uint rows; } push;
 
 const uint ENCODED = 76u; // 3 + 3 * 2 * 10 and 1 + 2 * 6
 
@@ -28,7 +25,6 @@ void main() {
     EncodedElement e = encoded_element(item % ENCODED);
     if (row < push.rows) {
         float x = e.axis < 3u ? superpoint_position[3u * row + e.axis] : step_data.time;
-        bool is_read = e.axis == 3u || e.part == 0u || e.octave < push.position_octaves;
-        encoding[item] = is_read ? encoded_value(e, x) : 0.0;
+        encoding[item] = encoded_value(e, x);
     }
 }

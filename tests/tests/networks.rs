@@ -172,45 +172,6 @@ fn network_f_agrees_with_the_reference() {
     }
 }
 
-/// What network F does not read has no weight, and gets none.
-#[test]
-fn network_f_with_fewer_octaves_agrees_with_the_reference() {
-    let gpu = tests_harness::gpu();
-    let (time, count, octaves) = (0.37_f32, 40, 4);
-    for size in [[8, 64], [2, 32], [1, 32]].map(|[layers, width]| DeformSize { layers, width }) {
-        let mut r = Random(31);
-        let all = DeformNetwork::init(7, size, false);
-        let weights = all.clone().with_position_octaves(octaves);
-        // Of 10 octaves the highest 6: 36 of 76 columns, in the skip layer too.
-        let shut = |layer: &Linear| layer.weight.iter().filter(|w| **w == 0.0).count();
-        assert_eq!(shut(&weights.linear[0]), 36 * size.width);
-        assert_eq!(
-            weights.linear.iter().map(shut).sum::<usize>(),
-            (1 + usize::from(size.layers > 2)) * 36 * size.width
-        );
-        let (position, planes) = (positions(&mut r, count), upstream(&mut r, 6 * count));
-        let pass = PassF::new(&gpu, time, &position, &planes);
-        let network = NetworkF::new(&gpu, &weights, count as u32).unwrap().with_position_octaves(octaves);
-        pass.run(&gpu, &network, Output::Gradient);
-        let error = pose_error(&gpu, &pass.pose, &reference::network_poses(&weights, &position, time.into()));
-        assert!(error <= 1e-5, "{error:e}");
-        let other = pose_error(&gpu, &pass.pose, &reference::network_poses(&all, &position, time.into()));
-        assert!(other > 1e-2, "it is another network than with all octaves: {other:e}");
-        let vectors = |first: usize| (0..count).map(|m| plane_vector(&planes, first, count, m)).collect::<Vec<_>>();
-        let mut truth = network_gradient(&weights, &position, time.into(), &vectors(0), &vectors(3));
-        let gradient = network.download_gradient().unwrap();
-        for (i, layer) in gradient.linear.iter().enumerate() {
-            let expected = &mut truth.linear[i].weight;
-            expected.iter_mut().zip(&weights.linear[i].weight).filter(|(_, w)| **w == 0.0).for_each(|(g, _)| *g = 0.0);
-            assert_layer(layer, &truth.linear[i], &format!("linear.{i}"));
-        }
-        pass.run(&gpu, &network, Output::Adam);
-        let after = network.download().unwrap();
-        assert_ne!(after, weights);
-        assert_eq!(after.clone().with_position_octaves(octaves), after, "what is not read has no weight after a step");
-    }
-}
-
 /// An array of an `.npz` file as f64.
 fn array(path: &Path, name: &str) -> Vec<f64> {
     let mut archive = zip::ZipArchive::new(std::fs::File::open(path).unwrap()).unwrap();

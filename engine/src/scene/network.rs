@@ -24,12 +24,6 @@ pub const TIME_FREQUENCIES: usize = 6;
 /// 63 + 13 inputs.
 pub const ENCODING_WIDTH: usize = 3 + 6 * POSITION_FREQUENCIES + 1 + 2 * TIME_FREQUENCIES;
 
-/// Whether network F reads element `e` of its encoding when it has so many octaves of position.
-pub fn reads(e: usize, position_octaves: u32) -> bool {
-    const TIME: usize = 3 + 6 * POSITION_FREQUENCIES;
-    !(3..TIME).contains(&e) || (e - 3) / 6 < position_octaves as usize
-}
-
 /// max(y, 0) that keeps NaN, as the kernels have it (`glsl/lib/relu.glsl`): a broken weight must not look like a neuron that
 /// is off.
 pub fn relu(y: f64) -> f64 {
@@ -128,20 +122,6 @@ impl DeformNetwork {
         let (translation, rotation) = (linear(size.width, 3), linear(size.width, 3));
         let head = |layer: Linear| if zero_heads { layer.zeroed() } else { layer };
         Self { linear: hidden, translation: head(translation), rotation: head(rotation) }
-    }
-
-    /// The same network without weight on all but the lowest octaves of position.
-    #[must_use]
-    pub fn with_position_octaves(mut self, octaves: u32) -> Self {
-        let skip = self.size().skip_layer();
-        for layer in std::iter::once(0).chain(skip) {
-            let Some(layer) = self.linear.get_mut(layer) else { continue };
-            for row in layer.weight.chunks_exact_mut(layer.inputs.max(1)) {
-                let encoding = row.iter_mut().take(ENCODING_WIDTH).enumerate();
-                encoding.filter(|(e, _)| !reads(*e, octaves)).for_each(|(_, w)| *w = 0.0);
-            }
-        }
-        self
     }
 
     /// Every layer with its name in the model file, in the order of [`DeformNetwork::flatten`].

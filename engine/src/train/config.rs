@@ -18,7 +18,6 @@ use serde::{Deserialize, Serialize};
 use crate::data::dataset::DatasetOptions;
 use crate::error::{Error, Result};
 use crate::scene::Blend;
-use crate::scene::network::POSITION_FREQUENCIES;
 use crate::scene::parameter::{PARAMETERS, Present, REQUIRED};
 pub use motion::{MotionConfig, RotationForm};
 pub use preset::{Base, Method, Preset};
@@ -326,9 +325,6 @@ impl Config {
         if !(self.motion.neighbors..=16).contains(&self.motion.association_slots) {
             let found = self.motion.association_slots.to_string();
             return wrong("motion.association_slots", found, "motion.neighbors to 16");
-        }
-        if self.motion.position_octaves as usize > POSITION_FREQUENCIES {
-            return wrong("motion.position_octaves", self.motion.position_octaves.to_string(), "0 to 10");
         }
         Present::of_names(&self.gaussians.optional)?;
         let rates: Vec<String> = self.learning_rate.optional.keys().cloned().collect();

@@ -11,7 +11,7 @@ pub mod encode_superpoints;
 #[cfg(test)]
 mod tests;
 
-use self::encode_superpoints::{ENCODE_SUPERPOINTS, EncodeSuperpointsBuffers, EncodeSuperpointsPush};
+use self::encode_superpoints::{ENCODE_SUPERPOINTS, EncodeSuperpointsBuffers};
 use super::linear::gather_gradient::GatherGradientPush;
 use super::linear::linear_update::LinearUpdatePush;
 use super::linear::{Layer, Network, Output, Parameters, Pass, Shape, Split, Stage};
@@ -19,7 +19,7 @@ use crate::error::{Error, Result};
 use crate::gpu::kernel::Kernel;
 use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
 use crate::scene::DeformNetwork;
-use crate::scene::network::{DeformSize, ENCODING_WIDTH, Linear, POSITION_FREQUENCIES};
+use crate::scene::network::{DeformSize, ENCODING_WIDTH, Linear};
 
 /// Kernels of this module.
 pub static KERNELS: &[&Kernel] = &[&ENCODE_SUPERPOINTS.kernel];
@@ -48,7 +48,6 @@ pub struct NetworkF {
     gpu: Gpu,
     capacity: u32,
     size: DeformSize,
-    position_octaves: u32,
     stage: Stage,
     parameters: Parameters,
     /// Encoding, then the hidden layers' outputs.
@@ -84,7 +83,6 @@ impl NetworkF {
             gpu: gpu.clone(),
             capacity,
             size,
-            position_octaves: POSITION_FREQUENCIES as u32,
             stage: Stage::of(gpu),
             activation: buffer("activation", bytes(ENCODING_WIDTH + hidden))?,
             activation_gradient: buffer("activation_gradient", bytes(hidden + HEADS as usize))?,
@@ -97,13 +95,6 @@ impl NetworkF {
     #[must_use]
     pub fn with_stage(mut self, stage: Stage) -> Self {
         self.stage = stage;
-        self
-    }
-
-    /// The same network with so many octaves of position: the weights of the others keep their values.
-    #[must_use]
-    pub fn with_position_octaves(mut self, octaves: u32) -> Self {
-        self.position_octaves = octaves;
         self
     }
 
@@ -137,8 +128,7 @@ impl NetworkF {
             superpoint_position: superpoint_position.clone(),
             encoding: self.activation(None, superpoints),
         };
-        let push = EncodeSuperpointsPush { rows: superpoints, position_octaves: self.position_octaves };
-        encode_superpoints::record(r, push, buffers)?;
+        encode_superpoints::record(r, superpoints, buffers)?;
         (0..=self.size.layers).try_for_each(|i| self.layer(i, superpoints, Some(pose)).forward(r))
     }
 

@@ -1,8 +1,9 @@
 //! The loss of one photo, and its gradients by the poses of superpoints and by the camera: the kernels of a training step,
 //! with the Gaussians left as they are and poses that the host gives.
 //!
-//! Per Gaussian the device leaves the gradient by a left tangent ω of its superpoint's rotation and by the translation τ. The host sums them in f64 and in a fixed order: by superpoint for the poses, over all of them for the camera,
-//! which sees a scene that moves as one just as if it moved the other way.
+//! Per Gaussian the device leaves the gradient by a left tangent ω of its superpoint's rotation and by the translation τ. The
+//! host sums them in f64 and in a fixed order: by superpoint for the poses, over all of them for the camera, which sees a scene
+//! that moves as one just as if it moved the other way.
 
 mod sums;
 

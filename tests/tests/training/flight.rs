@@ -125,7 +125,7 @@ fn small_photos_and_a_window_of_times_change_no_bit_either() {
     let posed = posed(&PosedOptions { sizes: vec![[64, 56]], train: 24, ..PosedOptions::default() });
     let (_, data) = load(&posed);
     let gpu = gpu();
-    let over = "[motion]\nposition_octaves = 4\n[schedule]\ncoarse_to_fine = 30\ntime_window = 36";
+    let over = "[schedule]\ncoarse_to_fine = 30\ntime_window = 36";
     let mut begun = Vec::new();
     let runs = [
         (1, "", None),

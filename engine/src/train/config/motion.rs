@@ -40,9 +40,6 @@ pub struct MotionConfig {
     /// Whether network F's heads start at zero, so that motion starts from rest. Paper: yes; code: no (its initialiser is
     /// never called). Default yes: a canonical space that already fits is not thrown away at the end of warm-up.
     pub zero_heads: bool,
-    /// Octaves of a superpoint's centre that network F reads, 0 to 10 (paper and code: 10). Fewer: motion is smoother in space,
-    /// and superpoints beside each other move alike.
-    pub position_octaves: u32,
     /// Hidden layers of network F, 1 to 8, and their width, a multiple of 32 up to 256. Paper and code: 8 layers of 256, the
     /// default; the paper's ablation loses 0.3 dB with 8 of 128.
     pub network_layers: u32,

@@ -177,7 +177,6 @@ impl Default for MotionConfig {
             association_slots: 8,
             association_init: Form::Code,
             zero_heads: true,
-            position_octaves: 10,
             network_layers: 8,
             network_width: 256,
             time_noise: false,

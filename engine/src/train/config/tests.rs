@@ -46,7 +46,6 @@ fn mistakes_name_file_line_and_key() {
         ("iterations = \"many\"", ["run.toml", "line 1", "invalid type"]),
         ("preset = \"nerf\"", ["run.toml", "nerf", "dnerf"]),
         ("[motion]\nneighbors = 0\n", ["motion.neighbors", "0", "1 to 7"]),
-        ("[motion]\nposition_octaves = 11\n", ["motion.position_octaves", "11", "0 to 10"]),
         ("[loss]\nlambda_dssim = nan\n", ["loss.lambda_dssim", "NaN", "0 to 1"]),
     ] {
         let message = parse(text).unwrap_err().to_string();

@@ -118,10 +118,8 @@ impl SuperpointTraining {
             scene.gaussians,
             association_options(config),
         )?;
-        let (motion, octaves) = (&config.motion, config.motion.position_octaves);
-        let weights =
-            DeformNetwork::init(config.seed, motion.network_size(), motion.zero_heads).with_position_octaves(octaves);
-        let network = NetworkF::new(gpu, &weights, superpoints.superpoints())?.with_position_octaves(octaves);
+        let weights = DeformNetwork::init(config.seed, config.motion.network_size(), config.motion.zero_heads);
+        let network = NetworkF::new(gpu, &weights, superpoints.superpoints())?;
         Self::new(gpu, superpoints, network)
     }
 
@@ -133,8 +131,7 @@ impl SuperpointTraining {
         let superpoints =
             SuperpointState::from_parts(gpu, &saved.position, &saved.association, [first, second], options)?;
         let weights = saved.network.deform(config.motion.network_size())?;
-        let network = NetworkF::new(gpu, &weights, saved.position.len() as u32)?
-            .with_position_octaves(config.motion.position_octaves);
+        let network = NetworkF::new(gpu, &weights, saved.position.len() as u32)?;
         network.upload_moments([&saved.network.moment_1, &saved.network.moment_2])?;
         Self::new(gpu, superpoints, network).map(Some)
     }

@@ -6,7 +6,7 @@ use crate::gpu::kernel::Tolerance;
 use crate::gpu::{Groups, Recorder, Slice};
 use crate::render::nonrigid_network::encoded;
 use crate::render::twin::{f32_at, set_f32, struct_at};
-use crate::scene::network::{ENCODING_WIDTH, reads};
+use crate::scene::network::ENCODING_WIDTH;
 use crate::train::step::Step;
 
 crate::gpu_struct! {
@@ -14,8 +14,6 @@ crate::gpu_struct! {
     pub struct EncodeSuperpointsPush {
         /// Superpoints.
         pub rows: u32,
-        /// Octaves of the position that are read; zeros stand for the others.
-        pub position_octaves: u32,
     }
 }
 
@@ -50,23 +48,18 @@ crate::kernel! {
 }
 
 /// Records it.
-pub(super) fn record(
-    r: &mut Recorder,
-    push: EncodeSuperpointsPush,
-    buffers: EncodeSuperpointsBuffers<Slice>,
-) -> Result<()> {
-    let groups = (u64::from(push.rows) * ENCODING_WIDTH as u64).div_ceil(THREADS.into());
-    r.dispatch(&ENCODE_SUPERPOINTS, (), push, buffers, Groups::Direct(groups))
+pub(super) fn record(r: &mut Recorder, rows: u32, buffers: EncodeSuperpointsBuffers<Slice>) -> Result<()> {
+    let groups = (u64::from(rows) * ENCODING_WIDTH as u64).div_ceil(THREADS.into());
+    r.dispatch(&ENCODE_SUPERPOINTS, (), EncodeSuperpointsPush { rows }, buffers, Groups::Direct(groups))
 }
 
 fn encode_superpoints_twin(call: Call<'_, EncodeSuperpoints>) {
-    let Call { push: EncodeSuperpointsPush { rows, position_octaves }, buffers: b, .. } = call;
+    let Call { push: EncodeSuperpointsPush { rows }, buffers: b, .. } = call;
     let step: Step = struct_at(b.step, 0);
     for row in 0..rows as usize {
         let position = std::array::from_fn(|axis| f32_at(b.superpoint_position, 3 * row + axis));
         for e in 0..ENCODING_WIDTH {
-            let is_read = reads(e, position_octaves);
-            set_f32(b.encoding, row * ENCODING_WIDTH + e, if is_read { encoded(position, step.time, e) } else { 0.0 });
+            set_f32(b.encoding, row * ENCODING_WIDTH + e, encoded(position, step.time, e));
         }
     }
 }
