@@ -233,6 +233,26 @@ fn disturbed_superpoints_come_back() {
     }
 }
 
+/// A search that is too short to settle leaves what fits already as it is.
+#[test]
+fn what_fits_no_better_stays_as_it_was() {
+    let gpu = tests_harness::gpu();
+    let folder = tempfile::tempdir().unwrap();
+    let scene = textured(2000, 8, 11);
+    let (time, cameras) = (0.41, cameras(1, [64, 64]));
+    let truth = table_poses(scene.deformation.table().unwrap(), time);
+    let views = photos(&gpu, &scene, &cameras, time, folder.path());
+    let options = Options { deterministic: true, iterations: 3, coupling: 0.0, probes: 0, ..Options::default() };
+    let found = run(&gpu, &scene, &views, &options, None);
+    let (moment, photo) = (&found.moments[0], &found.moments[0].photos[0]);
+    assert!(!moment.is_better && photo.psnr == photo.psnr_before && photo.psnr > 50.0, "{photo:?}");
+    let kept = table_poses(found.scene.deformation.table().unwrap(), time);
+    let apart = |(a, b): (&Pose, &Pose)| a.translation.distance(b.translation) + a.rotation.distance(b.rotation);
+    assert!(kept.iter().zip(&truth).map(apart).fold(0.0, f64::max) < 1e-5);
+    let found = run(&gpu, &scene, &views, &options, Some(&disturbed(&scene, &truth, 5)));
+    assert!(found.moments[0].is_better);
+}
+
 #[test]
 fn turned_cameras_come_back_and_those_out_of_reach_are_named() {
     let gpu = tests_harness::gpu();

@@ -26,8 +26,8 @@ const LONGEST_STRIDE: f64 = 2.0;
 /// the watcher wants an end.
 ///
 /// # Errors
-/// `Usage` for no photos, for a start of another length, for a model that stands still or whose superpoints have no key-time table where these are searched for, for
-/// network G and deformation fields; those of photos and device.
+/// `Usage` for no photos, for a start of another length, for a model that stands still or whose superpoints have no key-time table
+/// where these are searched for, for network G and deformation fields; those of photos and device.
 pub fn follow(
     gpu: &Gpu,
     scene: &Scene,
@@ -154,6 +154,7 @@ impl Follower<'_> {
         let mut state = State { stands, sights, poses: start.clone(), start };
         let mut progress = Progress { time, moment: index, iteration: 0, loss: 0.0 };
         let first: Vec<Camera> = state.sights.iter().map(|s| s.camera.clone()).collect();
+        let stood = state.stands.clone();
         let mut solver = Solver {
             loss: &mut self.loss,
             bodies: &self.bodies,
@@ -168,6 +169,13 @@ impl Follower<'_> {
         }
         let mut after = solver.measure(&mut state)?;
         let mut verdicts = vec![Verdict::NotChecked; photos.len()];
+        let is_better = total(&after) <= total(&before);
+        if self.options.solve != Solve::Camera && !is_better {
+            // Where a model fits already, what a search leaves open can be more than what it finds.
+            (state.stands, state.poses) = (stood, state.start.clone());
+            state.sights.iter_mut().zip(&first).for_each(|(sight, camera)| sight.camera = camera.clone());
+            after.clone_from(&before);
+        }
         if self.options.solve == Solve::Camera {
             match verdict::check(&mut solver, &mut state, &first, &outline, &mut after, &mut progress, watch)? {
                 Some(found) => verdicts = found,
@@ -190,7 +198,7 @@ impl Follower<'_> {
         });
         let photos = reports.collect();
         let moved_px = (self.options.solve != Solve::Camera).then(|| self.way(&state)).flatten();
-        Ok(Some(Moment { time, is_new_key, photos, superpoints, moved_px }))
+        Ok(Some(Moment { time, is_new_key, is_better, photos, superpoints, moved_px }))
     }
 
     /// Where the superpoints go on to at a time after the last key, as they went between the last two; `None` within the table.
@@ -227,6 +235,11 @@ impl Follower<'_> {
         let squares: Vec<f64> = squares.collect();
         (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
     }
+}
+
+/// Loss of all photos of a time.
+fn total(found: &[PhotoFound]) -> f64 {
+    found.iter().map(|f| f.loss).sum()
 }
 
 fn psnr(mse: f64) -> f64 {

@@ -127,6 +127,8 @@ pub struct Moment {
     pub time: f64,
     /// Whether the model's table had no key at it.
     pub is_new_key: bool,
+    /// Whether the photos fit better than before. Superpoints (and with them cameras) that do not stay as they were.
+    pub is_better: bool,
     /// Its photos.
     pub photos: Vec<PhotoReport>,
     /// `[M]` how well they fix each superpoint; empty where only cameras were searched for.

@@ -204,6 +204,9 @@ fn of_moment(moment: &Moment) -> Vec<String> {
     let mut lines: Vec<String> =
         moment.photos.iter().map(|p| format!("time {:.4}, {}", moment.time, of_photo(p))).collect();
     if !moment.superpoints.is_empty() {
+        if !moment.is_better {
+            lines.push("    nothing better found: superpoints stay as they were".into());
+        }
         let mut across: Vec<f64> = moment.superpoints.iter().filter_map(|u| u.across_px).collect();
         across.sort_by(f64::total_cmp);
         let median = across.get(across.len() / 2).map_or_else(String::new, |px| format!(", ±{px:.3} px (median)"));
