@@ -139,21 +139,21 @@ fn the_residual_of_a_bending_beam_falls_with_the_square_of_its_parts() {
 #[test]
 fn the_measured_error_stays_within_any_bound() {
     let network = {
-        let mut scene = moving_scene(300, 6, 7, 3, true);
+        let mut scene = moving_scene(100, 6, 7, 3, true);
         // Network F plays.
         scene.deformation.superpoint_deformation_mut().unwrap().table = None;
         scene.deformation.network_mut().unwrap().translation.weight.iter_mut().for_each(|w| *w *= 6.0);
         scene
     };
     let soft = {
-        let mut scene = moving_scene(400, 5, 7, 4, false);
-        let blend = random_blend(400, 5, 3, 11);
+        let mut scene = moving_scene(150, 5, 7, 4, false);
+        let blend = random_blend(150, 5, 3, 11);
         let s = scene.deformation.superpoint_deformation_mut().unwrap();
         (s.superpoints.of_gaussian, s.blend) = (blend.of_gaussian(), Some(blend));
         scene
     };
     let nonrigid = {
-        let mut scene = moving_scene(300, 4, 7, 6, false);
+        let mut scene = moving_scene(80, 4, 7, 6, false);
         let mut g = NonrigidNetwork::init(4);
         let mut random = Random::new(2);
         g.translation.weight.iter_mut().for_each(|w| *w = 2e-5 * random.normal() as f32);
@@ -161,7 +161,7 @@ fn the_measured_error_stays_within_any_bound() {
         scene.deformation = std::mem::take(&mut scene.deformation).with_nonrigid(g).unwrap();
         scene
     };
-    for (name, teacher) in [("beam", beam(400, 0.03)), ("F", network), ("soft", soft), ("G", nonrigid)] {
+    for (name, teacher) in [("beam", beam(200, 0.03)), ("F", network), ("soft", soft), ("G", nonrigid)] {
         let mut before = usize::MAX;
         for error_px in [0.05, 0.25, 1.0, 4.0, 60.0] {
             let Distilled { scene, report } = distilled(&teacher, error_px, 100_000);
@@ -329,7 +329,7 @@ fn mistakes_are_named() {
 
 #[test]
 fn many_gaussians_do_not_take_long() {
-    let (teacher, group) = bodies(40, 20_000, 7);
+    let (teacher, group) = bodies(40, 8_000, 7);
     let Distilled { scene, report } = distilled(&teacher, 0.25, 2048);
     let index = adjusted_rand(&group, scene.deformation.superpoint_of_gaussian());
     assert!(index > 0.999 && report.is_within(), "{index} {report:?}");
