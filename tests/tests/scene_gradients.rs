@@ -15,26 +15,13 @@ const BACKGROUND: [f32; 3] = [0.3, 0.1, 0.6];
 /// Between the keys at 0 and 1.
 const TIME: f64 = 0.375;
 
-fn in_f64(scene: &Scene) -> Gaussians64 {
-    let g = &scene.gaussians;
-    Gaussians64 {
-        mean: g.mean.iter().map(|v| v.map(f64::from)).collect(),
-        log_scale: g.log_scale.iter().map(|v| v.map(f64::from)).collect(),
-        rotation: g.rotation.iter().map(|v| v.map(f64::from)).collect(),
-        opacity_logit: g.opacity_logit.iter().map(|&x| x.into()).collect(),
-        sh_degree: g.sh_degree,
-        sh: g.sh.iter().map(|&x| x.into()).collect(),
-        optional: g.optional.map(f64::from),
-    }
-}
-
 fn random_gradient(camera: &Camera, seed: u64) -> Vec<f32> {
     let mut r = Random(seed);
     (0..4 * camera.width * camera.height).map(|_| r.range(-1.0, 1.0)).collect()
 }
 
 fn truth(scene: &Scene, camera: &Camera, gradient: &[f32]) -> Gradients {
-    let gaussians = in_f64(scene);
+    let gaussians = Gaussians64::from(&scene.gaussians);
     let poses = scene.deformation.table().map(|motion| table_poses(motion, TIME));
     let group = scene.deformation.superpoint_of_gaussian();
     let blend = Blend64::of(scene);

@@ -38,6 +38,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
+use crate::file::codec::sigmoid;
 use crate::scene::{Blend, Camera, Gaussians, Scene};
 use crate::train::bake::Views;
 
@@ -113,7 +114,7 @@ pub fn distill(
     check(teacher, views, options)?;
     let begin = Instant::now();
     let kept = visible(&teacher.gaussians);
-    let opacity = kept.iter().map(|&i| opacity(teacher.gaussians.opacity_logit[i]) as f32).collect();
+    let opacity = kept.iter().map(|&i| sigmoid(teacher.gaussians.opacity_logit[i]) as f32).collect();
     let samples =
         Sampler::new(teacher, &mut *place, views, &kept).sample(teacher, CHORD_SHARE * options.error_px, tick)?;
     let checked = check_times(&samples);
@@ -164,13 +165,9 @@ fn check(teacher: &Scene, views: &Views<Camera>, options: &Options) -> Result<()
     Ok(())
 }
 
-fn opacity(logit: f32) -> f64 {
-    1.0 / (1.0 + (-f64::from(logit)).exp())
-}
-
 /// The Gaussians that are drawn.
 fn visible(g: &Gaussians) -> Vec<usize> {
-    (0..g.len()).filter(|&i| opacity(g.opacity_logit[i]) >= MIN_ALPHA).collect()
+    (0..g.len()).filter(|&i| sigmoid(g.opacity_logit[i]) >= MIN_ALPHA).collect()
 }
 
 /// Times between neighbours of those sampled, spread over all.

@@ -3,8 +3,9 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::rigid::{Frame, Sums, outer};
+use super::rigid::{Frame, Sums};
 use super::tracks::{Rest, Tracks};
+use crate::edit::outer;
 
 /// Rounds of frames and rest positions in a fit.
 const ROUNDS: usize = 2;

@@ -135,6 +135,21 @@ pub struct Gaussians64 {
     pub optional: Optional<f64>,
 }
 
+impl From<&Gaussians> for Gaussians64 {
+    /// Every parameter as it is stored.
+    fn from(g: &Gaussians) -> Self {
+        Self {
+            mean: g.mean.iter().map(|v| v.map(f64::from)).collect(),
+            log_scale: g.log_scale.iter().map(|v| v.map(f64::from)).collect(),
+            rotation: g.rotation.iter().map(|v| v.map(f64::from)).collect(),
+            opacity_logit: g.opacity_logit.iter().map(|&x| x.into()).collect(),
+            sh_degree: g.sh_degree,
+            sh: g.sh.iter().map(|&x| x.into()).collect(),
+            optional: g.optional.map(f64::from),
+        }
+    }
+}
+
 impl Gaussians64 {
     /// Rounds every parameter to f32.
     pub fn to_f32(&self) -> Gaussians {

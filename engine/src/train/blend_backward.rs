@@ -53,11 +53,13 @@ use self::sum_instance_gradients::{SUM_INSTANCE_GRADIENTS, SumInstanceGradientsB
 use self::twin::blend_backward_twin;
 use crate::error::{Error, Result};
 use crate::gpu::kernel::{Kernel, Tolerance, Workload};
-use crate::gpu::{Gpu, Groups, Recorder, Slice};
+use crate::gpu::{Buffer, Gpu, Groups, Recorder, Slice};
 use crate::render::blend::{BLEND_THREADS, Stage, pixels_per_lane, subtile};
 use crate::render::frame::Frame;
 use crate::render::limits::TILE_SIZE;
+use crate::render::pipeline::FrameBuffers;
 use crate::render::tiles::SlotBuffers;
+use crate::render::work_buffers::WorkBuffers;
 
 /// Kernels of this module.
 pub static KERNELS: &[&Kernel] =
@@ -262,6 +264,28 @@ pub fn record(
 }
 
 impl BackwardInput {
+    /// What the forward pass left in these buffers.
+    pub(crate) fn new(
+        work: &WorkBuffers,
+        frame: &FrameBuffers,
+        image_gradient: &Buffer,
+        gaussians: u32,
+        tiles: u32,
+    ) -> Self {
+        Self {
+            frame: Slice::from(&frame.frame),
+            counters: work.counters.clone(),
+            ranges: work.ranges.clone(),
+            values: Slice::from(work.tile_values()),
+            tile_count: Slice::from(&work.tile_count),
+            splats: Slice::from(&work.splats),
+            color: Slice::from(&frame.color),
+            image_gradient: Slice::from(image_gradient),
+            gaussians,
+            tiles,
+        }
+    }
+
     fn buffers(&self, target: &BackwardTarget, rows: &Slice) -> BlendBackwardBuffers<Slice> {
         let gaussian_of_slot = match target {
             BackwardTarget::Instances(slots, _) => Some(slots.gaussian_of_slot.whole()),

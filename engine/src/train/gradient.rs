@@ -145,18 +145,7 @@ impl Run<'_> {
 
         let mut r = gpu.recorder("scene gradients");
         record_forward(gpu, &mut r, scene, &work, &frame, &shape)?;
-        let input = BackwardInput {
-            frame: Slice::from(&frame.frame),
-            counters: work.counters.clone(),
-            ranges: work.ranges.clone(),
-            values: Slice::from(work.tile_values()),
-            tile_count: Slice::from(&work.tile_count),
-            splats: Slice::from(&work.splats),
-            color: Slice::from(&frame.color),
-            image_gradient: Slice::from(&self.image_gradient),
-            gaussians: scene.gaussians,
-            tiles,
-        };
+        let input = BackwardInput::new(&work, &frame, &self.image_gradient, scene.gaussians, tiles);
         let target = BackwardTarget::Instances(slots, Slice::from(&rows));
         blend_backward::record(gpu, &mut r, &input, &target, &Slice::from(&splat_gradient))?;
         let step = gpu.buffer_with("step", bytemuck::bytes_of(&Step::default()))?;

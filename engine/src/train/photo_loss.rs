@@ -306,18 +306,7 @@ impl<'a> PhotoLoss<'a> {
 
     fn record_backward(&self, r: &mut Recorder, t: &Target) -> Result<()> {
         let frame = &t.frames[0];
-        let input = BackwardInput {
-            frame: Slice::from(&frame.frame),
-            counters: t.work.counters.clone(),
-            ranges: t.work.ranges.clone(),
-            values: Slice::from(t.work.tile_values()),
-            tile_count: Slice::from(&t.work.tile_count),
-            splats: Slice::from(&t.work.splats),
-            color: Slice::from(&frame.color),
-            image_gradient: Slice::from(&t.image_gradient),
-            gaussians: self.buffers.gaussians,
-            tiles: t.shape.tiles,
-        };
+        let input = BackwardInput::new(&t.work, &t.frames[0], &t.image_gradient, self.buffers.gaussians, t.shape.tiles);
         let target = match (&t.shape.slots, &t.instance_gradient) {
             (Some(slots), Some(rows)) => BackwardTarget::Instances(slots.clone(), Slice::from(rows)),
             _ => BackwardTarget::NativeAtomics,

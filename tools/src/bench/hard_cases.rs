@@ -22,6 +22,5 @@ mod steady;
 mod views;
 
 pub use case::{Bound, Case, Check, Context, GROUPS, Outcome, Row};
-pub(crate) use gradients::in_f64;
 pub use list::cases;
 pub use report::run;

@@ -162,7 +162,7 @@ fn look<'a>(args: &DistillArgs, moments: Moments<'a>) -> Result<Taught<'a>> {
     let (cameras, measured_in) = match &args.data {
         Some(data) => {
             let all = model::load_cameras(data, None, [None; 2])?.cameras;
-            let some: Vec<Camera> = all.iter().step_by(all.len().div_ceil(CAMERAS).max(1)).cloned().collect();
+            let some = spread(&all, CAMERAS);
             let size = some.first().map(|c| format!("{}x{}", c.width, c.height)).unwrap_or_default();
             let measured_in = format!("{} cameras of {}, {size}", some.len(), name(data));
             (some, measured_in)
@@ -187,7 +187,13 @@ fn compared(args: &DistillArgs, taught: &Taught<'_>, count: usize) -> Result<Vec
         return Ok(views::around(&taught.moments, size, count, None)?.cameras);
     };
     let all = model::load_cameras(data, None, [None; 2])?.cameras;
-    Ok(all.iter().step_by(all.len().div_ceil(count).max(1)).cloned().collect())
+    Ok(spread(&all, count))
+}
+
+/// So many of the cameras, in equal steps; all where there are fewer.
+fn spread(all: &[Camera], count: usize) -> Vec<Camera> {
+    let count = count.min(all.len());
+    (0..count).map(|k| all[k * all.len() / count].clone()).collect()
 }
 
 fn name(path: &Path) -> String {

@@ -1,14 +1,14 @@
 //! What moves alike: from some superpoints to neighbours that move with them as one rigid body.
 //!
-//! At each key time the body's points are fitted by one rigid motion from where they are at the first (least squares, the
-//! rotation as Horn 1987). A neighbour joins when its own points are nowhere
-//! farther from where that motion takes them than asked for. With the body larger the fit is made again, until nobody joins.
+//! At each key time the body's points are fitted by one rigid motion from where they are at the first (least squares). A neighbour
+//! joins when its own points are nowhere farther from where that motion takes them than asked for. With the body larger the fit is made again, until nobody joins.
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use crate::edit::measure::Bound;
 use crate::edit::similarity::Similarity;
+use crate::edit::{nearest_turn, outer};
 use crate::error::{Error, Result};
 use crate::reference::{Pose, table_poses};
 use crate::scene::{Motion, Scene, Superpoints};
@@ -161,44 +161,9 @@ fn neighbors(placed: &[Vec<Vec<DVec3>>]) -> Vec<Vec<usize>> {
 fn rigid(from: impl Iterator<Item = DVec3> + Clone, to: impl Iterator<Item = DVec3> + Clone) -> Similarity {
     let count = from.clone().count().max(1) as f64;
     let (a, b) = (from.clone().sum::<DVec3>() / count, to.clone().sum::<DVec3>() / count);
-    // Columns Σ (y − b)(x − a)ᵀ.
-    let mut covariance = DMat3::ZERO;
-    for (x, y) in from.zip(to) {
-        let (x, y) = (x - a, y - b);
-        covariance += DMat3::from_cols(y * x.x, y * x.y, y * x.z);
-    }
+    let covariance = from.zip(to).map(|(x, y)| outer(y - b, x - a)).fold(DMat3::ZERO, |sum, one| sum + one);
     let turn = nearest_turn(covariance);
     Similarity { scale: 1.0, turn, shift: b - turn * a }
-}
-
-/// The rotation with the largest trace with a matrix: the eigenvector of Horn's 4x4 matrix (1987) with the largest eigenvalue,
-/// by power iteration on a shifted matrix.
-fn nearest_turn(c: DMat3) -> DQuat {
-    let [xx, xy, xz] = c.row(0).to_array();
-    let [yx, yy, yz] = c.row(1).to_array();
-    let [zx, zy, zz] = c.row(2).to_array();
-    let rows = [
-        [xx + yy + zz, zy - yz, xz - zx, yx - xy],
-        [zy - yz, xx - yy - zz, xy + yx, zx + xz],
-        [xz - zx, xy + yx, yy - xx - zz, yz + zy],
-        [yx - xy, zx + xz, yz + zy, zz - xx - yy],
-    ];
-    let shift = rows.iter().map(|row| row.iter().map(|v| v.abs()).sum::<f64>()).fold(0.0, f64::max);
-    if !(shift > 0.0 && shift.is_finite()) {
-        return DQuat::IDENTITY;
-    }
-    let mut matrix = glam::DMat4::from_cols_array_2d(&rows) * (1.0 / shift) + glam::DMat4::IDENTITY;
-    // Squared ten times: the 1024th power. Entries are at most 2 before each scaling.
-    for _ in 0..10 {
-        matrix = matrix * matrix;
-        let largest = matrix.to_cols_array().into_iter().map(f64::abs).fold(0.0, f64::max);
-        matrix *= 1.0 / largest;
-    }
-    // The longest column is nearest to the eigenvector.
-    let columns = [matrix.x_axis, matrix.y_axis, matrix.z_axis, matrix.w_axis];
-    let longest = columns.into_iter().fold(columns[0], |a, b| if b.length() > a.length() { b } else { a });
-    let [w, x, y, z] = longest.normalize().to_array();
-    DQuat::from_xyzw(x, y, z, w).normalize()
 }
 
 #[cfg(test)]

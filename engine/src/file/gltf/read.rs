@@ -82,6 +82,7 @@ impl Reader<'_> {
 
     /// The Gaussians of these meshes, if any has some.
     fn gather(&mut self, instances: &[Instance]) -> Result<Option<Gaussians>> {
+        check_memory(self.path, "its Gaussians", scene_bytes(self.promised(instances), 0), self.bytes)?;
         let mut all: Option<Gaussians> = None;
         for Instance { mesh, map } in instances {
             let Some(mesh) = self.document.list("meshes").get(*mesh).cloned() else { continue };
@@ -100,6 +101,19 @@ impl Reader<'_> {
             }
         }
         Ok(all)
+    }
+
+    /// How many Gaussians these meshes have by what the file says of itself.
+    fn promised(&self, instances: &[Instance]) -> u64 {
+        let meshes = self.document.list("meshes");
+        let count = |primitive: &Value| {
+            let is_gaussians = [EXTENSION, SPZ_ALONE].iter().any(|name| !primitive["extensions"][*name].is_null());
+            let position = self.document.accessor(&primitive["attributes"], "POSITION").filter(|_| is_gaussians);
+            position.and_then(|accessor| accessor["count"].as_u64()).unwrap_or(0)
+        };
+        let of_mesh = |mesh: &Value| elements(&mesh["primitives"]).iter().map(count).fold(0, u64::saturating_add);
+        let counts: Vec<u64> = meshes.iter().map(of_mesh).collect();
+        instances.iter().filter_map(|i| counts.get(i.mesh)).fold(0, |sum, n| sum.saturating_add(*n))
     }
 
     /// Turns what was read into our axes, under the transforms of its nodes.

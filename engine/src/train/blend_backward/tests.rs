@@ -22,9 +22,9 @@ struct Step {
     work: WorkBuffers,
     buffers: FrameBuffers,
     slots: SlotBuffers,
-    image_gradient: crate::gpu::Buffer,
-    instance_gradient: crate::gpu::Buffer,
-    splat_gradient: crate::gpu::Buffer,
+    image_gradient: Buffer,
+    instance_gradient: Buffer,
+    splat_gradient: Buffer,
     tiles: u32,
 }
 
@@ -70,18 +70,8 @@ impl Step {
         let shape = Shape { tiles: self.tiles, with_depth: false, slots, ..Shape::default() };
         let mut r = self.gpu.recorder("step").with_timestamps(true);
         record_forward(&self.gpu, &mut r, &self.scene, &self.work, &self.buffers, &shape).unwrap();
-        let input = BackwardInput {
-            frame: Slice::from(&self.buffers.frame),
-            counters: self.work.counters.clone(),
-            ranges: self.work.ranges.clone(),
-            values: Slice::from(self.work.tile_values()),
-            tile_count: Slice::from(&self.work.tile_count),
-            splats: Slice::from(&self.work.splats),
-            color: Slice::from(&self.buffers.color),
-            image_gradient: Slice::from(&self.image_gradient),
-            gaussians: self.scene.gaussians,
-            tiles: self.tiles,
-        };
+        let input =
+            BackwardInput::new(&self.work, &self.buffers, &self.image_gradient, self.scene.gaussians, self.tiles);
         record(&self.gpu, &mut r, &input, target, &Slice::from(&self.splat_gradient)).unwrap();
         let commands = self.gpu.run(r).unwrap();
         let bytes = self.gpu.download(Slice::from(&self.splat_gradient)).unwrap();

@@ -57,18 +57,7 @@ impl Trainer {
     }
 
     fn record_blend_backward(&self, r: &mut Recorder, t: &Target, frame: &FrameBuffers) -> Result<()> {
-        let input = BackwardInput {
-            frame: Slice::from(&frame.frame),
-            counters: t.work.counters.clone(),
-            ranges: t.work.ranges.clone(),
-            values: Slice::from(t.work.tile_values()),
-            tile_count: Slice::from(&t.work.tile_count),
-            splats: Slice::from(&t.work.splats),
-            color: Slice::from(&frame.color),
-            image_gradient: Slice::from(&t.image_gradient),
-            gaussians: self.parameters.count(),
-            tiles: t.shape.tiles,
-        };
+        let input = BackwardInput::new(&t.work, frame, &t.image_gradient, self.parameters.count(), t.shape.tiles);
         let target = match (&t.shape.slots, &t.instance_gradient) {
             (Some(slots), Some(rows)) => BackwardTarget::Instances(slots.clone(), Slice::from(rows)),
             _ if self.gpu.info().capabilities.float_atomics => BackwardTarget::NativeAtomics,

@@ -3,7 +3,7 @@
 use engine::error::Result;
 use engine::image::difference;
 use engine::reference::gradient::image::visible_splats;
-use engine::reference::{DeformationAt, Splat};
+use engine::reference::{DeformationAt, Gaussians64, Splat};
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::Camera;
 use engine::scene::synthetic::random_scene;
@@ -11,7 +11,6 @@ use engine::scene::synthetic::random_scene;
 use super::blend::{Rules, blend};
 use super::case::{Case, Check, Context, Outcome};
 use super::compare::reference_options;
-use super::gradients::in_f64;
 use super::views;
 
 /// Edge of the original's tiles, pixels.
@@ -44,7 +43,7 @@ fn judge(context: &Context<'_>) -> Result<Outcome> {
     let camera = views::camera(160, 120);
     let options = RenderOptions::default();
     let truth = reference_options(&options);
-    let splats = visible_splats(&in_f64(&scene), &DeformationAt::default(), &camera, &truth)?;
+    let splats = visible_splats(&Gaussians64::from(&scene.gaussians), &DeformationAt::default(), &camera, &truth)?;
     let ours = blend(splats.iter(), &camera, truth.background, Rules::default());
     let original =
         blend(splats.iter(), &camera, truth.background, Rules { reaches: within_3_sigma, ..Rules::default() });

@@ -66,20 +66,6 @@ pub(super) fn cases() -> Vec<Case> {
     all
 }
 
-/// A scene in f64: every parameter as it is stored.
-pub(crate) fn in_f64(scene: &Scene) -> Gaussians64 {
-    let g = &scene.gaussians;
-    Gaussians64 {
-        mean: g.mean.iter().map(|v| v.map(f64::from)).collect(),
-        log_scale: g.log_scale.iter().map(|v| v.map(f64::from)).collect(),
-        rotation: g.rotation.iter().map(|v| v.map(f64::from)).collect(),
-        opacity_logit: g.opacity_logit.iter().map(|&x| x.into()).collect(),
-        sh_degree: g.sh_degree,
-        sh: g.sh.iter().map(|&x| x.into()).collect(),
-        optional: g.optional.map(f64::from),
-    }
-}
-
 /// What an image's gradient depends on.
 pub(super) struct View {
     scene: Scene,
@@ -126,7 +112,7 @@ impl View {
             ..ReferenceOptions::default()
         };
         let upstream = Upstream { color: &color, alpha: Some(&alpha) };
-        image_gradients(&in_f64(&self.scene), &deformation, &self.camera, &options, &upstream)
+        image_gradients(&Gaussians64::from(&self.scene.gaussians), &deformation, &self.camera, &options, &upstream)
     }
 }
 

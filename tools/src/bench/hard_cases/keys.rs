@@ -3,7 +3,7 @@
 use engine::error::Result;
 use engine::image::difference;
 use engine::reference::gradient::image::visible_splats;
-use engine::reference::{DeformationAt, Splat};
+use engine::reference::{DeformationAt, Gaussians64, Splat};
 use engine::render::Renderer;
 use engine::scene::Scene;
 use engine::scene::synthetic::random_scene;
@@ -11,7 +11,6 @@ use engine::scene::synthetic::random_scene;
 use super::blend::{Rules, blend};
 use super::case::{Case, Check, Context, Outcome};
 use super::compare::{compare, options_of, reference_options, usual_options};
-use super::gradients::in_f64;
 use super::{images, views};
 
 /// Key widths that published renderers use, and ours.
@@ -57,7 +56,8 @@ fn inversions(order: &[&Splat]) -> (usize, f64) {
 fn judge_keys(bits: u32) -> Result<Outcome> {
     let case = images::named("depth_range")?;
     let options = reference_options(&options_of(&case));
-    let splats = visible_splats(&in_f64(&case.scene), &DeformationAt::default(), &case.camera, &options)?;
+    let splats =
+        visible_splats(&Gaussians64::from(&case.scene.gaussians), &DeformationAt::default(), &case.camera, &options)?;
     let mut order: Vec<&Splat> = splats.iter().collect();
     order.sort_by_key(|s| (key(s.depth, bits), s.index));
     let (count, gap) = inversions(&order);

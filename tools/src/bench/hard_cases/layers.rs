@@ -1,14 +1,13 @@
 //! Case 7: many layers of almost nothing.
 
 use engine::error::Result;
-use engine::reference::DeformationAt;
 use engine::reference::gradient::image::visible_splats;
+use engine::reference::{DeformationAt, Gaussians64};
 use engine::scene::Scene;
 
 use super::blend::{Rules, blend};
 use super::case::{Case, Check, Context, Outcome};
 use super::compare::{compare, options_of, reference_options};
-use super::gradients::in_f64;
 use super::images;
 
 pub(super) fn cases() -> Vec<Case> {
@@ -28,18 +27,24 @@ fn judge(context: &Context<'_>, shift: f32) -> Result<Outcome> {
     let options = options_of(&case);
     let c = compare(context.gpu, &scene, &case.camera, case.time, &options)?;
     let truth = reference_options(&options);
-    let splats = match visible_splats(&in_f64(&scene), &DeformationAt::default(), &case.camera, &truth) {
-        Ok(splats) if !splats.is_empty() => splats,
-        // The definition drops Gaussians whose opacity is under the cut, so for the study they are lifted over it and the cut
-        // of the blending does the rest.
-        _ => {
-            let mut lifted = scene.clone();
-            lifted.gaussians.opacity_logit.iter_mut().for_each(|o| *o -= shift);
-            let mut splats = visible_splats(&in_f64(&lifted), &DeformationAt::default(), &case.camera, &truth)?;
-            splats.iter_mut().for_each(|s| s.opacity *= 0.95 / 1.05);
-            splats
-        }
-    };
+    let splats =
+        match visible_splats(&Gaussians64::from(&scene.gaussians), &DeformationAt::default(), &case.camera, &truth) {
+            Ok(splats) if !splats.is_empty() => splats,
+            // The definition drops Gaussians whose opacity is under the cut, so for the study they are lifted over it and the cut
+            // of the blending does the rest.
+            _ => {
+                let mut lifted = scene.clone();
+                lifted.gaussians.opacity_logit.iter_mut().for_each(|o| *o -= shift);
+                let mut splats = visible_splats(
+                    &Gaussians64::from(&lifted.gaussians),
+                    &DeformationAt::default(),
+                    &case.camera,
+                    &truth,
+                )?;
+                splats.iter_mut().for_each(|s| s.opacity *= 0.95 / 1.05);
+                splats
+            }
+        };
     let uncut = blend(splats.iter(), &case.camera, truth.background, Rules { alpha_min: 0.0, ..Rules::default() });
     let count = uncut.len() as f64;
     let dropped = uncut.iter().zip(&c.truth.rgb).map(|(a, b)| (a - b).abs());

@@ -6,13 +6,12 @@ use std::collections::BTreeMap;
 use engine::error::Result;
 use engine::gpu::Gpu;
 use engine::reference::gradient::image::visible_splats;
-use engine::reference::{self, ALPHA_MIN, Blend64, DeformationAt, ReferenceOptions, Splat};
+use engine::reference::{self, ALPHA_MIN, Blend64, DeformationAt, Gaussians64, ReferenceOptions, Splat};
 use engine::render::RenderOptions;
 use engine::render::arithmetic_rate::arithmetic_rate;
 use engine::scene::{Camera, Scene};
 use serde::Serialize;
 
-use crate::bench::hard_cases::in_f64;
 use crate::report::measure::Measurement;
 
 /// Operations on one Gaussian from its parameters to its splat with SH of degree 3: counted in the formulas.
@@ -71,7 +70,7 @@ pub(super) fn pairs(scene: &Scene, camera: &Camera, time: f64, options: &RenderO
     let blend = Blend64::of(scene);
     let deformation = DeformationAt { group, poses: poses.as_deref(), blend: blend.as_ref(), offsets: None, time };
     let near = ReferenceOptions { near: options.near.into(), ..ReferenceOptions::default() };
-    let splats = visible_splats(&in_f64(scene), &deformation, camera, &near)?;
+    let splats = visible_splats(&Gaussians64::from(&scene.gaussians), &deformation, camera, &near)?;
     let pixels = f64::from(camera.width) * f64::from(camera.height);
     let size = [f64::from(camera.width), f64::from(camera.height)];
     let area = |s: &Splat| {
@@ -134,8 +133,13 @@ mod tests {
     fn pairs_are_those_that_a_brute_force_count_finds() {
         let scene = engine::scene::synthetic::random_scene(300, 5, 0);
         let camera = crate::cli::camera::default_camera(&scene, [96, 96]);
-        let splats =
-            visible_splats(&in_f64(&scene), &DeformationAt::default(), &camera, &ReferenceOptions::default()).unwrap();
+        let splats = visible_splats(
+            &Gaussians64::from(&scene.gaussians),
+            &DeformationAt::default(),
+            &camera,
+            &ReferenceOptions::default(),
+        )
+        .unwrap();
         let mut count = 0;
         for y in 0..96 {
             for x in 0..96 {

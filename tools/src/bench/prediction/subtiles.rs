@@ -2,12 +2,10 @@
 
 use engine::error::Result;
 use engine::reference::gradient::image::visible_splats;
-use engine::reference::{self, Blend64, DeformationAt, ReferenceOptions, Splat};
+use engine::reference::{self, Blend64, DeformationAt, Gaussians64, ReferenceOptions, Splat};
 use engine::render::RenderOptions;
 use engine::render::ellipse::{Ellipse, pixels_of_interval};
 use engine::scene::{Camera, Scene};
-
-use crate::bench::hard_cases::in_f64;
 
 /// Pixels of a side of a subtile, and of a tile.
 const SUBTILE: u32 = 8;
@@ -21,7 +19,7 @@ pub(crate) fn share(scene: &Scene, camera: &Camera, time: f64, options: &RenderO
     let blend = Blend64::of(scene);
     let deformation = DeformationAt { group, blend: blend.as_ref(), poses: poses.as_deref(), offsets: None, time };
     let near = ReferenceOptions { near: options.near.into(), ..ReferenceOptions::default() };
-    let splats = visible_splats(&in_f64(scene), &deformation, camera, &near)?;
+    let splats = visible_splats(&Gaussians64::from(&scene.gaussians), &deformation, camera, &near)?;
     let size = [camera.width, camera.height];
     let (mut subtiles, mut tiles) = (0, 0);
     for ellipse in splats.iter().map(ellipse) {
