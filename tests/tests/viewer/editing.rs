@@ -35,18 +35,6 @@ fn check_list(model: &Path, (edited, list): &(PathBuf, PathBuf)) {
     assert!(std::fs::read(edited).unwrap() == std::fs::read(again).unwrap(), "the list makes another model");
 }
 
-/// A picture of a window that is laid out: its first frame may not have its last sizes yet.
-fn settled(window: &mut Window<'_>) -> image::RgbImage {
-    let mut last = window.picture();
-    loop {
-        let next = window.picture();
-        if difference(&last, &next) == 0.0 {
-            return next;
-        }
-        last = next;
-    }
-}
-
 fn type_keys(window: &Window<'_>, keys: &[&str]) {
     keys.iter().for_each(|key| window.key(key));
 }
@@ -58,7 +46,7 @@ fn a_part_is_selected_moved_undone_deleted_and_saved() {
     let model = moving_model(folder.path(), 1000);
     let out = folder.path().join("out");
     let mut window = Window::open(&desktop, &model, &out, &["--size", "1000x700", "--pause", "--time", "0.3"]);
-    let first = settled(&mut window);
+    let first = window.picture();
     window.key("ctrl+e");
     assert_eq!(difference(&first, &window.picture()), 0.0, "nothing is selected yet");
     // A click selects, Shift adds, Escape ends.
@@ -116,7 +104,7 @@ fn rectangles_lassos_handles_and_names_work() {
     let model = moving_model(folder.path(), 1000);
     let mut window =
         Window::open(&desktop, &model, &folder.path().join("out"), &["--size", "1000x700", "--pause", "--time", "0.3"]);
-    let first = settled(&mut window);
+    let first = window.picture();
     type_keys(&window, &["ctrl+e", "b"]);
     window.drag("1", [300, 250], [100, 90]);
     let boxed = window.picture();
@@ -127,7 +115,7 @@ fn rectangles_lassos_handles_and_names_work() {
     window.tool(&["keydown", "ctrl", "mousemove", "300", "250", "mousedown", "1"]);
     for at in [["420", "250"], ["420", "300"], ["360", "320"], ["300", "300"]] {
         window.tool(&["mousemove", at[0], at[1]]);
-        std::thread::sleep(Duration::from_millis(60));
+        std::thread::sleep(Duration::from_millis(150));
     }
     window.tool(&["mouseup", "1", "keyup", "ctrl"]);
     let less = window.picture();
@@ -151,6 +139,37 @@ fn rectangles_lassos_handles_and_names_work() {
     let moved = list.lines().find(|line| line.contains("move ")).unwrap();
     let is_along = |line: &str| line.split(['"', ' ', ',']).filter(|word| word.parse() == Ok(0.0)).count() == 2;
     assert!(is_along(moved), "{moved}");
+    assert_eq!(window.quit()["validation_messages"], 0);
+}
+
+#[test]
+fn the_panel_selects_colours_and_freezes() {
+    let folder = tempfile::tempdir().unwrap();
+    let desktop = Desktop::new(1100, 760);
+    let model = moving_model(folder.path(), 500);
+    let mut window =
+        Window::open(&desktop, &model, &folder.path().join("out"), &["--size", "1000x700", "--pause", "--time", "0.3"]);
+    window.picture();
+    window.key("ctrl+e");
+    let first = window.picture();
+    let mut press = |x: u32, y: u32| {
+        window.tool(&["mousemove", &x.to_string(), &y.to_string(), "click", "1"]);
+        window.picture()
+    };
+    assert!(difference(&first, &press(770, 180)) > 0.5, "`all`: everything stands out");
+    press(870, 404);
+    press(904, 379);
+    press(808, 180);
+    desktop.capture().keep("edit_panel");
+    let tinted = press(600, 50);
+    assert!(difference(&first, &tinted) > 1.0, "`tint` has coloured it");
+    window.key("End");
+    assert!(difference(&tinted, &window.picture()) < 0.01, "`freeze` has stopped it");
+    let files = save(&mut window, &model);
+    let list = std::fs::read_to_string(&files.1).unwrap();
+    let at = |command: &str| list.find(command).unwrap_or_else(|| panic!("no {command} in {list}"));
+    assert!(at("select all") < at("recolor tint #") && at("recolor tint #") < at("freeze 0.3"), "{list}");
+    check_list(&model, &files);
     assert_eq!(window.quit()["validation_messages"], 0);
 }
 

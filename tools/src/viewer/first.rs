@@ -50,6 +50,7 @@ pub(super) fn first_state(args: &ViewerArgs) -> Result<State> {
         cameras,
         camera: None,
         requests: Vec::new(),
+        shortcuts: Vec::new(),
         messages: Vec::new(),
         recording: None,
         loading: None,

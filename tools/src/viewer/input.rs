@@ -129,9 +129,11 @@ fn keys(context: &egui::Context, state: &mut State) -> Thrust {
         };
         input.events.iter().filter_map(key).collect()
     });
+    state.shortcuts.extend(pressed.iter().filter(|(_, modifiers)| modifiers.command).map(|(key, _)| *key));
+    state.shortcuts.retain(|key| context.input(|input| input.key_down(*key)));
     let at = context.input(|input| input.pointer.latest_pos());
     for (key, modifiers) in pressed {
-        if !(state.edit.on && editing::key(key, modifiers, at, state)) {
+        if !(is_editing(state) && editing::key(key, modifiers, at, state)) {
             press(key, modifiers, state);
         }
     }
@@ -140,10 +142,17 @@ fn keys(context: &egui::Context, state: &mut State) -> Thrust {
         if input.modifiers.command || state.edit.on {
             return Thrust::default();
         }
-        let axis = |plus: Key, minus: Key| f64::from(input.key_down(plus)) - f64::from(input.key_down(minus));
+        let is_held = |key: Key| f64::from(input.key_down(key) && !state.shortcuts.contains(&key));
+        let axis = |plus: Key, minus: Key| is_held(plus) - is_held(minus);
         let direction = DVec3::new(axis(Key::D, Key::A), axis(Key::Q, Key::E), axis(Key::W, Key::S));
         Thrust { direction, fast: input.modifiers.shift }
     })
+}
+
+/// Whether keys are the edit mode's: it may have been asked for in this frame.
+fn is_editing(state: &State) -> bool {
+    let toggles = state.requests.iter().filter(|request| **request == Request::Edit(Ask::Toggle)).count();
+    state.edit.on != (toggles % 2 == 1)
 }
 
 fn repeats(key: Key) -> bool {
@@ -333,6 +342,16 @@ mod tests {
         assert_eq!(frame(&context, &mut state, none, vec![]).direction, DVec3::new(0.0, -1.0, 1.0));
         let released = vec![key(Key::W, false), key(Key::E, false)];
         assert_eq!(frame(&context, &mut state, none, released).direction, DVec3::ZERO);
+        // Ctrl may be let go first.
+        let mut with_ctrl = key(Key::E, true);
+        if let Event::Key { modifiers, .. } = &mut with_ctrl {
+            *modifiers = Modifiers::COMMAND;
+        }
+        for events in [vec![with_ctrl], vec![], vec![key(Key::E, false)]] {
+            assert_eq!(frame(&context, &mut state, none, events).direction, DVec3::ZERO);
+        }
+        assert_eq!(frame(&context, &mut state, none, vec![key(Key::E, true)]).direction, DVec3::NEG_Y);
+        frame(&context, &mut state, none, vec![key(Key::E, false)]);
         frame(&context, &mut state, none, vec![key(Key::Num4, true), key(Key::K, true)]);
         assert!(state.settings.show == Show::Tiles && state.settings.frusta);
         frame(&context, &mut state, none, vec![]);

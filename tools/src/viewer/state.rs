@@ -129,6 +129,8 @@ pub(super) struct State {
     /// Which camera of the data set was gone to last.
     pub(super) camera: Option<usize>,
     pub(super) requests: Vec<Request>,
+    /// Keys that were pressed with Ctrl and are still down: they do not fly when Ctrl is let go first.
+    pub(super) shortcuts: Vec<egui::Key>,
     pub(super) messages: Vec<Message>,
     /// Frames recorded so far, while a path is recorded.
     pub(super) recording: Option<usize>,

@@ -158,14 +158,17 @@ fn what_moves_alike_is_found() {
 /// Half a million Gaussians. Prints times; what it asserts is what a slow machine under load still reaches.
 #[test]
 fn half_a_million_gaussians_are_edited_at_once() {
-    let mut session = Session::new(moving_scene(500_000, 512, 65, 3, false), Vec::new(), BOUND_PX);
+    let mut history = History::new(Session::new(moving_scene(500_000, 512, 65, 3, false), Vec::new(), BOUND_PX));
     let script = "select sphere 0,0,0 0.7 time 0.4; invert; move 0,0.1,0; rotate z 30; move 0,0.1,0 frame part; scale 1.1; \
                   recolor tint #ff8800; select opacity below 0.2; grow 0.01; duplicate; time reverse; delete";
     for command in script::parse(script).unwrap() {
         let start = std::time::Instant::now();
-        session.apply(&command).unwrap();
+        history.run(std::slice::from_ref(&command)).unwrap();
         let time = start.elapsed();
         println!("{:6.1} ms  {}", time.as_secs_f64() * 1e3, command.text);
         assert!(time.as_secs() < 20, "{}: {time:?}", command.text);
     }
+    let start = std::time::Instant::now();
+    while history.undo().is_some() {}
+    println!("{:6.1} ms  to undo them all", start.elapsed().as_secs_f64() * 1e3);
 }

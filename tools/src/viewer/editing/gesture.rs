@@ -62,7 +62,8 @@ impl Gesture {
         let axis = self.axis.map(|k| DVec3::AXES[k]);
         match self.kind {
             Kind::Move => Amount::Move(match typed {
-                Some(by) => by * axis.unwrap_or(DVec3::X),
+                // No zeros with a sign.
+                Some(by) => by * axis.unwrap_or(DVec3::X) + DVec3::ZERO,
                 None => self.shift(camera, axis),
             }),
             Kind::Turn => {

@@ -70,7 +70,13 @@ pub(in crate::viewer) fn pointer(ui: &egui::Ui, response: &egui::Response, state
         }
     }
     if !state.edit.drawn.is_empty() {
-        drag(response, state, pixel(at), modifiers(ui));
+        // All of the way: a slow frame may have much of it.
+        let moved = |event: &egui::Event| match event {
+            egui::Event::PointerMoved(at) => Some(pixel(*at)),
+            _ => None,
+        };
+        let way: Vec<DVec2> = ui.input(|i| i.events.iter().filter_map(moved).collect());
+        drag(response, state, &way, modifiers(ui));
         return true;
     }
     if let Some(at) = response.interact_pointer_pos().filter(|_| response.clicked() && !response.double_clicked()) {
@@ -109,16 +115,18 @@ fn follow_gesture(response: &egui::Response, state: &mut State, at: DVec2) {
     }
 }
 
-/// A rectangle or a lasso grows, or is done.
-fn drag(response: &egui::Response, state: &mut State, at: DVec2, modifiers: Modifiers) {
+/// A rectangle or a lasso grows along the pointer's way, or is done.
+fn drag(response: &egui::Response, state: &mut State, way: &[DVec2], modifiers: Modifiers) {
     let edit = &mut state.edit;
-    match (edit.tool, edit.drawn.last().copied()) {
-        (Tool::Lasso, Some(last)) if last.distance(at) >= STEP => edit.drawn.push(at),
-        (Tool::Rectangle, _) => {
-            edit.drawn.truncate(1);
-            edit.drawn.push(at);
+    for &at in way {
+        match (edit.tool, edit.drawn.last().copied()) {
+            (Tool::Lasso, Some(last)) if last.distance(at) >= STEP => edit.drawn.push(at),
+            (Tool::Rectangle, _) => {
+                edit.drawn.truncate(1);
+                edit.drawn.push(at);
+            }
+            _ => {}
         }
-        _ => {}
     }
     state.interacting = true;
     if response.dragged_by(PointerButton::Primary) {
