@@ -167,7 +167,8 @@ mod tests {
             let by = if axis == Some(2) { [0.0, -120.0] } else { [90.0, 0.0] };
             let map = gesture(Kind::Move, axis, by).amount(&camera).map(DVec3::ZERO);
             let moved = pixel(&camera, map.transform_point3(DVec3::ZERO)) - pixel(&camera, DVec3::ZERO);
-            assert!(moved.distance(DVec2::from_array(by)) < 1.0, "{axis:?}: {moved}");
+            // Along an axis it is the nearest point of it, from a pointer beside it.
+            assert!(moved.distance(DVec2::from_array(by)) < 2.0, "{axis:?}: {moved}");
         }
         // Straight at the axis there is no way along it.
         assert_eq!(gesture(Kind::Move, Some(1), [0.0, 0.0]).amount(&camera), Amount::Move(DVec3::ZERO));
