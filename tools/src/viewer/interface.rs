@@ -10,7 +10,6 @@ use engine::gpu::{Buffer, Submission};
 use winit::event::WindowEvent;
 use winit::window::Window;
 
-use super::editing;
 use super::editing::mode::Ask;
 use super::held;
 use super::input;
@@ -134,7 +133,7 @@ impl Interface {
         let scale = f64::from(self.context.pixels_per_point());
         let Self { context, thrust, dragged, .. } = self;
         state.interacting = false;
-        state.edit.frame = editing::mode::Frame { size, scale };
+        state.edit.frame = super::editing::mode::Frame { size, scale };
         state.age_messages();
         let messages = state.messages.len();
         let mut moved = Ok(());
@@ -153,7 +152,7 @@ impl Interface {
                 let projection = Projection::new(camera, state.navigator.pose.distance, 1.0 / scale);
                 let painter = context.layer_painter(egui::LayerId::background()).with_clip_rect(area);
                 overlay::draw(&painter, &projection, state, model);
-                editing::overlay::draw(&painter, &projection, state);
+                super::editing::overlay::draw(&painter, &projection, state);
             });
             if !state.messages.is_empty() {
                 context.request_repaint_after(MESSAGES);
@@ -230,12 +229,12 @@ fn advance(state: &mut State, model: &mut Model, dt: f64, thrust: Thrust) -> Res
     if state.settings.centers || state.selection.is_some() {
         model.pose(state.timeline.time, state.settings.motion)?;
     }
-    editing::follow::follow(state, model)
+    super::editing::follow::follow(state, model)
 }
 
 /// What is asked for with a file that was dropped: to open it, or to add it to what is edited.
 fn dropped(path: std::path::PathBuf, editing: bool) -> Request {
-    match editing::words::quoted(&path.display().to_string()).filter(|_| editing) {
+    match super::editing::words::quoted(&path.display().to_string()).filter(|_| editing) {
         Some(name) => Request::Edit(Ask::Run(format!("merge {name}"))),
         None => Request::Open(path),
     }

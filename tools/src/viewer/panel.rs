@@ -3,7 +3,6 @@
 use egui::{Align, Align2, Color32, Context, Layout, RichText, Sense, Ui, vec2};
 use engine::render::{FrameStatistics, MemoryUse, Quality};
 
-use super::editing;
 use super::input::{self, BINDINGS};
 use super::navigator::Navigation;
 use super::state::{Binding, Request, Selection, Settings, Show, State};
@@ -66,7 +65,7 @@ pub(super) fn draw(context: &Context, state: &mut State, info: &Info) {
             .show_separator_line(false)
             .show(context, |ui| {
                 egui::ScrollArea::vertical().show(ui, |ui| match state.edit.on {
-                    true => editing::panel::draw(ui, state, info.gaussians),
+                    true => super::editing::panel::draw(ui, state, info.gaussians),
                     false => side_panel(ui, state, info),
                 });
             });
@@ -344,7 +343,7 @@ fn messages(context: &Context, state: &State) {
 
 fn help(context: &Context, state: &mut State) {
     let mut open = true;
-    let edits = if state.edit.on { editing::input::BINDINGS.as_slice() } else { &[] };
+    let edits = if state.edit.on { super::editing::input::BINDINGS.as_slice() } else { &[] };
     egui::Window::new("Keys")
         .anchor(Align2::CENTER_CENTER, [0.0, -20.0])
         .collapsible(false)

@@ -14,7 +14,7 @@ use crate::report::files::write_text;
 
 /// A model and what was done to it.
 #[derive(Debug)]
-pub(in crate::viewer) struct Editor {
+pub(crate) struct Editor {
     history: History,
     /// The file that was opened.
     source: PathBuf,
@@ -23,12 +23,12 @@ pub(in crate::viewer) struct Editor {
 }
 
 impl Editor {
-    pub(in crate::viewer) fn new(scene: &Scene, cameras: &[Camera], source: &Path) -> Self {
+    pub(crate) fn new(scene: &Scene, cameras: &[Camera], source: &Path) -> Self {
         let session = Session::new(scene.clone(), cameras.to_vec(), BOUND_PX);
         Self { history: History::new(session), source: source.to_owned(), saved: Some(0) }
     }
 
-    pub(in crate::viewer) fn scene(&self) -> &Scene {
+    pub(crate) fn scene(&self) -> &Scene {
         &self.history.session().scene
     }
 
@@ -36,7 +36,7 @@ impl Editor {
     ///
     /// # Errors
     /// Those of the commands.
-    pub(in crate::viewer) fn run(&mut self, commands: &str) -> Result<(bool, Vec<String>)> {
+    pub(crate) fn run(&mut self, commands: &str) -> Result<(bool, Vec<String>)> {
         let commands = parse(commands).map_err(|e| e.named("edit"))?;
         self.history.run(&commands)?;
         self.saved = self.saved.filter(|saved| *saved < self.history.done().len());
@@ -46,17 +46,17 @@ impl Editor {
     }
 
     /// Takes back what was done last; whether the scene is another, `None` at the beginning.
-    pub(in crate::viewer) fn undo(&mut self) -> Option<bool> {
+    pub(crate) fn undo(&mut self) -> Option<bool> {
         self.history.undo().map(Entry::changes_scene)
     }
 
     /// Does again what was undone last.
-    pub(in crate::viewer) fn redo(&mut self) -> Option<bool> {
+    pub(crate) fn redo(&mut self) -> Option<bool> {
         self.history.redo().map(Entry::changes_scene)
     }
 
     /// Whether a change of the scene is in no file.
-    pub(in crate::viewer) fn is_unsaved(&self) -> bool {
+    pub(crate) fn is_unsaved(&self) -> bool {
         let done = self.history.done();
         self.saved != Some(done.len()) && (self.saved != Some(0) || done.iter().any(Entry::changes_scene))
     }
@@ -65,7 +65,7 @@ impl Editor {
     ///
     /// # Errors
     /// The opened file itself, which the list begins with; those of writing.
-    pub(in crate::viewer) fn save(&mut self, path: &Path) -> Result<Target> {
+    pub(crate) fn save(&mut self, path: &Path) -> Result<Target> {
         let is_source = |p: &Path| {
             p == self.source || p.canonicalize().is_ok_and(|p| self.source.canonicalize().is_ok_and(|s| s == p))
         };
@@ -84,7 +84,7 @@ impl Editor {
     ///
     /// # Errors
     /// Those of writing.
-    pub(in crate::viewer) fn save_list(&self, path: &Path) -> Result<()> {
+    pub(crate) fn save_list(&self, path: &Path) -> Result<()> {
         let session = self.history.session();
         write_text(path, &edited::list(&self.steps(), session.bound_px, session.cameras_used())?)
     }
@@ -94,13 +94,13 @@ impl Editor {
     }
 
     /// What is selected and what is hidden.
-    pub(in crate::viewer) fn marks(&self) -> (Option<&[bool]>, Option<&[bool]>) {
+    pub(crate) fn marks(&self) -> (Option<&[bool]>, Option<&[bool]>) {
         let session = self.history.session();
         (session.selected(), session.hidden())
     }
 
     /// Says in the window's data how things are.
-    pub(in crate::viewer) fn tell(&self, edit: &mut EditMode) {
+    pub(crate) fn tell(&self, edit: &mut EditMode) {
         let session = self.history.session();
         let text = |entry: &Entry| {
             let commands = entry.steps.iter().map(|step| step.command.as_str());
@@ -135,7 +135,7 @@ fn count(mask: Option<&[bool]>) -> usize {
 }
 
 /// Where the edited model goes unless somebody says otherwise: beside the one that was opened.
-pub(in crate::viewer) fn default_target(source: &Path) -> PathBuf {
+pub(crate) fn default_target(source: &Path) -> PathBuf {
     if source.is_dir() {
         return source.join("edited.safetensors");
     }

@@ -7,13 +7,13 @@ use crate::viewer::model::Model;
 use crate::viewer::state::State;
 
 /// Gaussians of a selection that are drawn as dots at most.
-pub(in crate::viewer) const SAMPLES: usize = 2000;
+pub(crate) const SAMPLES: usize = 2000;
 
 /// Moves what stands for the selection to the time that is shown.
 ///
 /// # Errors
 /// Those of placing Gaussians.
-pub(in crate::viewer) fn follow(state: &mut State, model: &Model) -> Result<()> {
+pub(crate) fn follow(state: &mut State, model: &Model) -> Result<()> {
     let (time, edit) = (state.timeline.time, &mut state.edit);
     if !edit.on || edit.placed_at == Some(time) {
         return Ok(());

@@ -5,7 +5,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec2, DVec3};
 
 /// What a gesture does.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(in crate::viewer) enum Kind {
+pub(crate) enum Kind {
     #[default]
     Move,
     Turn,
@@ -14,24 +14,24 @@ pub(in crate::viewer) enum Kind {
 
 /// A gesture that goes on.
 #[derive(Debug, Clone, PartialEq)]
-pub(in crate::viewer) struct Gesture {
-    pub(in crate::viewer) kind: Kind,
+pub(crate) struct Gesture {
+    pub(crate) kind: Kind,
     /// The world's axis that it keeps to: 0, 1 or 2.
-    pub(in crate::viewer) axis: Option<usize>,
+    pub(crate) axis: Option<usize>,
     /// Where the pointer was at its start and is now, pixels of the window.
-    pub(in crate::viewer) from: DVec2,
-    pub(in crate::viewer) to: DVec2,
+    pub(crate) from: DVec2,
+    pub(crate) to: DVec2,
     /// A number that is typed instead.
-    pub(in crate::viewer) typed: String,
+    pub(crate) typed: String,
     /// What stays where it is in a turn or a scale, world units.
-    pub(in crate::viewer) center: DVec3,
+    pub(crate) center: DVec3,
     /// It ends when the button is let go.
-    pub(in crate::viewer) held: bool,
+    pub(crate) held: bool,
 }
 
 /// What comes of a gesture: numbers as they stand in its command.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::viewer) enum Amount {
+pub(crate) enum Amount {
     /// By this vector, world units.
     Move(DVec3),
     /// Around this axis, degrees.
@@ -42,7 +42,7 @@ pub(in crate::viewer) enum Amount {
 
 impl Amount {
     /// The map of points, about `center`.
-    pub(in crate::viewer) fn map(&self, center: DVec3) -> DAffine3 {
+    pub(crate) fn map(&self, center: DVec3) -> DAffine3 {
         let about = |matrix: DMat3| DAffine3::from_mat3_translation(matrix, center - matrix * center);
         match self {
             Self::Move(by) => DAffine3::from_translation(*by),
@@ -57,7 +57,7 @@ impl Amount {
 
 impl Gesture {
     /// What it comes to so far, seen through `camera`.
-    pub(in crate::viewer) fn amount(&self, camera: &Camera) -> Amount {
+    pub(crate) fn amount(&self, camera: &Camera) -> Amount {
         let typed: Option<f64> = self.typed.parse().ok().filter(|v: &f64| v.is_finite());
         let axis = self.axis.map(|k| DVec3::AXES[k]);
         match self.kind {

@@ -15,7 +15,7 @@ const INNER: f64 = 0.25;
 /// Points of a ring.
 const RING: usize = 48;
 /// Colours of the axes.
-pub(in crate::viewer) const COLORS: [Color32; 3] =
+pub(crate) const COLORS: [Color32; 3] =
     [Color32::from_rgb(240, 84, 84), Color32::from_rgb(120, 205, 90), Color32::from_rgb(90, 150, 255)];
 
 /// The line of a handle on the screen, points of the window; empty behind the camera.
@@ -39,7 +39,7 @@ fn line(projection: &Projection, kind: Kind, center: DVec3, axis: usize) -> Vec<
 }
 
 /// The axis of the handle under a point of the window.
-pub(in crate::viewer) fn hit(projection: &Projection, kind: Kind, center: DVec3, at: Pos2) -> Option<usize> {
+pub(crate) fn hit(projection: &Projection, kind: Kind, center: DVec3, at: Pos2) -> Option<usize> {
     let distance = |axis: usize| {
         let line = line(projection, kind, center, axis);
         line.windows(2).map(|s| to_segment(at, s[0], s[1])).fold(f32::INFINITY, f32::min)
@@ -55,7 +55,7 @@ fn to_segment(p: Pos2, a: Pos2, b: Pos2) -> f32 {
 }
 
 /// Draws the handles.
-pub(in crate::viewer) fn draw(painter: &Painter, projection: &Projection, kind: Kind, center: DVec3) {
+pub(crate) fn draw(painter: &Painter, projection: &Projection, kind: Kind, center: DVec3) {
     for (axis, color) in COLORS.into_iter().enumerate() {
         let line = line(projection, kind, center, axis);
         let Some(end) = line.last().copied() else { continue };

@@ -14,7 +14,7 @@ use crate::viewer::state::{Binding, Request, State, binding};
 const STEP: f64 = 3.0;
 
 /// The edit mode's part of the list of keys.
-pub(in crate::viewer) const BINDINGS: [(&str, &[Binding]); 2] = [
+pub(crate) const BINDINGS: [(&str, &[Binding]); 2] = [
     (
         "Edit",
         &[
@@ -41,12 +41,12 @@ pub(in crate::viewer) const BINDINGS: [(&str, &[Binding]); 2] = [
     ),
 ];
 
-pub(in crate::viewer) fn run(state: &mut State, commands: impl Into<String>) {
+pub(crate) fn run(state: &mut State, commands: impl Into<String>) {
     state.requests.push(Request::Edit(Ask::Run(commands.into())));
 }
 
 /// Takes the pointer; true when the camera must not have it.
-pub(in crate::viewer) fn pointer(ui: &egui::Ui, response: &egui::Response, state: &mut State) -> bool {
+pub(crate) fn pointer(ui: &egui::Ui, response: &egui::Response, state: &mut State) -> bool {
     let scale = state.edit.frame.scale;
     let pixel = |p: egui::Pos2| DVec2::new(f64::from(p.x), f64::from(p.y)) * scale;
     let (at, origin) = ui.input(|i| (i.pointer.latest_pos(), i.pointer.press_origin()));
@@ -188,7 +188,7 @@ fn finish(state: &mut State) {
 }
 
 /// A key, with the pointer at a point of the window; false when it is not one of the edit mode's.
-pub(in crate::viewer) fn key(key: Key, modifiers: Modifiers, at: Option<egui::Pos2>, state: &mut State) -> bool {
+pub(crate) fn key(key: Key, modifiers: Modifiers, at: Option<egui::Pos2>, state: &mut State) -> bool {
     if state.edit.gesture.is_some() {
         return gesture_key(key, modifiers, state);
     }

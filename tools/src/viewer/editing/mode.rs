@@ -6,7 +6,7 @@ use super::gesture::{Gesture, Kind};
 
 /// What a click or a drag with the left button does.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(in crate::viewer) enum Tool {
+pub(crate) enum Tool {
     /// A click selects what moves together; a drag turns the camera.
     #[default]
     Superpoint,
@@ -17,7 +17,7 @@ pub(in crate::viewer) enum Tool {
 }
 
 impl Tool {
-    pub(in crate::viewer) const ALL: [(Self, &'static str, &'static str); 4] = [
+    pub(crate) const ALL: [(Self, &'static str, &'static str); 4] = [
         (Self::Superpoint, "part", "click: what moves together"),
         (Self::Gaussian, "Gaussian", "click: one Gaussian"),
         (Self::Rectangle, "rect", "drag a rectangle (B)"),
@@ -25,14 +25,14 @@ impl Tool {
     ];
 
     /// Whether drags with the left button are its own.
-    pub(in crate::viewer) fn takes_drags(self) -> bool {
+    pub(crate) fn takes_drags(self) -> bool {
         matches!(self, Self::Rectangle | Self::Lasso)
     }
 }
 
 /// How deep picks go.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(in crate::viewer) enum Reach {
+pub(crate) enum Reach {
     #[default]
     Surface,
     Depth,
@@ -41,7 +41,7 @@ pub(in crate::viewer) enum Reach {
 
 /// When a change holds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(in crate::viewer) enum Holds {
+pub(crate) enum Holds {
     /// In the world at all times.
     #[default]
     Always,
@@ -53,16 +53,16 @@ pub(in crate::viewer) enum Holds {
 
 /// A selection with a name.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(in crate::viewer) struct Name {
-    pub(in crate::viewer) name: String,
-    pub(in crate::viewer) count: usize,
-    pub(in crate::viewer) hidden: bool,
-    pub(in crate::viewer) locked: bool,
+pub(crate) struct Name {
+    pub(crate) name: String,
+    pub(crate) count: usize,
+    pub(crate) hidden: bool,
+    pub(crate) locked: bool,
 }
 
 /// What is asked of the editor.
 #[derive(Debug, Clone, PartialEq)]
-pub(in crate::viewer) enum Ask {
+pub(crate) enum Ask {
     /// Begins or ends the edit mode.
     Toggle,
     /// Commands of the language of edits, undone together.
@@ -74,29 +74,29 @@ pub(in crate::viewer) enum Ask {
 
 /// Fields of the panel.
 #[derive(Debug, Clone, PartialEq)]
-pub(in crate::viewer) struct Form {
+pub(crate) struct Form {
     /// How deep picks go behind the surface, world units.
-    pub(in crate::viewer) depth: f64,
+    pub(crate) depth: f64,
     /// Pixels off one rigid motion.
-    pub(in crate::viewer) similar: f64,
-    pub(in crate::viewer) grow: f64,
-    pub(in crate::viewer) center: [f64; 3],
-    pub(in crate::viewer) radius: f64,
-    pub(in crate::viewer) opacity: f64,
-    pub(in crate::viewer) size: f64,
-    pub(in crate::viewer) color: [f32; 3],
-    pub(in crate::viewer) within: f64,
-    pub(in crate::viewer) floaters: f64,
+    pub(crate) similar: f64,
+    pub(crate) grow: f64,
+    pub(crate) center: [f64; 3],
+    pub(crate) radius: f64,
+    pub(crate) opacity: f64,
+    pub(crate) size: f64,
+    pub(crate) color: [f32; 3],
+    pub(crate) within: f64,
+    pub(crate) floaters: f64,
     /// First and last time, and the way there and back.
-    pub(in crate::viewer) during: [f64; 3],
-    pub(in crate::viewer) tint: [f32; 3],
-    pub(in crate::viewer) gain: f64,
-    pub(in crate::viewer) name: String,
-    pub(in crate::viewer) merge: String,
+    pub(crate) during: [f64; 3],
+    pub(crate) tint: [f32; 3],
+    pub(crate) gain: f64,
+    pub(crate) name: String,
+    pub(crate) merge: String,
     /// Where the model is saved.
-    pub(in crate::viewer) file: String,
+    pub(crate) file: String,
     /// Commands that are typed.
-    pub(in crate::viewer) command: String,
+    pub(crate) command: String,
 }
 
 impl Default for Form {
@@ -125,42 +125,42 @@ impl Default for Form {
 
 /// Window that pixels are of.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::viewer) struct Frame {
+pub(crate) struct Frame {
     /// Pixels.
-    pub(in crate::viewer) size: [u32; 2],
+    pub(crate) size: [u32; 2],
     /// Pixels per point of the interface.
-    pub(in crate::viewer) scale: f64,
+    pub(crate) scale: f64,
 }
 
 /// The edit mode.
 #[derive(Debug, Clone)]
-pub(in crate::viewer) struct EditMode {
-    pub(in crate::viewer) on: bool,
-    pub(in crate::viewer) tool: Tool,
-    pub(in crate::viewer) reach: Reach,
+pub(crate) struct EditMode {
+    pub(crate) on: bool,
+    pub(crate) tool: Tool,
+    pub(crate) reach: Reach,
     /// A click goes on to what moves alike.
-    pub(in crate::viewer) goes_on: bool,
-    pub(in crate::viewer) holds: Holds,
+    pub(crate) goes_on: bool,
+    pub(crate) holds: Holds,
     /// Which handles are shown.
-    pub(in crate::viewer) handles: Kind,
-    pub(in crate::viewer) gesture: Option<Gesture>,
+    pub(crate) handles: Kind,
+    pub(crate) gesture: Option<Gesture>,
     /// Corners of the rectangle, or the line of the lasso, that is being dragged, pixels.
-    pub(in crate::viewer) drawn: Vec<DVec2>,
-    pub(in crate::viewer) form: Form,
-    pub(in crate::viewer) frame: Frame,
+    pub(crate) drawn: Vec<DVec2>,
+    pub(crate) form: Form,
+    pub(crate) frame: Frame,
     /// Groups of commands that were done, then those that were undone, the next one first.
-    pub(in crate::viewer) list: Vec<String>,
-    pub(in crate::viewer) done: usize,
-    pub(in crate::viewer) unsaved: bool,
-    pub(in crate::viewer) names: Vec<Name>,
-    pub(in crate::viewer) selected: usize,
-    pub(in crate::viewer) hidden: usize,
-    pub(in crate::viewer) locked: usize,
+    pub(crate) list: Vec<String>,
+    pub(crate) done: usize,
+    pub(crate) unsaved: bool,
+    pub(crate) names: Vec<Name>,
+    pub(crate) selected: usize,
+    pub(crate) hidden: usize,
+    pub(crate) locked: usize,
     /// Some of what is selected: indices, and where they are at the time shown.
-    pub(in crate::viewer) sample: Vec<usize>,
-    pub(in crate::viewer) placed: Vec<DVec3>,
+    pub(crate) sample: Vec<usize>,
+    pub(crate) placed: Vec<DVec3>,
     /// Time of [`Self::placed`]; none when it is to be made anew.
-    pub(in crate::viewer) placed_at: Option<f64>,
+    pub(crate) placed_at: Option<f64>,
 }
 
 impl Default for EditMode {
@@ -192,13 +192,13 @@ impl Default for EditMode {
 
 impl EditMode {
     /// About where the selection's centre is, world units; `None` of nothing.
-    pub(in crate::viewer) fn center(&self) -> Option<DVec3> {
+    pub(crate) fn center(&self) -> Option<DVec3> {
         let count = self.placed.len();
         (count > 0).then(|| self.placed.iter().sum::<DVec3>() / count as f64)
     }
 
     /// Ends what is being dragged or typed.
-    pub(in crate::viewer) fn rest(&mut self) {
+    pub(crate) fn rest(&mut self) {
         self.gesture = None;
         self.drawn.clear();
     }

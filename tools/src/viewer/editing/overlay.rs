@@ -10,10 +10,10 @@ use crate::viewer::overlay::Projection;
 use crate::viewer::state::State;
 
 /// What is selected.
-pub(in crate::viewer) const SELECTED: Color32 = Color32::from_rgb(255, 160, 40);
+pub(crate) const SELECTED: Color32 = Color32::from_rgb(255, 160, 40);
 
 /// Draws what the edit mode shows over the scene.
-pub(in crate::viewer) fn draw(painter: &Painter, projection: &Projection, state: &State) {
+pub(crate) fn draw(painter: &Painter, projection: &Projection, state: &State) {
     let edit = &state.edit;
     if !edit.on {
         return;

@@ -13,7 +13,7 @@ use crate::viewer::widgets::{grouped, row, section};
 const ROWS: f32 = 9.0;
 
 /// Draws it; `gaussians` is their number.
-pub(in crate::viewer) fn draw(ui: &mut Ui, state: &mut State, gaussians: usize) {
+pub(crate) fn draw(ui: &mut Ui, state: &mut State, gaussians: usize) {
     ui.horizontal(|ui| {
         ui.label(RichText::new("Edit").heading());
         if ui.button("done").on_hover_text("Ctrl+E").clicked() {

@@ -17,7 +17,7 @@ impl Viewer {
     ///
     /// # Errors
     /// The device's.
-    pub(in crate::viewer) fn edit(&mut self, ask: Ask) -> Result<()> {
+    pub(crate) fn edit(&mut self, ask: Ask) -> Result<()> {
         if ask == Ask::Toggle {
             self.toggle_editing();
             return self.show_edits(false);
@@ -87,7 +87,7 @@ impl Viewer {
     ///
     /// # Errors
     /// The device's.
-    pub(in crate::viewer) fn show_edits(&mut self, changed: bool) -> Result<()> {
+    pub(crate) fn show_edits(&mut self, changed: bool) -> Result<()> {
         let (Some(gui), Some(editor)) = (&mut self.gui, &self.editor) else { return Ok(()) };
         editor.tell(&mut self.state.edit);
         if changed {
@@ -110,7 +110,7 @@ impl Viewer {
     ///
     /// # Errors
     /// Those of writing.
-    pub(in crate::viewer) fn leave_editing(&mut self) -> Result<Option<PathBuf>> {
+    pub(crate) fn leave_editing(&mut self) -> Result<Option<PathBuf>> {
         self.state.edit = EditMode { form: std::mem::take(&mut self.state.edit.form), ..EditMode::default() };
         let Some(editor) = self.editor.take().filter(Editor::is_unsaved) else { return Ok(None) };
         let path = free_name(&self.args.out, "unsaved", "edits.toml")?;

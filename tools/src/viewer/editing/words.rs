@@ -7,7 +7,7 @@ use super::gesture::Amount;
 use super::mode::{EditMode, Holds, Reach};
 
 /// Which word a selection begins with, from the keys that are held.
-pub(in crate::viewer) fn verb(shift: bool, command: bool) -> &'static str {
+pub(crate) fn verb(shift: bool, command: bool) -> &'static str {
     match (shift, command) {
         (true, true) => "intersect",
         (true, false) => "add",
@@ -20,25 +20,25 @@ fn list(values: impl IntoIterator<Item = f64>) -> String {
     values.into_iter().map(|v| v.to_string()).collect::<Vec<_>>().join(",")
 }
 
-pub(in crate::viewer) fn vector(v: DVec3) -> String {
+pub(crate) fn vector(v: DVec3) -> String {
     list(v.to_array())
 }
 
 /// `#ff8800` of red, green and blue from 0 to 1.
-pub(in crate::viewer) fn color(rgb: [f32; 3]) -> String {
+pub(crate) fn color(rgb: [f32; 3]) -> String {
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
     let [r, g, b] = rgb.map(byte);
     format!("#{r:02x}{g:02x}{b:02x}")
 }
 
 /// A word in quotes; `None` of what the language cannot say.
-pub(in crate::viewer) fn quoted(text: &str) -> Option<String> {
+pub(crate) fn quoted(text: &str) -> Option<String> {
     let fine = !text.is_empty() && !text.contains(['"', '\n', '\r']);
     fine.then(|| format!("\"{text}\""))
 }
 
 /// The camera of the window.
-pub(in crate::viewer) fn camera(camera: &Camera) -> String {
+pub(crate) fn camera(camera: &Camera) -> String {
     let axes = camera.rotation.transpose();
     let fov = 2.0 * (0.5 * f64::from(camera.width) / camera.fx).atan();
     format!(
@@ -55,7 +55,7 @@ pub(in crate::viewer) fn camera(camera: &Camera) -> String {
 }
 
 /// A pick through the window's camera: `what` is `click 3,4` and its like.
-pub(in crate::viewer) fn pick(through: &Camera, verb: &str, what: &str, edit: &EditMode) -> String {
+pub(crate) fn pick(through: &Camera, verb: &str, what: &str, edit: &EditMode) -> String {
     let depth = match edit.reach {
         Reach::Surface => String::new(),
         Reach::Depth => format!(" depth {}", edit.form.depth),
@@ -66,12 +66,12 @@ pub(in crate::viewer) fn pick(through: &Camera, verb: &str, what: &str, edit: &E
 }
 
 /// Pixels of a line.
-pub(in crate::viewer) fn points(points: &[glam::DVec2]) -> String {
+pub(crate) fn points(points: &[glam::DVec2]) -> String {
     points.iter().map(|p| list([p.x, p.y])).collect::<Vec<_>>().join(" ")
 }
 
 /// A change, holding as the mode says, at `time`.
-pub(in crate::viewer) fn change(amount: &Amount, edit: &EditMode, time: f64) -> String {
+pub(crate) fn change(amount: &Amount, edit: &EditMode, time: f64) -> String {
     let (what, is_move) = match amount {
         Amount::Move(by) => (format!("move {}", vector(*by)), true),
         Amount::Turn(axis, degrees) => (format!("rotate {} {degrees} pivot center", direction(*axis)), false),
