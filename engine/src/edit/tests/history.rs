@@ -132,3 +132,29 @@ fn hidden_and_locked_gaussians_stay_as_they_are() {
     assert_eq!(history.session().locked().unwrap().iter().filter(|m| **m).count(), 10);
     assert!(history.run(&commands("hide named none")).unwrap_err().to_string().contains("some"));
 }
+
+/// What is no row: networks that a move takes away, a degree that a merge raises, whether there is a table at all.
+#[test]
+fn networks_degrees_and_tables_come_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let other = folder.path().join("other.safetensors");
+    crate::file::model::write(&other, &moving_scene(40, 3, 4, 9, false)).unwrap();
+    let merge = format!("merge \"{}\"", other.display());
+    let flat = random_scene(50, 2, 0);
+    assert!(flat.gaussians.sh_degree < 3);
+    for (scene, text) in [
+        (moving_scene(60, 4, 5, 3, true), "select gaussians 0-9; move 1,0,0"),
+        (moving_scene(60, 4, 5, 3, true), merge.as_str()),
+        (flat.clone(), merge.as_str()),
+        (flat, "select gaussians 0-9; move 0,1,0 during 0..0.5"),
+    ] {
+        let mut history = history(scene.clone());
+        history.run(&commands(text)).unwrap();
+        let (changed, bits) = (history.session().scene.clone(), hash(history.session()));
+        assert!(changed.deformation != scene.deformation || changed.gaussians.sh_degree != scene.gaussians.sh_degree);
+        history.undo();
+        assert!(history.session().scene == scene, "{text}");
+        history.redo();
+        assert!(history.session().scene == changed && hash(history.session()) == bits, "{text}");
+    }
+}
