@@ -12,22 +12,32 @@ use crate::scene::{MotionSource, Scene};
 /// # Errors
 /// Those of [`place_scene`].
 pub fn centers(scene: &Scene, time: f64) -> Result<Vec<DVec3>> {
+    centers_of(scene, 0..scene.gaussians.len(), time)
+}
+
+/// The centres of the Gaussians `of`.
+///
+/// # Errors
+/// Those of [`place_scene`].
+pub fn centers_of(scene: &Scene, of: impl IntoParallelIterator<Item = usize>, time: f64) -> Result<Vec<DVec3>> {
+    let of = of.into_par_iter();
     if scene.deformation.changes_scales() {
-        return Ok(place_scene(scene, time, MotionSource::Auto)?.mean);
+        let placed = place_scene(scene, time, MotionSource::Auto)?.mean;
+        return Ok(of.map(|i| placed[i]).collect());
     }
     let mean = &scene.gaussians.mean;
     let at = |i: usize| DVec3::from_array(mean[i].map(f64::from));
     let (Some(poses), Some(s)) = (poses(scene, time, MotionSource::Auto)?, scene.deformation.superpoint_deformation())
     else {
-        return Ok((0..mean.len()).map(at).collect());
+        return Ok(of.map(at).collect());
     };
     let placed: Vec<(DMat3, DVec3)> = poses.iter().map(|p| (exp(p.rotation), p.translation)).collect();
-    let of = |i: usize| match &s.blend {
+    let place = |i: usize| match &s.blend {
         None => {
             let (turn, shift) = placed[s.superpoints.of_gaussian[i] as usize];
             turn * at(i) + shift
         }
         Some(blend) => blend.slots(i).map(|(j, w)| w * (placed[j].0 * at(i) + placed[j].1)).sum(),
     };
-    Ok((0..mean.len()).into_par_iter().map(of).collect())
+    Ok(of.map(place).collect())
 }

@@ -10,6 +10,8 @@
 mod centers;
 mod color;
 mod during;
+mod history;
+mod masks;
 mod measure;
 mod merge;
 mod nearest_turn;
@@ -26,9 +28,10 @@ mod tests;
 mod time;
 mod transform;
 
-pub use centers::centers;
+pub use centers::{centers, centers_of};
 pub use color::{Recolor, recolor};
 pub use during::{Window, transform_during};
+pub use history::{Entry, History};
 pub use measure::{BOUND_PX, Bound, Touched};
 pub use merge::{Placement, merge};
 pub(crate) use nearest_turn::{nearest_turn, outer};

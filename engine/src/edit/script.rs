@@ -81,6 +81,30 @@ pub enum Term {
     Click([f64; 2]),
     /// What is seen in a rectangle of pixels.
     Rectangle([f64; 4]),
+    /// What is seen within a line around pixels.
+    Lasso(Vec<[f64; 2]>),
+}
+
+impl Term {
+    /// Whether it looks through a camera.
+    pub(crate) fn is_pick(&self) -> bool {
+        matches!(self, Self::Click(_) | Self::Rectangle(_) | Self::Lasso(_))
+    }
+}
+
+/// What can be seen and selected: of the selection, of what has a name, or (to show and to unlock) of everything.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Mark {
+    /// Is no longer seen, and so not selected.
+    Hide(Option<String>),
+    /// Nothing but the selection is seen.
+    Isolate,
+    /// Is seen again.
+    Show(Option<String>),
+    /// Can no longer be selected.
+    Lock(Option<String>),
+    /// Can be selected again.
+    Unlock(Option<String>),
 }
 
 /// What a rigid change or a scale does.
@@ -153,6 +177,8 @@ pub enum Action {
     Grow(f64, Option<f64>),
     /// Gives the selection a name.
     Name(String),
+    /// Hides, locks, or takes that back.
+    Mark(Mark),
     /// Moves, turns or scales.
     Change {
         /// What.
@@ -191,4 +217,14 @@ pub enum Action {
     },
     /// The camera of later picks.
     Camera(Box<Camera>),
+}
+
+impl Action {
+    /// Whether it may change the scene, and not selections alone.
+    pub fn changes_scene(&self) -> bool {
+        !matches!(
+            self,
+            Self::Select { .. } | Self::Invert | Self::Grow(..) | Self::Name(_) | Self::Mark(_) | Self::Camera(_)
+        )
+    }
 }

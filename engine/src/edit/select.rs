@@ -15,7 +15,7 @@ use crate::scene::{Camera, Scene};
 
 pub use flood::{Likeness, similar};
 pub use grow::grow;
-pub use pick::{Depth, click, rectangle};
+pub use pick::{Depth, View, click, lasso, rectangle};
 
 /// What Gaussians have in common.
 #[derive(Debug, Clone, PartialEq)]

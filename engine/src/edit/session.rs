@@ -1,12 +1,12 @@
 //! A scene that commands change one after another.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use glam::DVec3;
 use serde::Serialize;
 
-use super::script::{Action, Change, Command, Frame, Mode, Pivot, Retime, Term};
+use super::masks::{Mask, Masks};
+use super::script::{Action, Change, Command, Frame, Mark, Mode, Pivot, Retime, Term};
 use super::select::{self, Depth, Likeness};
 use super::split::{tidy, used};
 use super::{
@@ -26,13 +26,18 @@ pub struct Session {
     pub cameras: Vec<Camera>,
     /// Largest displacement that re-made poses may cause, pixels.
     pub bound_px: f64,
-    selected: Option<Vec<bool>>,
-    named: BTreeMap<String, Vec<bool>>,
-    camera: Option<Camera>,
-    time: Option<f64>,
+    pub(super) masks: Masks,
+    pub(super) seen: Seen,
     /// `[M]` superpoints that had no Gaussians from the start.
     empty: Vec<bool>,
-    /// Whether the result depends on [`Self::cameras`].
+}
+
+/// Through which cameras, and when, commands look at the scene.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Seen {
+    camera: Option<Camera>,
+    time: Option<f64>,
+    /// Whether the result depends on [`Session::cameras`].
     uses_cameras: bool,
 }
 
@@ -58,22 +63,41 @@ impl Session {
             scene,
             cameras,
             bound_px,
-            selected: None,
-            named: BTreeMap::new(),
-            camera: None,
-            time: None,
-            uses_cameras: false,
+            masks: Masks::default(),
+            seen: Seen::default(),
         }
     }
 
     /// The mask `[N]` of the selection; `None` before the first one.
     pub fn selected(&self) -> Option<&[bool]> {
-        self.selected.as_deref()
+        self.masks.get(&Mask::Selected)
+    }
+
+    /// The mask `[N]` of what is hidden; `None` when nothing is.
+    pub fn hidden(&self) -> Option<&[bool]> {
+        self.masks.get(&Mask::Hidden)
+    }
+
+    /// The mask `[N]` of what is locked; `None` when nothing is.
+    pub fn locked(&self) -> Option<&[bool]> {
+        self.masks.get(&Mask::Locked)
+    }
+
+    /// Selections that have names, in the order of these.
+    pub fn named(&self) -> impl Iterator<Item = (&str, &[bool])> {
+        self.masks.names()
+    }
+
+    /// The scene as it is written: without superpoints that have lost all their Gaussians.
+    pub fn finished(&self) -> Scene {
+        let mut scene = self.scene.clone();
+        tidy(&mut scene, &self.empty);
+        scene
     }
 
     /// The cameras, if the result so far depends on them.
     pub fn cameras_used(&self) -> &[Camera] {
-        if self.uses_cameras { &self.cameras } else { &[] }
+        if self.seen.uses_cameras { &self.cameras } else { &[] }
     }
 
     /// Ends it: superpoints that have lost all their Gaussians go. Returns their number; numbers of later ones change.
@@ -87,7 +111,7 @@ impl Session {
     /// Those of its operation; the scene may then be changed in part.
     pub fn apply(&mut self, command: &Command) -> Result<Step> {
         let touched = self.act(&command.action)?;
-        let selected = self.selected.iter().flatten().filter(|m| **m).count();
+        let selected = self.selected().unwrap_or_default().iter().filter(|m| **m).count();
         Ok(Step { line: command.place.line, command: command.text.clone(), selected, touched })
     }
 
@@ -99,17 +123,19 @@ impl Session {
             }
             Action::Invert => {
                 let mask = self.mask()?.iter().map(|m| !m).collect();
-                self.selected = Some(mask);
+                self.masks.select(mask);
             }
             Action::Grow(distance, time) => {
                 let time = self.time_or(*time);
-                self.selected = Some(select::grow(&self.scene, self.mask()?, *distance, time)?);
+                let grown = select::grow(&self.scene, self.mask()?, *distance, time)?;
+                self.masks.select(grown);
             }
             Action::Name(name) => {
                 let mask = self.mask()?.to_vec();
-                self.named.insert(name.clone(), mask);
+                self.masks.set(Mask::Named(name.clone()), Some(mask));
             }
-            Action::Camera(camera) => self.camera = Some((**camera).clone()),
+            Action::Mark(mark) => self.mark(mark)?,
+            Action::Camera(camera) => self.seen.camera = Some((**camera).clone()),
             Action::Change { change, pivot, frame, time, during } => {
                 let time = self.time_or(*time);
                 let mask = self.mask()?.to_vec();
@@ -135,8 +161,9 @@ impl Session {
                 return self.keep(&rest);
             }
             Action::Keep => {
-                let mask = self.mask()?.to_vec();
-                return self.keep(&mask);
+                let mask = self.mask()?;
+                let kept: Vec<bool> = (0..mask.len()).map(|i| mask[i] || !self.masks.is_free(i)).collect();
+                return self.keep(&kept);
             }
             Action::Duplicate => {
                 let mask = self.mask()?.to_vec();
@@ -168,15 +195,15 @@ impl Session {
     }
 
     fn mask(&self) -> Result<&[bool]> {
-        self.selected.as_deref().ok_or_else(|| Error::usage("selection", "none so far", "a `select` before this"))
+        self.masks.selected()
     }
 
     fn time_or(&self, time: Option<f64>) -> f64 {
-        time.or(self.time).unwrap_or_else(|| self.scene.time_range()[0])
+        time.or(self.seen.time).unwrap_or_else(|| self.scene.time_range()[0])
     }
 
     fn bound(&mut self) -> Result<Bound> {
-        self.uses_cameras = true;
+        self.seen.uses_cameras = true;
         Bound::new(&self.scene, &self.cameras, self.bound_px)
     }
 
@@ -188,27 +215,23 @@ impl Session {
         time: Option<f64>,
         similar: Option<Likeness>,
     ) -> Result<Vec<bool>> {
-        let is_pick = matches!(term, Term::Click(_) | Term::Rectangle(_));
-        let camera = if is_pick { Some(self.camera_of(view)?) } else { None };
+        let camera = if term.is_pick() { Some(self.camera_of(view)?) } else { None };
         let of_camera = camera.as_ref().map(|c| c.time).filter(|t| t.is_finite());
         let time = time.or(of_camera).unwrap_or_else(|| self.time_or(None));
-        self.time = Some(time);
+        self.seen.time = Some(time);
         let scene = &self.scene;
         let mut mask = match (term, &camera) {
             (Term::Criterion(criterion), _) => {
-                self.uses_cameras |= matches!(criterion, select::Criterion::Floaters(_));
+                self.seen.uses_cameras |= matches!(criterion, select::Criterion::Floaters(_));
                 select::select(scene, criterion, time, &self.cameras)?
             }
-            (Term::Named(name), _) => self.named.get(name).cloned().ok_or_else(|| {
-                let known: Vec<&str> = self.named.keys().map(String::as_str).collect();
-                let expected = if known.is_empty() { "`name` before this".into() } else { known.join(", ") };
-                Error::usage("selection", format!("no name `{name}`"), expected)
-            })?,
+            (Term::Named(name), _) => self.masks.named(name)?.to_vec(),
             (Term::Click(point), Some(camera)) => {
-                let mask = select::click(scene, camera, time, *point, depth)?;
+                let mask = select::click(&self.view(camera, time), *point, depth)?;
                 select::whole_superpoints(scene, &mask)
             }
-            (Term::Rectangle(corners), Some(camera)) => select::rectangle(scene, camera, time, *corners, depth)?,
+            (Term::Rectangle(corners), Some(camera)) => select::rectangle(&self.view(camera, time), *corners, depth)?,
+            (Term::Lasso(points), Some(camera)) => select::lasso(&self.view(camera, time), points, depth)?,
             _ => vec![false; scene.gaussians.len()],
         };
         if let Some(most) = similar {
@@ -218,12 +241,17 @@ impl Session {
         Ok(mask)
     }
 
+    /// What picks look at: hidden Gaussians are not seen.
+    fn view<'a>(&'a self, camera: &'a Camera, time: f64) -> select::View<'a> {
+        select::View { scene: &self.scene, camera, time, hidden: self.hidden() }
+    }
+
     fn camera_of(&mut self, view: Option<usize>) -> Result<Camera> {
         let Some(view) = view else {
             let expected = "`view N` with --data, or a `camera` before this";
-            return self.camera.clone().ok_or_else(|| Error::usage("camera", "none", expected));
+            return self.seen.camera.clone().ok_or_else(|| Error::usage("camera", "none", expected));
         };
-        self.uses_cameras = true;
+        self.seen.uses_cameras = true;
         self.cameras.get(view).cloned().ok_or_else(|| match self.cameras.len() {
             0 => Error::usage("view", format!("{view}, without cameras"), "the cameras of a data set (--data)"),
             count => Error::usage("view", view.to_string(), format!("0 to {}", count - 1)),
@@ -232,13 +260,32 @@ impl Session {
 
     fn combine(&mut self, mode: Mode, found: Vec<bool>) -> Result<()> {
         let with = |by: fn(bool, bool) -> bool, old: &[bool]| old.iter().zip(&found).map(|(a, b)| by(*a, *b)).collect();
-        self.selected = Some(match mode {
+        let mask = match mode {
             Mode::Replace => found,
-            Mode::Add if self.selected.is_none() => found,
+            Mode::Add if self.selected().is_none() => found,
             Mode::Add => with(|a, b| a || b, self.mask()?),
             Mode::Subtract => with(|a, b| a && !b, self.mask()?),
             Mode::Intersect => with(|a, b| a && b, self.mask()?),
-        });
+        };
+        self.masks.select(mask);
+        Ok(())
+    }
+
+    fn mark(&mut self, mark: &Mark) -> Result<()> {
+        let all = || vec![true; self.scene.gaussians.len()];
+        let of = |name: &Option<String>| match name {
+            Some(name) => self.masks.named(name).map(<[bool]>::to_vec),
+            None => self.mask().map(<[bool]>::to_vec),
+        };
+        let of_all = |name: &Option<String>| if name.is_some() { of(name) } else { Ok(all()) };
+        let (mask, of, on) = match mark {
+            Mark::Hide(name) => (Mask::Hidden, of(name)?, true),
+            Mark::Isolate => (Mask::Hidden, self.mask()?.iter().map(|m| !m).collect(), true),
+            Mark::Show(name) => (Mask::Hidden, of_all(name)?, false),
+            Mark::Lock(name) => (Mask::Locked, of(name)?, true),
+            Mark::Unlock(name) => (Mask::Locked, of_all(name)?, false),
+        };
+        self.masks.mark(mask, &of, on);
         Ok(())
     }
 
@@ -271,18 +318,12 @@ impl Session {
     /// Keeps Gaussians, and what selections say of them.
     fn keep(&mut self, mask: &[bool]) -> Result<Touched> {
         let touched = keep(&mut self.scene, mask)?;
-        for selection in self.named.values_mut().chain(&mut self.selected) {
-            let mut kept = mask.iter();
-            selection.retain(|_| kept.next().copied().unwrap_or(false));
-        }
+        self.masks.keep(mask);
         Ok(touched)
     }
 
-    /// Selects the last `count` Gaussians, which are new: no named selection has them.
     fn select_last(&mut self, count: usize) {
-        let n = self.scene.gaussians.len();
-        self.named.values_mut().for_each(|selection| selection.resize(n, false));
-        self.selected = Some((0..n).map(|i| i + count >= n).collect());
+        self.masks.select_last(self.scene.gaussians.len(), count);
     }
 }
 

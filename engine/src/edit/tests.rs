@@ -1,6 +1,7 @@
 //! Edits against the f64 reference and against their definitions in f64.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "tests")]
 
+mod history;
 mod motion;
 mod replay;
 mod selecting;

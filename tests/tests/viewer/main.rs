@@ -8,6 +8,7 @@ use stats_alloc::{INSTRUMENTED_SYSTEM, StatsAlloc};
 mod desktop;
 mod details;
 mod drop;
+mod editing;
 mod input;
 mod window;
 

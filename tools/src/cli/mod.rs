@@ -2,6 +2,7 @@
 
 pub mod args;
 pub mod camera;
+pub mod edited;
 pub mod gpu_session;
 pub(crate) mod interrupt;
 pub mod model;

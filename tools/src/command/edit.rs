@@ -2,16 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use engine::edit::script::{Command, EditList, ListedEdit, Place, ScriptError, parse};
+use engine::edit::script::{Command, EditList, Place, ScriptError, parse};
 use engine::edit::{BOUND_PX, Session, Step};
 use engine::error::{Error, Result};
-use engine::file::{self, Output, durable};
 use engine::scene::{Camera, Scene};
 use serde::Serialize;
 
 use crate::cli::args::{EditArgs, Global};
+use crate::cli::edited::Target;
 use crate::cli::{model, output, progress};
-use crate::report::files::write_text;
 
 /// Most bytes of a script.
 const MOST_BYTES: u64 = 64 << 20;
@@ -89,13 +88,8 @@ pub fn edit(args: &EditArgs, global: &Global) -> Result<Summary> {
     let mut dropped = Vec::new();
     if let Some(target) = &target {
         bar.set_message("writing");
-        target.check(&session.scene)?;
-        if target.kind.holds_motion() {
-            note(&mut session.scene, &steps);
-        }
-        dropped = file::save_as(&target.model, &session.scene, target.kind)?;
-        let edits = steps.iter().map(listed).collect();
-        write_text(&target.list, &EditList::new(plan.bound_px, edits, session.cameras_used()).to_text()?)?;
+        let cameras = session.cameras_used().to_vec();
+        dropped = target.write(&mut session.scene, &steps, plan.bound_px, &cameras)?;
     }
     bar.finish_and_clear();
     let pair = |k: usize| [before[k], after[k]];
@@ -110,35 +104,6 @@ pub fn edit(args: &EditArgs, global: &Global) -> Result<Summary> {
         steps,
         dropped,
     })
-}
-
-/// Where the result goes.
-struct Target {
-    model: PathBuf,
-    list: PathBuf,
-    kind: Output,
-}
-
-impl Target {
-    /// Looks whether both files can be written, before any work.
-    fn new(path: &Path) -> Result<Self> {
-        let kind = Output::of_name(path)?;
-        let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let stem = &name[..name.len() - kind.ending().len()];
-        let list = path.with_file_name(format!("{stem}.edits.toml"));
-        durable::check_target(path)?;
-        durable::check_target(&list)?;
-        Ok(Self { model: path.to_owned(), list, kind })
-    }
-
-    /// Rejects formats that leave motion out: Gaussians alone are not where the edits have put them.
-    fn check(&self, scene: &Scene) -> Result<()> {
-        if self.kind.holds_motion() || !scene.deformation.moves() {
-            return Ok(());
-        }
-        let expected = "a .safetensors file; `spgs convert --time T` makes one of a moment of it";
-        Err(Error::usage(format!("output {}", self.model.display()), "a format without motion", expected))
-    }
 }
 
 /// Everything that is read before the model.
@@ -201,20 +166,6 @@ fn at(error: Error, source: &str, command: &Command) -> Error {
 /// Gaussians, superpoints, key times.
 fn counts(scene: &Scene) -> [usize; 3] {
     [scene.gaussians.len(), scene.deformation.superpoint_count(), scene.deformation.key_times().len()]
-}
-
-/// The edits in the model's metadata, after those that were there.
-fn note(scene: &mut Scene, steps: &[Step]) {
-    let all: Vec<&str> = steps.iter().map(|step| step.command.as_str()).collect();
-    if all.is_empty() {
-        return;
-    }
-    let noted = scene.metadata.entry("edits".into()).or_default();
-    *noted = [noted.as_str()].into_iter().filter(|text| !text.is_empty()).chain(all).collect::<Vec<_>>().join("\n");
-}
-
-fn listed(step: &Step) -> ListedEdit {
-    ListedEdit { command: step.command.clone(), selected: step.selected, touched: step.touched.gaussians }
 }
 
 /// For people.

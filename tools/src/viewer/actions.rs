@@ -19,11 +19,12 @@ impl Viewer {
         // What a click selects is first in the next frame, and so in a picture that is asked for after it.
         let mut selected = false;
         for request in requests {
-            selected |= matches!(request, Request::Pick(..));
+            selected |= matches!(request, Request::Pick(..) | Request::Edit(_));
             match request {
                 Request::SavePng if selected => self.state.requests.push(request),
                 Request::Open(path) => self.open(path),
                 Request::Quit => self.state.wants_to_quit = true,
+                Request::Edit(ask) => self.edit(ask)?,
                 other => {
                     let Some(gui) = &mut self.gui else { continue };
                     act(other, gui, &mut self.state, &self.args.out)?;
@@ -70,7 +71,7 @@ fn act(request: Request, gui: &mut Gui, state: &mut State, folder: &Path) -> Res
             }
         },
         Request::Pick(at, go) => pick(gui, state, at, go)?,
-        Request::Open(_) | Request::Quit => {}
+        Request::Open(_) | Request::Edit(_) | Request::Quit => {}
     }
     Ok(())
 }

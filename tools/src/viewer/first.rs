@@ -4,6 +4,7 @@ use engine::error::Result;
 use engine::render::Quality;
 use engine::scene::Scene;
 
+use super::editing::mode::EditMode;
 use super::navigator::{self, Navigator, Pose};
 use super::state::{Settings, Show, State};
 use super::statistics::Statistics;
@@ -44,10 +45,12 @@ pub(super) fn first_state(args: &ViewerArgs) -> Result<State> {
         statistics: Statistics::default(),
         frame: engine::render::FrameStatistics::default(),
         selection: None,
+        edit: EditMode::default(),
         extent: (glam::DVec3::ZERO, 1.0),
         cameras,
         camera: None,
         requests: Vec::new(),
+        shortcuts: Vec::new(),
         messages: Vec::new(),
         recording: None,
         loading: None,

@@ -9,7 +9,7 @@ use engine::gpu::presenter::Presenter;
 use engine::gpu::{Buffer, Gpu, GpuOptions, WindowHandle};
 use engine::render::FrameId;
 use engine::render::display::{DisplayOptions, Screen};
-use engine::scene::Camera;
+use engine::scene::{Camera, Scene};
 use winit::event::WindowEvent;
 use winit::window::Window;
 
@@ -110,6 +110,31 @@ impl Gui {
         self.model = Model::new(&self.gpu, PathBuf::new(), Arc::default(), &state.settings)?;
         self.model = Model::new(&self.gpu, opened.path, opened.scene, &state.settings)?;
         self.fresh = true;
+        self.count();
+        state.extent = (self.model.center, self.model.radius);
+        state.selection = None;
+        state.timeline.set_range(self.model.time_range);
+        self.window.set_title(&format!("{} – spgs", self.info.model));
+        Ok(())
+    }
+
+    /// Shows another scene of the same model.
+    pub(super) fn change_scene(&mut self, scene: Arc<Scene>, state: &mut State) -> Result<()> {
+        (self.pending, self.last) = (None, None);
+        let path = std::mem::take(&mut self.model.path);
+        // The old one goes first: the peak is the larger of the two, not the sum.
+        self.model = Model::new(&self.gpu, PathBuf::new(), Arc::default(), &state.settings)?;
+        self.model = Model::new(&self.gpu, path, scene, &state.settings)?;
+        self.fresh = true;
+        self.count();
+        let playing = state.timeline.playing;
+        state.timeline.set_range(self.model.time_range);
+        state.timeline.playing &= playing;
+        Ok(())
+    }
+
+    /// What the panel says about the model.
+    fn count(&mut self) {
         let scene = &self.model.scene;
         self.info = Info {
             device: self.gpu.info().name.clone(),
@@ -119,11 +144,6 @@ impl Gui {
             key_times: scene.deformation.key_times().len(),
             ..Info::default()
         };
-        state.extent = (self.model.center, self.model.radius);
-        state.selection = None;
-        state.timeline.set_range(self.model.time_range);
-        self.window.set_title(&format!("{} – spgs", self.info.model));
-        Ok(())
     }
 
     /// The window has another size, or was hidden.

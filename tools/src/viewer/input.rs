@@ -4,18 +4,10 @@ use egui::{Key, Modifiers, PointerButton};
 use engine::scene::Camera;
 use glam::DVec3;
 
+use super::editing::input as editing;
+use super::editing::mode::Ask;
 use super::navigator::{Navigation, Thrust};
-use super::state::{Request, Show, State};
-
-/// One line of the list of keys.
-pub(super) struct Binding {
-    pub(super) keys: &'static str,
-    pub(super) does: &'static str,
-}
-
-const fn binding(keys: &'static str, does: &'static str) -> Binding {
-    Binding { keys, does }
-}
+use super::state::{Binding, Request, Show, State, binding};
 
 /// The list of keys that `?` shows, in groups.
 pub(super) const BINDINGS: [(&str, &[Binding]); 4] = [
@@ -61,6 +53,7 @@ pub(super) const BINDINGS: [(&str, &[Binding]); 4] = [
             binding("F12, Ctrl+S", "save a PNG; with Shift an EXR"),
             binding("R", "start / stop recording the camera's path"),
             binding("Drop a file", "open it"),
+            binding("Ctrl+E", "edit"),
             binding("Ctrl+Q", "quit"),
             binding("?, F1", "this list"),
         ],
@@ -74,18 +67,14 @@ pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut 
     // A drag has moved in the frame of its release too.
     let delta = ui.input(|i| i.pointer.delta());
     let delta = [f64::from(delta.x), f64::from(delta.y)];
-    let by = |button| response.dragged_by(button) || response.drag_stopped_by(button);
-    if by(PointerButton::Secondary) || (by(PointerButton::Primary) || by(PointerButton::Middle)) && modifiers.shift {
-        state.navigator.drag_pan(delta, height);
-    } else if (by(PointerButton::Primary) || by(PointerButton::Middle)) && modifiers.command {
-        state.navigator.drag_zoom(delta, height);
-    } else if by(PointerButton::Primary) || by(PointerButton::Middle) {
-        state.navigator.drag_turn(delta, height);
+    let is_taken = state.edit.on && editing::pointer(ui, response, state);
+    if !is_taken {
+        move_camera(response, state, delta, height, modifiers);
     }
     if let Some(at) = response.interact_pointer_pos() {
         if response.double_clicked() {
             state.requests.push(Request::Pick([at.x, at.y], true));
-        } else if response.clicked() {
+        } else if response.clicked() && !state.edit.on {
             state.requests.push(Request::Pick([at.x, at.y], false));
         }
     }
@@ -95,6 +84,17 @@ pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut 
     // The time line, or a slider, counts as well.
     state.interacting |= response.dragged() || ui.ctx().is_using_pointer();
     if ui.ctx().wants_keyboard_input() { Thrust::default() } else { keys(ui.ctx(), state) }
+}
+
+fn move_camera(response: &egui::Response, state: &mut State, delta: [f64; 2], height: f64, modifiers: Modifiers) {
+    let by = |button| response.dragged_by(button) || response.drag_stopped_by(button);
+    if by(PointerButton::Secondary) || (by(PointerButton::Primary) || by(PointerButton::Middle)) && modifiers.shift {
+        state.navigator.drag_pan(delta, height);
+    } else if (by(PointerButton::Primary) || by(PointerButton::Middle)) && modifiers.command {
+        state.navigator.drag_zoom(delta, height);
+    } else if by(PointerButton::Primary) || by(PointerButton::Middle) {
+        state.navigator.drag_turn(delta, height);
+    }
 }
 
 fn scroll(ui: &egui::Ui, state: &mut State, height: f64) {
@@ -129,15 +129,30 @@ fn keys(context: &egui::Context, state: &mut State) -> Thrust {
         };
         input.events.iter().filter_map(key).collect()
     });
-    pressed.into_iter().for_each(|(key, modifiers)| press(key, modifiers, state));
+    state.shortcuts.extend(pressed.iter().filter(|(_, modifiers)| modifiers.command).map(|(key, _)| *key));
+    state.shortcuts.retain(|key| context.input(|input| input.key_down(*key)));
+    let at = context.input(|input| input.pointer.latest_pos());
+    for (key, modifiers) in pressed {
+        if !(is_editing(state) && editing::key(key, modifiers, at, state)) {
+            press(key, modifiers, state);
+        }
+    }
     context.input(|input| {
-        if input.modifiers.command {
+        // In the edit mode these keys have other work.
+        if input.modifiers.command || state.edit.on {
             return Thrust::default();
         }
-        let axis = |plus: Key, minus: Key| f64::from(input.key_down(plus)) - f64::from(input.key_down(minus));
+        let is_held = |key: Key| f64::from(input.key_down(key) && !state.shortcuts.contains(&key));
+        let axis = |plus: Key, minus: Key| is_held(plus) - is_held(minus);
         let direction = DVec3::new(axis(Key::D, Key::A), axis(Key::Q, Key::E), axis(Key::W, Key::S));
         Thrust { direction, fast: input.modifiers.shift }
     })
+}
+
+/// Whether keys are the edit mode's: it may have been asked for in this frame.
+fn is_editing(state: &State) -> bool {
+    let toggles = state.requests.iter().filter(|request| **request == Request::Edit(Ask::Toggle)).count();
+    state.edit.on != (toggles % 2 == 1)
 }
 
 fn repeats(key: Key) -> bool {
@@ -150,6 +165,7 @@ pub(super) fn press(key: Key, modifiers: Modifiers, state: &mut State) {
         match key {
             Key::S if modifiers.shift => state.requests.push(Request::SaveExr),
             Key::S => state.requests.push(Request::SavePng),
+            Key::E => state.requests.push(Request::Edit(Ask::Toggle)),
             Key::Q => state.requests.push(Request::Quit),
             _ => {}
         }
@@ -326,6 +342,16 @@ mod tests {
         assert_eq!(frame(&context, &mut state, none, vec![]).direction, DVec3::new(0.0, -1.0, 1.0));
         let released = vec![key(Key::W, false), key(Key::E, false)];
         assert_eq!(frame(&context, &mut state, none, released).direction, DVec3::ZERO);
+        // Ctrl may be let go first.
+        let mut with_ctrl = key(Key::E, true);
+        if let Event::Key { modifiers, .. } = &mut with_ctrl {
+            *modifiers = Modifiers::COMMAND;
+        }
+        for events in [vec![with_ctrl], vec![], vec![key(Key::E, false)]] {
+            assert_eq!(frame(&context, &mut state, none, events).direction, DVec3::ZERO);
+        }
+        assert_eq!(frame(&context, &mut state, none, vec![key(Key::E, true)]).direction, DVec3::NEG_Y);
+        frame(&context, &mut state, none, vec![key(Key::E, false)]);
         frame(&context, &mut state, none, vec![key(Key::Num4, true), key(Key::K, true)]);
         assert!(state.settings.show == Show::Tiles && state.settings.frusta);
         frame(&context, &mut state, none, vec![]);
@@ -361,7 +387,8 @@ mod tests {
         }
         let mut quits = state();
         press(Key::Q, Modifiers::COMMAND, &mut quits);
-        assert_eq!(quits.requests, [Request::Quit]);
+        press(Key::E, Modifiers::COMMAND, &mut quits);
+        assert_eq!(quits.requests, [Request::Quit, Request::Edit(Ask::Toggle)]);
     }
 
     #[test]

@@ -10,6 +10,7 @@ use engine::gpu::{Buffer, Submission};
 use winit::event::WindowEvent;
 use winit::window::Window;
 
+use super::editing::mode::Ask;
 use super::held;
 use super::input;
 use super::latency::{Latency, Visible};
@@ -17,7 +18,7 @@ use super::model::Model;
 use super::navigator::Thrust;
 use super::overlay::{self, Projection};
 use super::panel::{self, Info};
-use super::state::State;
+use super::state::{Request, State};
 use super::theme;
 
 /// How often the numbers of a scene that moves are brought up to date.
@@ -102,6 +103,7 @@ impl Interface {
             || s.paths
             || s.frusta
             || state.selection.is_some()
+            || state.edit.on
             || state.recording.is_some()
             || self.due.is_some_and(|due| due <= now)
             || self.last.is_none_or(|last| now.duration_since(last) >= LIVE)
@@ -126,11 +128,12 @@ impl Interface {
     ) -> Result<()> {
         let input = self.winit.take_egui_input(window);
         for file in &input.dropped_files {
-            state.requests.extend(file.path.clone().map(super::state::Request::Open));
+            state.requests.extend(file.path.clone().map(|path| dropped(path, state.edit.on)));
         }
         let scale = f64::from(self.context.pixels_per_point());
         let Self { context, thrust, dragged, .. } = self;
         state.interacting = false;
+        state.edit.frame = super::editing::mode::Frame { size, scale };
         state.age_messages();
         let messages = state.messages.len();
         let mut moved = Ok(());
@@ -149,6 +152,7 @@ impl Interface {
                 let projection = Projection::new(camera, state.navigator.pose.distance, 1.0 / scale);
                 let painter = context.layer_painter(egui::LayerId::background()).with_clip_rect(area);
                 overlay::draw(&painter, &projection, state, model);
+                super::editing::overlay::draw(&painter, &projection, state);
             });
             if !state.messages.is_empty() {
                 context.request_repaint_after(MESSAGES);
@@ -225,7 +229,15 @@ fn advance(state: &mut State, model: &mut Model, dt: f64, thrust: Thrust) -> Res
     if state.settings.centers || state.selection.is_some() {
         model.pose(state.timeline.time, state.settings.motion)?;
     }
-    Ok(())
+    super::editing::follow::follow(state, model)
+}
+
+/// What is asked for with a file that was dropped: to open it, or to add it to what is edited.
+fn dropped(path: std::path::PathBuf, editing: bool) -> Request {
+    match super::editing::words::quoted(&path.display().to_string()).filter(|_| editing) {
+        Some(name) => Request::Edit(Ask::Run(format!("merge {name}"))),
+        None => Request::Open(path),
+    }
 }
 
 fn texture_id(id: egui::TextureId) -> u64 {

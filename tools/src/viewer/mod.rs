@@ -6,12 +6,15 @@
 //!                    Renderer ──► display ──► Presenter ──► window     (all on the device: gui.rs)
 //! ```
 //!
+//! In the edit mode (`editing`) input becomes commands of the language of edits, which the engine carries out.
+//!
 //! Camera, time, statistics and input are plain code without window or device (`navigator`, `timeline`, `statistics`,
 //! `input`). Frames are drawn while something moves; a still picture costs nothing. The interface runs when something happened
 //! to it, and is drawn as it was in the frames between; `latency` measures how soon input is seen.
 
 mod actions;
 mod adaptive;
+mod editing;
 mod first;
 mod gui;
 mod held;
@@ -32,6 +35,7 @@ mod statistics;
 mod theme;
 mod timeline;
 mod turn;
+mod widgets;
 
 pub use self::program::run;
 pub use self::turn::ALLOCATIONS;

@@ -17,6 +17,11 @@ use crate::cli::camera;
 const GOLDEN: f32 = 0.618_034;
 /// SH basis of degree 0.
 const SH_0: f32 = 0.282_094_8;
+/// Colour of what is selected, and its share.
+const SELECTED: [f32; 3] = [1.0, 0.55, 0.1];
+const SELECTED_SHARE: f32 = 0.6;
+/// Opacity of what is hidden, before the sigmoid: far below what is drawn.
+const HIDDEN_LOGIT: f32 = -80.0;
 /// Points of a superpoint's path.
 const PATH_STEPS: usize = 25;
 
@@ -38,6 +43,16 @@ pub(super) struct Model {
     tinted: Option<(Tint, Renderer)>,
     /// Which of the two drew last.
     tinted_last: bool,
+    marks: Option<Marks>,
+}
+
+/// What stands out, and what is not drawn.
+#[derive(Debug, Default)]
+struct Marks {
+    selected: Vec<bool>,
+    hidden: Vec<bool>,
+    /// The renderers have it.
+    drawn: bool,
 }
 
 /// What the colours mean when they are not the scene's own.
@@ -66,6 +81,7 @@ impl Model {
             plain,
             tinted: None,
             tinted_last: false,
+            marks: None,
             scene,
         };
         model.paths = model.sample_paths(motion)?;
@@ -114,6 +130,7 @@ impl Model {
             self.plain = Renderer::new(gpu, &Scene::default(), &RenderOptions::default())?;
             self.plain = Renderer::new(gpu, &self.scene, &options(settings, motion, &self.scene))?;
             self.built = built;
+            self.marks.iter_mut().for_each(|marks| marks.drawn = false);
             self.posed_at = None;
             self.paths = self.sample_paths(motion)?;
         }
@@ -128,13 +145,47 @@ impl Model {
             };
             renderer.set_base_colors(&colors)?;
             self.tinted = Some((tint, renderer));
+            self.marks.iter_mut().for_each(|marks| marks.drawn = false);
         }
+        self.draw_marks()?;
         self.tinted_last = tint.is_some();
         let renderer = self.current();
         renderer.set_background(settings.background);
         renderer.set_depth(settings.show == Show::Depth);
         renderer.set_resolution(settings.resolution * share);
         Ok(renderer)
+    }
+
+    /// Says which Gaussians stand out and which are not drawn, from the next frame on.
+    pub(super) fn mark(&mut self, selected: Option<&[bool]>, hidden: Option<&[bool]>) {
+        let mask = |mask: Option<&[bool]>| mask.unwrap_or_default().to_vec();
+        let is_plain = self.marks.is_none() && selected.is_none() && hidden.is_none();
+        if !is_plain {
+            self.marks = Some(Marks { selected: mask(selected), hidden: mask(hidden), drawn: false });
+        }
+    }
+
+    fn draw_marks(&mut self) -> Result<()> {
+        let Some(marks) = self.marks.as_mut().filter(|marks| !marks.drawn) else { return Ok(()) };
+        marks.drawn = true;
+        let g = &self.scene.gaussians;
+        let k3 = g.sh_coefficients() * 3;
+        let is = |mask: &[bool], i: usize| mask.get(i).copied().unwrap_or(false);
+        let color = |i: usize| {
+            let own = [0, 1, 2].map(|c| 0.5 + SH_0 * g.sh[i * k3 + c]);
+            if !is(&marks.selected, i) {
+                return own;
+            }
+            [0, 1, 2].map(|c| own[c] + SELECTED_SHARE * (SELECTED[c] - own[c]))
+        };
+        let opacity = |i: usize| if is(&marks.hidden, i) { HIDDEN_LOGIT } else { g.opacity_logit[i] };
+        let opacities: Vec<f32> = (0..g.len()).map(opacity).collect();
+        self.plain.set_base_colors(&(0..g.len()).map(color).collect::<Vec<_>>())?;
+        self.plain.set_opacities(&opacities)?;
+        if let Some((_, tinted)) = &self.tinted {
+            tinted.set_opacities(&opacities)?;
+        }
+        Ok(())
     }
 
     /// The renderer of the latest frame.

@@ -34,6 +34,11 @@ impl Projection {
         pos2((self.scale * (c.fx * v.x / v.z + c.cx)) as f32, (self.scale * (c.fy * v.y / v.z + c.cy)) as f32)
     }
 
+    /// World units that a point of the window is wide at the depth of `p`.
+    pub(super) fn world_per_point(&self, p: DVec3) -> f64 {
+        self.view(p).z.max(self.near) / (self.camera.fx * self.scale)
+    }
+
     /// A point in front of the camera.
     pub(super) fn point(&self, p: DVec3) -> Option<Pos2> {
         let v = self.view(p);

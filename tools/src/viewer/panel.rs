@@ -5,10 +5,11 @@ use engine::render::{FrameStatistics, MemoryUse, Quality};
 
 use super::input::{self, BINDINGS};
 use super::navigator::Navigation;
-use super::state::{Request, Selection, Settings, Show, State};
+use super::state::{Binding, Request, Selection, Settings, Show, State};
 use super::statistics::{HISTORY, STAGES};
 use super::theme::{self, ACCENT, BAD, FAINT, STAGE_COLORS};
 use super::timeline::Timeline;
+use super::widgets::{grouped, row, section};
 
 /// What the panel tells beside the state.
 #[derive(Debug, Clone, Default)]
@@ -56,20 +57,23 @@ pub(super) fn draw(context: &Context, state: &mut State, info: &Info) {
         .frame(theme::edge())
         .show_separator_line(false)
         .show(context, |ui| time_bar(ui, &mut state.timeline));
-    if state.settings.panel {
+    if state.settings.panel || state.edit.on {
         egui::SidePanel::right("panel")
             .frame(theme::edge())
             .resizable(false)
             .exact_width(252.0)
             .show_separator_line(false)
             .show(context, |ui| {
-                egui::ScrollArea::vertical().show(ui, |ui| side_panel(ui, state, info));
+                egui::ScrollArea::vertical().show(ui, |ui| match state.edit.on {
+                    true => super::editing::panel::draw(ui, state, info.gaussians),
+                    false => side_panel(ui, state, info),
+                });
             });
     }
     rate(context, state, info);
     messages(context, state);
     if state.settings.help {
-        help(context, &mut state.settings);
+        help(context, state);
     }
 }
 
@@ -124,20 +128,6 @@ fn side_panel(ui: &mut Ui, state: &mut State, info: &Info) {
     section(ui, "Quality", |ui| quality_section(ui, &mut state.settings, info));
     section(ui, "Camera", |ui| camera_section(ui, state));
     section(ui, "Save", |ui| save_section(ui, state));
-}
-
-fn section(ui: &mut Ui, title: &str, add: impl FnOnce(&mut Ui)) {
-    ui.add_space(6.0);
-    ui.separator();
-    ui.label(RichText::new(title).strong().color(ACCENT));
-    add(ui);
-}
-
-fn row(ui: &mut Ui, name: &str, value: String) {
-    ui.horizontal(|ui| {
-        ui.label(RichText::new(name).color(FAINT));
-        ui.with_layout(Layout::right_to_left(Align::Center), |ui| ui.monospace(value));
-    });
 }
 
 fn frame_section(ui: &mut Ui, state: &State, info: &Info) {
@@ -351,8 +341,9 @@ fn messages(context: &Context, state: &State) {
     );
 }
 
-fn help(context: &Context, settings: &mut Settings) {
+fn help(context: &Context, state: &mut State) {
     let mut open = true;
+    let edits = if state.edit.on { super::editing::input::BINDINGS.as_slice() } else { &[] };
     egui::Window::new("Keys")
         .anchor(Align2::CENTER_CENTER, [0.0, -20.0])
         .collapsible(false)
@@ -360,16 +351,16 @@ fn help(context: &Context, settings: &mut Settings) {
         .open(&mut open)
         .show(context, |ui| {
             ui.horizontal_top(|ui| {
-                for pair in BINDINGS.chunks(2) {
+                for pair in edits.chunks(2).chain(BINDINGS.chunks(2)) {
                     ui.vertical(|ui| pair.iter().for_each(|(title, bindings)| help_group(ui, title, bindings)));
                     ui.add_space(8.0);
                 }
             });
         });
-    settings.help &= open;
+    state.settings.help &= open;
 }
 
-fn help_group(ui: &mut Ui, title: &str, bindings: &[input::Binding]) {
+fn help_group(ui: &mut Ui, title: &str, bindings: &[Binding]) {
     ui.label(RichText::new(title).strong().color(ACCENT));
     egui::Grid::new(title).num_columns(2).spacing([10.0, 2.0]).show(ui, |ui| {
         for binding in bindings {
@@ -381,27 +372,12 @@ fn help_group(ui: &mut Ui, title: &str, bindings: &[input::Binding]) {
     ui.add_space(6.0);
 }
 
-/// `1 234 567`.
-fn grouped(n: u64) -> String {
-    let digits = n.to_string();
-    let mut out = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            out.push(' ');
-        }
-        out.push(digit);
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn numbers_read_well() {
-        assert_eq!(grouped(0), "0");
-        assert_eq!(grouped(1234567), "1 234 567");
         assert_eq!((nice_above(0.7), nice_above(12.0), nice_above(5.0)), (1.0, 20.0, 5.0));
     }
 }

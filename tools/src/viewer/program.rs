@@ -14,6 +14,7 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy}
 use winit::keyboard::{KeyCode, PhysicalKey};
 use winit::window::{Window, WindowId};
 
+use super::editing::editor::Editor;
 use super::first::first_state;
 use super::gui::{Gui, Next};
 use super::load::{News, Opened};
@@ -39,6 +40,8 @@ pub(super) struct Viewer {
     pub(super) validation_messages: Vec<String>,
     /// The model that was asked for last.
     pub(super) asked: Option<std::path::PathBuf>,
+    /// What was edited, since the first time that the edit mode began.
+    pub(super) editor: Option<Editor>,
     pub(super) turn: Turn,
     pub(super) drawn: u64,
     pub(super) opened_once: bool,
@@ -73,6 +76,7 @@ pub fn run(args: &ViewerArgs, global: &Global) -> Result<()> {
         losses: Losses::default(),
         validation_messages: Vec::new(),
         asked: None,
+        editor: None,
         turn: Turn::default(),
         drawn: 0,
         opened_once: false,
@@ -98,6 +102,14 @@ impl Viewer {
     }
 
     fn show(&mut self, opened: Opened) -> Result<()> {
+        if opened.again && self.editor.is_some() {
+            return Ok(());
+        }
+        match self.leave_editing() {
+            Ok(None) => {}
+            Ok(Some(list)) => self.state.say(format!("saved {}", list.display()), false),
+            Err(error) => self.state.say(error.to_string(), true),
+        }
         let Some(gui) = &mut self.gui else { return Ok(()) };
         self.state.loading = None;
         opened.messages.iter().for_each(|m| self.state.say(m.clone(), false));
@@ -207,6 +219,13 @@ impl Viewer {
         let measured = (statistics.fps(), statistics.low_fps(), self.state.frame);
         let (mut device, mut rendered) = (None, [0; 2]);
         let (mut input, mut interface_frames, mut resizes) = (None, 0, 0);
+        match self.leave_editing() {
+            Ok(None) => {}
+            Ok(Some(list)) => {
+                output::error_line(&format!("spgs: saved {}: edits that were in no file", list.display()))
+            }
+            Err(error) => self.error = self.error.or(Some(error)),
+        }
         let allocations = self.turn.allocations();
         let mut all = std::mem::take(&mut self.validation_messages);
         if let Some(mut gui) = self.gui.take() {
@@ -354,6 +373,8 @@ impl ApplicationHandler<News> for Viewer {
 fn special_key(event: &KeyEvent, state: &mut State) -> bool {
     let PhysicalKey::Code(code) = event.physical_key else { return false };
     let numpad = match code {
+        // Numbers may be typed.
+        _ if state.edit.gesture.is_some() => return false,
         KeyCode::Tab => 0,
         KeyCode::Numpad1 => 1,
         KeyCode::Numpad3 => 3,

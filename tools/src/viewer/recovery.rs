@@ -110,12 +110,13 @@ impl Viewer {
             }
             return Ok(());
         }
-        let selection = self.state.selection;
+        let (selection, editor) = (self.state.selection, self.editor.take());
         let (path, scene) = (shown.path.clone(), Arc::clone(&shown.scene));
         let opened = Opened { path, scene, messages: Vec::new(), background: None, again: true };
         let done = gui.set_model(opened, &mut self.state);
-        self.state.selection = selection;
-        done
+        (self.state.selection, self.editor) = (selection, editor);
+        done?;
+        self.show_edits(false)
     }
 
     /// The window's device and everything on it.

@@ -8,6 +8,7 @@ use engine::render::{FrameStatistics, Picked, Quality};
 use engine::scene::{Camera, MotionSource};
 use glam::DVec3;
 
+use super::editing::mode::{Ask, EditMode};
 use super::navigator::Navigator;
 use super::statistics::Statistics;
 use super::timeline::Timeline;
@@ -16,6 +17,16 @@ use super::timeline::Timeline;
 const MESSAGE_S: f64 = 5.0;
 /// Backgrounds that the key goes through, after the one of the command line.
 const BACKGROUNDS: [[f32; 3]; 3] = [[0.0; 3], [1.0; 3], [0.18, 0.2, 0.24]];
+
+/// One line of the list of keys.
+pub(super) struct Binding {
+    pub(super) keys: &'static str,
+    pub(super) does: &'static str,
+}
+
+pub(super) const fn binding(keys: &'static str, does: &'static str) -> Binding {
+    Binding { keys, does }
+}
 
 /// What of the scene is shown.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -90,6 +101,7 @@ pub(super) enum Request {
     ToggleRecording,
     /// Window position, points, and whether the camera goes there.
     Pick([f32; 2], bool),
+    Edit(Ask),
     Quit,
 }
 
@@ -110,12 +122,15 @@ pub(super) struct State {
     pub(super) statistics: Statistics,
     pub(super) frame: FrameStatistics,
     pub(super) selection: Option<Selection>,
+    pub(super) edit: EditMode,
     /// Centre of the scene and the radius within which most of it lies.
     pub(super) extent: (DVec3, f64),
     pub(super) cameras: Vec<Camera>,
     /// Which camera of the data set was gone to last.
     pub(super) camera: Option<usize>,
     pub(super) requests: Vec<Request>,
+    /// Keys that were pressed with Ctrl and are still down: they do not fly when Ctrl is let go first.
+    pub(super) shortcuts: Vec<egui::Key>,
     pub(super) messages: Vec<Message>,
     /// Frames recorded so far, while a path is recorded.
     pub(super) recording: Option<usize>,

@@ -3,15 +3,15 @@
 use glam::{DMat3, DVec3};
 
 use super::reader::{Reader, color, commands, factors, linear, number, numbers, ranges, span};
-use super::{Action, Change, Command, Frame, Mode, Pivot, Retime, ScriptError, Term};
+use super::{Action, Change, Command, Frame, Mark, Mode, Pivot, Retime, ScriptError, Term};
 use crate::edit::select::{Criterion, Depth, Likeness};
 use crate::edit::{Recolor, Window};
 use crate::scene::Camera;
 
-const COMMANDS: &str = "select, add, subtract, intersect, invert, grow, name, move, rotate, scale, delete, keep, duplicate, \
-                        recolor, freeze, time, merge or camera";
+const COMMANDS: &str = "select, add, subtract, intersect, invert, grow, name, hide, isolate, show, lock, unlock, move, rotate, \
+                        scale, delete, keep, duplicate, recolor, freeze, time, merge or camera";
 const TERMS: &str =
-    "all, none, superpoints, gaussians, sphere, box, click, rect, opacity, size, color, floaters or named";
+    "all, none, superpoints, gaussians, sphere, box, click, rect, lasso, opacity, size, color, floaters or named";
 
 /// The commands of a script.
 ///
@@ -42,6 +42,11 @@ fn action(reader: &mut Reader<'_>) -> Result<Action, ScriptError> {
             Action::Grow(distance, time(reader)?)
         }
         "name" => Action::Name(reader.word("a name")?.to_owned()),
+        "hide" => Action::Mark(Mark::Hide(named(reader)?)),
+        "isolate" => Action::Mark(Mark::Isolate),
+        "show" => Action::Mark(Mark::Show(named(reader)?)),
+        "lock" => Action::Mark(Mark::Lock(named(reader)?)),
+        "unlock" => Action::Mark(Mark::Unlock(named(reader)?)),
         "move" => change(reader, "move")?,
         "rotate" => change(reader, "rotate")?,
         "scale" => change(reader, "scale")?,
@@ -65,9 +70,13 @@ fn time(reader: &mut Reader<'_>) -> Result<Option<f64>, ScriptError> {
     if reader.takes("time") { reader.number("a time").map(Some) } else { Ok(None) }
 }
 
+fn named(reader: &mut Reader<'_>) -> Result<Option<String>, ScriptError> {
+    if reader.takes("named") { reader.word("a name").map(|name| Some(name.to_owned())) } else { Ok(None) }
+}
+
 fn selection(reader: &mut Reader<'_>, mode: Mode) -> Result<Action, ScriptError> {
     let term = term(reader)?;
-    let is_pick = matches!(term, Term::Click(_) | Term::Rectangle(_));
+    let is_pick = term.is_pick();
     let (mut depth, mut view, mut at, mut similar) = (Depth::Surface, None, None, None);
     while !reader.is_done() {
         if reader.takes("time") {
@@ -120,10 +129,20 @@ fn term(reader: &mut Reader<'_>) -> Result<Term, ScriptError> {
         "floaters" => Criterion::Floaters(positive(reader, "a distance from the cameras above 0")?),
         "click" => return Ok(Term::Click(reader.value("a pixel x,y", numbers)?)),
         "rect" => return Ok(Term::Rectangle(reader.value("corners x0,y0,x1,y1, pixels", numbers)?)),
+        "lasso" => return lasso(reader),
         "named" => return Ok(Term::Named(reader.word("a name")?.to_owned())),
         "none" => return Ok(Term::None),
         _ => Criterion::All,
     }))
+}
+
+fn lasso(reader: &mut Reader<'_>) -> Result<Term, ScriptError> {
+    const POINT: &str = "at least three pixels x,y";
+    let mut points = vec![reader.value(POINT, numbers)?, reader.value(POINT, numbers)?, reader.value(POINT, numbers)?];
+    while let Ok(point) = reader.value(POINT, numbers) {
+        points.push(point);
+    }
+    Ok(Term::Lasso(points))
 }
 
 fn limits(reader: &mut Reader<'_>) -> Result<[f64; 2], ScriptError> {
@@ -245,7 +264,8 @@ fn merge(reader: &mut Reader<'_>) -> Result<Action, ScriptError> {
 }
 
 fn camera(reader: &mut Reader<'_>) -> Result<Action, ScriptError> {
-    let (mut eye, mut target, mut up, mut fov, mut size, mut time) = (None, None, DVec3::Z, 45.0, [800_u32; 2], None);
+    let (mut eye, mut target, mut up, mut fov, mut size) = (None, None, DVec3::Z, 45.0, [800_u32; 2]);
+    let (mut center, mut time) = (None, None);
     while !reader.is_done() {
         if reader.takes("eye") {
             eye = Some(reader.vector("a place x,y,z")?);
@@ -261,13 +281,16 @@ fn camera(reader: &mut Reader<'_>) -> Result<Action, ScriptError> {
                 let [w, h] = numbers(t)?;
                 Some([side(w)?, side(h)?])
             })?;
+        } else if reader.takes("center") {
+            center = Some(reader.value("the pixel x,y that is looked at", numbers)?);
         } else if reader.takes("time") {
             time = Some(reader.number("a time")?);
         } else {
-            return Err(reader.mistake("eye, target, up, fov, size, time or the end of the command"));
+            return Err(reader.mistake("eye, target, up, fov, size, center, time or the end of the command"));
         }
     }
     let (Some(eye), Some(target)) = (eye, target) else { return Err(reader.mistake("eye x,y,z and target x,y,z")) };
     let camera = Camera::look_at(eye, target, up, fov.to_radians(), size);
-    Ok(Action::Camera(Box::new(Camera { time: time.unwrap_or(f64::NAN), ..camera })))
+    let [cx, cy] = center.unwrap_or([camera.cx, camera.cy]);
+    Ok(Action::Camera(Box::new(Camera { cx, cy, time: time.unwrap_or(f64::NAN), ..camera })))
 }

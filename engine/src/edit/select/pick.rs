@@ -10,6 +10,19 @@ use crate::scene::{Camera, MotionSource, Rejected, Scene};
 /// Most pixels of a rectangle: an image of 16,384 a side.
 const MOST_PIXELS: f64 = (1_u64 << 28) as f64;
 
+/// What a pick looks at.
+#[derive(Debug, Clone, Copy)]
+pub struct View<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Through this camera.
+    pub camera: &'a Camera,
+    /// At this time.
+    pub time: f64,
+    /// `[N]` what is as if it were not there.
+    pub hidden: Option<&'a [bool]>,
+}
+
 /// How deep a pick goes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Depth {
@@ -23,18 +36,18 @@ pub enum Depth {
 ///
 /// # Errors
 /// [`Error::Usage`] for a point outside of the image, and where nothing is seen; those of placing Gaussians.
-pub fn click(scene: &Scene, camera: &Camera, time: f64, point: [f64; 2], depth: Depth) -> Result<Vec<bool>> {
-    let [x, y] = point;
+pub fn click(view: &View<'_>, point: [f64; 2], depth: Depth) -> Result<Vec<bool>> {
+    let ([x, y], camera) = (point, view.camera);
     let size = [camera.width, camera.height].map(f64::from);
     if !((0.0..size[0]).contains(&x) && (0.0..size[1]).contains(&y)) {
         let expected = format!("a pixel of the {}x{} image", camera.width, camera.height);
         return Err(Error::usage("click", format!("{x},{y}"), expected));
     }
-    let splats = splats(scene, camera, time)?;
+    let splats = splats(view)?;
     let seen: Vec<&Splat> = splats.iter().collect();
     // A point belongs to its pixel, which is drawn at its centre.
     let centre = DVec2::new(x.floor() + 0.5, y.floor() + 0.5);
-    let mut mask = vec![false; scene.gaussians.len()];
+    let mut mask = vec![false; view.scene.gaussians.len()];
     let Some(surface) = surface(&seen, centre) else {
         return Err(Error::usage("click", format!("nothing at {x},{y}"), "a pixel where something is seen"));
     };
@@ -53,32 +66,81 @@ pub fn click(scene: &Scene, camera: &Camera, time: f64, point: [f64; 2], depth: 
 ///
 /// # Errors
 /// [`Error::Usage`] for a rectangle without pixels in the image, [`Error::Limit`] for too many; those of placing Gaussians.
-pub fn rectangle(scene: &Scene, camera: &Camera, time: f64, corners: [f64; 4], depth: Depth) -> Result<Vec<bool>> {
-    let side = |a: f64, b: f64, most: u32| [a.min(b).floor().max(0.0), a.max(b).ceil().min(f64::from(most))];
-    let (x, y) = (side(corners[0], corners[2], camera.width), side(corners[1], corners[3], camera.height));
-    if !(x[0] < x[1] && y[0] < y[1]) {
-        let expected = format!("corners in the {}x{} image", camera.width, camera.height);
-        return Err(Error::usage("rect", format!("{corners:?}"), expected));
+pub fn rectangle(view: &View<'_>, corners: [f64; 4], depth: Depth) -> Result<Vec<bool>> {
+    let area = Area::new(view.camera, corners)
+        .ok_or_else(|| outside(view.camera, "rect", format!("{corners:?}"), "corners"))?;
+    region(view, &area, &|_| true, depth)
+}
+
+/// The same within a closed line through `points`, pixels; where it goes around twice is outside. A pixel belongs to it if its
+/// centre does.
+///
+/// # Errors
+/// As [`rectangle`].
+pub fn lasso(view: &View<'_>, points: &[[f64; 2]], depth: Depth) -> Result<Vec<bool>> {
+    let points: Vec<DVec2> = points.iter().map(|p| DVec2::from_array(*p)).collect();
+    let low = points.iter().fold(DVec2::INFINITY, |a, b| a.min(*b));
+    let high = points.iter().fold(DVec2::NEG_INFINITY, |a, b| a.max(*b));
+    let area = Area::new(view.camera, [low.x, low.y, high.x, high.y])
+        .ok_or_else(|| outside(view.camera, "lasso", format!("{} points", points.len()), "points"))?;
+    region(view, &area, &|at| is_within(&points, at), depth)
+}
+
+fn outside(camera: &Camera, what: &str, found: String, points: &str) -> Error {
+    Error::usage(what, found, format!("{points} in the {}x{} image", camera.width, camera.height))
+}
+
+/// Whether a ray from a point to the right crosses the line through `points` an odd number of times.
+fn is_within(points: &[DVec2], at: DVec2) -> bool {
+    let next = points.iter().cycle().skip(1);
+    let crosses = |(a, b): (&DVec2, &DVec2)| {
+        (a.y > at.y) != (b.y > at.y) && at.x < a.x + (b.x - a.x) * (at.y - a.y) / (b.y - a.y)
+    };
+    points.iter().zip(next).filter(|pair| crosses(*pair)).count() % 2 == 1
+}
+
+/// Whole pixels of an image, ends excluded.
+struct Area {
+    x: [f64; 2],
+    y: [f64; 2],
+}
+
+impl Area {
+    /// The pixels that a rectangle touches; `None` of one beside the image.
+    fn new(camera: &Camera, [x0, y0, x1, y1]: [f64; 4]) -> Option<Self> {
+        let side = |a: f64, b: f64, most: u32| [a.min(b).floor().max(0.0), a.max(b).ceil().min(f64::from(most))];
+        let (x, y) = (side(x0, x1, camera.width), side(y0, y1, camera.height));
+        (x[0] < x[1] && y[0] < y[1]).then_some(Self { x, y })
     }
+
+    fn has(&self, at: DVec2) -> bool {
+        (self.x[0]..self.x[1]).contains(&at.x) && (self.y[0]..self.y[1]).contains(&at.y)
+    }
+}
+
+/// Gaussians that are seen in those pixels of an area that are `inside`, asked for their centres.
+fn region(view: &View<'_>, area: &Area, inside: &(dyn Fn(DVec2) -> bool + Sync), depth: Depth) -> Result<Vec<bool>> {
+    let (x, y) = (area.x, area.y);
     let pixels = (x[1] - x[0]) * (y[1] - y[0]);
     if pixels > MOST_PIXELS {
-        return Err(Error::Limit { what: "pixels of a rect".into(), need: pixels as u128, have: MOST_PIXELS as u128 });
+        return Err(Error::Limit { what: "pixels of a pick".into(), need: pixels as u128, have: MOST_PIXELS as u128 });
     }
-    let splats = splats(scene, camera, time)?;
+    let splats = splats(view)?;
     let columns = (x[1] - x[0]) as usize;
     let rows: Vec<Vec<Option<&Splat>>> = (y[0] as usize..y[1] as usize)
         .into_par_iter()
         .map(|row| {
             let y = row as f64 + 0.5;
             let on_row: Vec<&Splat> = splats.iter().filter(|s| reaches(s, y)).collect();
-            (0..columns).map(|column| surface(&on_row, DVec2::new(x[0] + column as f64 + 0.5, y))).collect()
+            let seen = |at: DVec2| if inside(at) { surface(&on_row, at) } else { None };
+            (0..columns).map(|column| seen(DVec2::new(x[0] + column as f64 + 0.5, y))).collect()
         })
         .collect();
-    let mut mask = vec![false; scene.gaussians.len()];
+    let mut mask = vec![false; view.scene.gaussians.len()];
     match depth {
         Depth::Surface => rows.iter().flatten().flatten().for_each(|s| mask[s.index] = true),
         Depth::Behind(most) => {
-            for s in splats.iter().filter(|s| (x[0]..x[1]).contains(&s.mean.x) && (y[0]..y[1]).contains(&s.mean.y)) {
+            for s in splats.iter().filter(|s| area.has(s.mean) && inside(s.mean.floor() + 0.5)) {
                 let front = rows[(s.mean.y - y[0]) as usize][(s.mean.x - x[0]) as usize];
                 mask[s.index] = front.is_none_or(|front| s.depth <= front.depth + most);
             }
@@ -114,13 +176,15 @@ fn reaches(splat: &Splat, y: f64) -> bool {
 }
 
 /// Everything that may be seen, front to back, as the f64 reference draws it.
-fn splats(scene: &Scene, camera: &Camera, time: f64) -> Result<Vec<Splat>> {
+fn splats(view: &View<'_>) -> Result<Vec<Splat>> {
+    let View { scene, camera, time, hidden } = *view;
     let parameters = Parameters::from(&scene.gaussians);
     parameters.check()?;
     let placed = place_scene(scene, time, MotionSource::Auto)?;
     let near = ReferenceOptions::default().near;
     let mut splats: Vec<Splat> = (0..scene.gaussians.len())
         .into_par_iter()
+        .filter(|&i| !hidden.is_some_and(|hidden| hidden[i]))
         .filter(|&i| scene.gaussians.is_valid(i, &mut Rejected::default()))
         .filter_map(|i| {
             let place = (placed.mean[i], placed.rotation[i], placed.scale[i]);

@@ -9,7 +9,7 @@ use crate::edit::script::{EditList, ListedEdit, parse};
 use crate::file::model;
 use crate::scene::synthetic::Random;
 
-const SELECTIONS: [&str; 12] = [
+pub(super) const SELECTIONS: [&str; 14] = [
     "select all",
     "select superpoints 1-3",
     "select gaussians 5,20-90",
@@ -22,8 +22,10 @@ const SELECTIONS: [&str; 12] = [
     "add color #aa5533 within 0.5",
     "select superpoints 0 similar 0.2",
     "select floaters 3.2",
+    "select lasso 30,20 60,25 50,60 view 1 time 0.6 through",
+    "subtract named kept",
 ];
-const CHANGES: [&str; 20] = [
+pub(super) const CHANGES: [&str; 25] = [
     "invert",
     "grow 0.05",
     "move 0.1,-0.05,0",
@@ -42,11 +44,16 @@ const CHANGES: [&str; 20] = [
     "time stretch 1.5",
     "time reverse",
     "name kept",
+    "hide",
+    "isolate",
+    "show",
+    "lock named kept",
+    "unlock",
     "delete",
     "duplicate",
 ];
 
-fn cameras() -> Vec<Camera> {
+pub(super) fn cameras() -> Vec<Camera> {
     vec![camera(), Camera { time: 0.25, position: DVec3::new(0.0, 1.0, -3.0), ..camera() }]
 }
 
@@ -55,11 +62,19 @@ fn session(cameras: Vec<Camera>) -> Session {
 }
 
 /// The file's bytes.
-fn bytes(scene: &Scene) -> Vec<u8> {
+pub(super) fn bytes(scene: &Scene) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.safetensors");
     model::write(&path, scene).unwrap();
     std::fs::read(path).unwrap()
+}
+
+/// Commands as a written list has them.
+pub(super) fn edits<'a>(steps: impl Iterator<Item = &'a Step>) -> Vec<String> {
+    let listed = |step: &Step| ListedEdit { command: step.command.clone(), selected: step.selected, touched: 0 };
+    let text = EditList::new(2.0, steps.map(listed).collect(), &cameras()).to_text().unwrap();
+    let list = EditList::parse(&text, Path::new("edits.toml")).unwrap();
+    list.edits.into_iter().map(|edit| edit.command).collect()
 }
 
 /// Random edits, a few hundred altogether, and the same from the written list.
@@ -113,6 +128,8 @@ fn mistakes_say_line_and_column() {
         ("move 0,1,0 during 0..1 frame part", 1, 34, "the end", "world"),
         ("recolor tint #ff88", 1, 13, "the end of the command", "#ff8800"),
         ("recolor", 1, 8, "the end of the command", "tint"),
+        ("select lasso 1,1 2,2 view 0", 1, 22, "`view`", "three pixels"),
+        ("hide some", 1, 6, "`some`", "the end of the command"),
         ("camera eye 1,2,3", 1, 17, "the end of the command", "target"),
         ("merge a.ply time 0.25+0t", 1, 18, "`0.25+0t`", "0.25+0.5t"),
     ] {

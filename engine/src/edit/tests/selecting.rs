@@ -1,7 +1,7 @@
 //! Selections.
 
 use super::*;
-use crate::edit::select::{Criterion, Depth, Likeness, click, rectangle, select, similar};
+use crate::edit::select::{Criterion, Depth, Likeness, View, click, lasso, rectangle, select, similar};
 use crate::scene::{Gaussians, Motion, SuperpointDeformation, Superpoints};
 
 fn chosen(mask: &[bool]) -> Vec<usize> {
@@ -31,19 +31,48 @@ fn front() -> Camera {
 #[test]
 fn picks_take_the_surface_or_what_is_behind_it() {
     let scene = discs();
-    let at = |point, depth| chosen(&click(&scene, &front(), 0.0, point, depth).unwrap());
+    let camera = front();
+    let view = View { scene: &scene, camera: &camera, time: 0.0, hidden: None };
+    let at = |point, depth| chosen(&click(&view, point, depth).unwrap());
     assert_eq!(at([100.0, 75.0], Depth::Surface), [1]);
     assert_eq!(at([100.0, 75.0], Depth::Behind(2.5)), [0, 1]);
     assert_eq!(at([100.0, 75.0], Depth::Behind(f64::INFINITY)), [0, 1, 2]);
-    assert!(click(&scene, &front(), 0.0, [2.0, 2.0], Depth::Surface).unwrap_err().to_string().contains("nothing at"));
-    assert!(click(&scene, &front(), 0.0, [200.0, 75.0], Depth::Surface).is_err());
-    let within = |corners, depth| chosen(&rectangle(&scene, &front(), 0.0, corners, depth).unwrap());
+    assert!(click(&view, [2.0, 2.0], Depth::Surface).unwrap_err().to_string().contains("nothing at"));
+    assert!(click(&view, [200.0, 75.0], Depth::Surface).is_err());
+    let within = |corners, depth| chosen(&rectangle(&view, corners, depth).unwrap());
     assert_eq!(within([95.0, 70.0, 105.0, 80.0], Depth::Surface), [1]);
     assert_eq!(within([105.0, 80.0, 95.0, 70.0], Depth::Behind(f64::INFINITY)), [0, 1, 2]);
     assert_eq!(within([95.0, 70.0, 105.0, 80.0], Depth::Behind(2.5)), [0, 1]);
     assert_eq!(within([0.0, 0.0, 200.0, 150.0], Depth::Behind(f64::INFINITY)), [0, 1, 2, 3]);
-    let error = rectangle(&scene, &front(), 0.0, [300.0, 0.0, 400.0, 9.0], Depth::Surface).unwrap_err();
+    let error = rectangle(&view, [300.0, 0.0, 400.0, 9.0], Depth::Surface).unwrap_err();
     assert!(error.to_string().contains("200x150"), "{error}");
+    // Hidden Gaussians are looked through.
+    let hidden = View { hidden: Some(&[false, true, false, false]), ..view };
+    assert_eq!(chosen(&click(&hidden, [100.0, 75.0], Depth::Surface).unwrap()), [0]);
+}
+
+#[test]
+fn a_lasso_takes_what_lies_within_its_line() {
+    let (scene, camera) = (discs(), front());
+    let view = View { scene: &scene, camera: &camera, time: 0.0, hidden: None };
+    let within = |points: &[[f64; 2]], depth| chosen(&lasso(&view, points, depth).unwrap());
+    let (surface, through) = (Depth::Surface, Depth::Behind(f64::INFINITY));
+    let square = [[95.0, 70.0], [105.0, 70.0], [105.0, 80.0], [95.0, 80.0]];
+    assert_eq!(within(&square, surface), [1]);
+    assert_eq!(within(&square, through), [0, 1, 2]);
+    // A line that turns in leaves out the middle; its box has everything.
+    let horseshoe = [
+        [20.0, 20.0],
+        [190.0, 20.0],
+        [190.0, 130.0],
+        [120.0, 130.0],
+        [120.0, 40.0],
+        [60.0, 40.0],
+        [60.0, 130.0],
+        [20.0, 130.0],
+    ];
+    assert_eq!(within(&horseshoe, through), [3]);
+    assert!(lasso(&view, &[[300.0, 0.0], [320.0, 0.0], [310.0, 9.0]], surface).is_err());
 }
 
 #[test]
@@ -129,14 +158,17 @@ fn what_moves_alike_is_found() {
 /// Half a million Gaussians. Prints times; what it asserts is what a slow machine under load still reaches.
 #[test]
 fn half_a_million_gaussians_are_edited_at_once() {
-    let mut session = Session::new(moving_scene(500_000, 512, 65, 3, false), Vec::new(), BOUND_PX);
+    let mut history = History::new(Session::new(moving_scene(500_000, 512, 65, 3, false), Vec::new(), BOUND_PX));
     let script = "select sphere 0,0,0 0.7 time 0.4; invert; move 0,0.1,0; rotate z 30; move 0,0.1,0 frame part; scale 1.1; \
                   recolor tint #ff8800; select opacity below 0.2; grow 0.01; duplicate; time reverse; delete";
     for command in script::parse(script).unwrap() {
         let start = std::time::Instant::now();
-        session.apply(&command).unwrap();
+        history.run(std::slice::from_ref(&command)).unwrap();
         let time = start.elapsed();
         println!("{:6.1} ms  {}", time.as_secs_f64() * 1e3, command.text);
         assert!(time.as_secs() < 20, "{}: {time:?}", command.text);
     }
+    let start = std::time::Instant::now();
+    while history.undo().is_some() {}
+    println!("{:6.1} ms  to undo them all", start.elapsed().as_secs_f64() * 1e3);
 }

@@ -61,19 +61,33 @@ impl Renderer {
         &self.options
     }
 
-    /// Replaces the colours (SH band 0) of a scene of degree 0: `[N]` red, green, blue.
+    /// Replaces the colours of SH band 0: `[N]` red, green, blue. What higher bands add stays.
     ///
     /// # Errors
-    /// `Usage` when the number is not that of the Gaussians or the scene has a higher degree.
+    /// `Usage` when the number is not that of the Gaussians.
     pub fn set_base_colors(&self, colors: &[[f32; 3]]) -> Result<()> {
-        if colors.len() != self.scene.gaussians as usize || self.scene.sh_degree != 0 {
-            let found = format!("{} for SH degree {}", colors.len(), self.scene.sh_degree);
-            let expected = format!("{} for SH degree 0", self.scene.gaussians);
-            return Err(Error::usage("base colours", found, expected));
-        }
+        self.check_count("base colours", colors.len())?;
         let planes: Vec<f32> = (0..3).flat_map(|c| colors.iter().map(move |v| (v[c] - 0.5) / SH_0)).collect();
         let words = sh_storage::encode(self.scene.sh_storage, 0, &planes, colors.len());
         self.gpu.upload(&self.scene.parameter[parameter::SH_0], bytemuck::cast_slice(&words))
+    }
+
+    /// Replaces the opacities, without lifespans: `[N]` before the sigmoid.
+    ///
+    /// # Errors
+    /// `Usage` when the number is not that of the Gaussians.
+    pub fn set_opacities(&self, logits: &[f32]) -> Result<()> {
+        self.check_count("opacities", logits.len())?;
+        self.gpu.upload(&self.scene.parameter[parameter::OPACITY_LOGIT], bytemuck::cast_slice(logits))
+    }
+
+    fn check_count(&self, what: &str, found: usize) -> Result<()> {
+        let expected = self.scene.gaussians;
+        if found == expected as usize {
+            Ok(())
+        } else {
+            Err(Error::usage(what, found.to_string(), expected.to_string()))
+        }
     }
 
     /// Size of the images that are rendered; smaller than asked for by the resolution.
