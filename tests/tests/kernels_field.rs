@@ -182,6 +182,10 @@ fn field(skip: usize, wide: usize) -> DeformationField {
 
 #[test]
 fn chunks_change_nothing() {
+    if tests_harness::small() {
+        println!("chunks are the host's: the device's own tests have them");
+        return;
+    }
     let gpu = tests_harness::gpu();
     let g = random_gaussians(17_000, 5, 0);
     let scene = Scene { gaussians: g.clone(), deformation: field(2, 480).into(), ..Scene::default() };
@@ -203,7 +207,7 @@ fn chunks_change_nothing() {
 fn every_layer_can_see_the_input_again() {
     let gpu = tests_harness::gpu();
     let g = random_gaussians(70, 5, 0);
-    for skip in [1, 2, 3, 4, 9] {
+    for skip in [1, 4, 2, 3, 9].into_iter().take(if tests_harness::small() { 2 } else { 5 }) {
         let field = field(skip, 24);
         assert_eq!(field.skip_layer(), (skip < 5).then_some(skip));
         let scene = Scene { gaussians: g.clone(), deformation: field.clone().into(), ..Scene::default() };

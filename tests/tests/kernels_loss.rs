@@ -187,7 +187,7 @@ fn loss_and_gradient_equal_twins_and_truth() {
     let gpu = tests_harness::gpu();
     widths::assert_lanes(&gpu);
     let sizes = [[1, 1], [1, 40], [3, 2], [16, 5], [31, 33], [32, 32], [33, 70], [97, 64], [130, 41]];
-    for (i, size) in sizes.into_iter().enumerate() {
+    for (i, size) in sizes.into_iter().enumerate().filter(|(i, _)| !tests_harness::small() || i % 3 != 0) {
         check_against_truth(&gpu, size, [0.2, 0.2, 1.0][i % 3], 100 + i as u64);
         check_against_truth(&gpu, size, 0.0, 200 + i as u64);
     }
@@ -233,7 +233,7 @@ fn poison_stays_where_it_is() {
     for lambda in [0.0, 0.2] {
         let (before, _) = chain(&gpu, size, lambda, &words(&clean), &target, 0);
         let bad = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e38, -3e38, 1.01e6, f32::MIN_POSITIVE / 3.0, -0.0];
-        for (k, value) in bad.into_iter().enumerate() {
+        for (k, value) in bad.into_iter().take(if tests_harness::small() { 3 } else { 8 }).enumerate() {
             let (pixel, channel) = (20 * 50 + 25 + k, k % 3);
             let mut color = words(&clean);
             color[4 * pixel + channel] = value.to_bits();

@@ -57,7 +57,7 @@ fn equal_distances_go_to_the_lowest_index() {
 fn poison_never_reaches_a_parameter() {
     let gpu = gpu();
     let poison = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e38, -1e38, 1e-42, 0.0];
-    for (round, bad) in poison.into_iter().enumerate() {
+    for (round, bad) in poison.into_iter().take(if tests_harness::small() { 3 } else { 7 }).enumerate() {
         let mut case = Case::new(300, 20, 5, 8, round as u64);
         case.mean[17][round % 3] = bad;
         case.mean[280] = [bad; 3];
