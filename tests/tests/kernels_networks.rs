@@ -97,7 +97,8 @@ fn a_layer_does_not_hide_what_is_no_number() {
 fn forward_and_backward_input_match_their_twins() {
     let gpu = tests_harness::gpu();
     let mut r = Random(1);
-    let shapes = [(1, 1, 0, 1), (16, 32, 0, 32), (33, 76, 256, 65), (33, 76, 64, 36), (7, 84, 0, 12), (130, 64, 0, 257)];
+    let shapes =
+        [(1, 1, 0, 1), (16, 32, 0, 32), (33, 76, 256, 65), (33, 76, 64, 36), (7, 84, 0, 12), (130, 64, 0, 257)];
     for (k, (rows, i0, i1, outputs)) in shapes.into_iter().enumerate() {
         for stage in stages(k) {
             let inputs = i0 + i1;
