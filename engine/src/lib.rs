@@ -32,6 +32,7 @@
 //! | [`render`] | scene(t) + camera → image on the GPU: kernels, their twins, the frame; [`render::embed`]: frames in other programs |
 //! | [`train`] | posed images → scene on the GPU: loss, backward kernels, Adam, density, checkpoints |
 //! | [`edit`] | select Gaussians; move, turn, scale, recolour, retime, merge them |
+//! | [`confidence`] | how far off each pixel may be, by what training views show of each Gaussian |
 //! | [`distill`] | the motion of any model as superpoints, within a bound in pixels |
 //! | [`pose`] | how superpoints and cameras stand in new photos |
 //! | [`self_test`] | whether a device computes what it must: every kernel of a frame or a step on a small scene; [`gpu::Gpu::new`] |
@@ -116,6 +117,7 @@
 
 #![deny(unsafe_code)]
 
+pub mod confidence;
 pub mod data;
 pub mod distill;
 pub mod edit;

@@ -1,8 +1,10 @@
 //! Gradients of whole images, from blending to parameters, on the device against the f64 reference.
 
+use engine::confidence::{Confidence, Contributions, Evidence, PRIOR_ERROR};
 use engine::reference::gradient::image::{Gradients, image_gradients};
 use engine::reference::gradient::splats::Upstream;
 use engine::reference::{Blend64, DeformationAt, Gaussians64, ReferenceOptions, table_poses};
+use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::random_scene;
 use engine::scene::{Camera, Scene};
 use engine::train::gradient::{GradientOptions, SceneGradients, scene_gradients};
@@ -113,6 +115,78 @@ fn gradients_agree_with_the_reference() {
             assert!(found == again, "{context}: other bits on the second run");
         }
     }
+}
+
+/// What Gaussians make up of an image is dL/dcolour: that of the f64 reference, where no colour is clamped.
+#[test]
+fn contributions_are_those_of_the_reference() {
+    let gpu = tests_harness::gpu();
+    let options = RenderOptions { background: BACKGROUND, ..RenderOptions::default() };
+    let still = RenderInput::random(250, 0, 60);
+    let moving = still.clone().moving(6, 3);
+    let mut large = RenderInput::random(40, 0, 5);
+    large.log_scale.fill(0.0);
+    let soft = moving.clone().soft(3, 4);
+    for (what, input) in [("static", still), ("moving", moving), ("soft", soft), ("large splats", large)] {
+        let (mut scene, camera) = (input.scene(), test_camera(97, 60));
+        scene.gaussians.sh.iter_mut().for_each(|c| *c = c.abs());
+        let gradient: Vec<f32> =
+            random_gradient(&camera, 4).chunks_exact(4).flat_map(|g| [g[0], g[1], g[2], 0.0]).collect();
+        let weight: Vec<[f32; 3]> = gradient.chunks_exact(4).map(|g| [g[0], g[1], g[2]]).collect();
+        let mut of = Contributions::new(&gpu, &scene, &options).unwrap();
+        let found = of.of_view(&camera, TIME, &weight).unwrap();
+        let expected: Vec<f32> =
+            truth(&scene, &camera, &gradient).sh.iter().map(|g| (g / 0.282_094_79) as f32).collect();
+        assert_gradients_close(found.as_flattened(), &expected, what);
+        assert_eq!(of.of_view(&camera, TIME, &weight).unwrap(), found, "{what}: other bits on the second run");
+        let refused = of.of_view(&camera, TIME, &weight[1..]).unwrap_err();
+        assert!(refused.to_string().contains("5820"), "{refused}");
+    }
+}
+
+/// Where photos show something else the error is expected, in the amount that it has; what no photo shows is unknown.
+#[test]
+fn errors_are_expected_where_photos_differ() {
+    let gpu = tests_harness::gpu();
+    let options = RenderOptions::default();
+    let mut scene = random_scene(3, 5, 0);
+    let g = &mut scene.gaussians;
+    (g.mean[0], g.mean[1], g.mean[2]) = ([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -40.0]);
+    g.log_scale.fill([-1.2; 3]);
+    g.opacity_logit.fill(5.0);
+    g.sh.fill(0.0);
+    let camera = Camera::look_at(DVec3::new(0.0, 0.0, -5.0), DVec3::ZERO, DVec3::NEG_Y, 0.9, [64, 48]);
+    let rendered = Renderer::new(&gpu, &scene, &options).unwrap().render(&camera, 0.0).unwrap();
+    // The photo is darker by 0.2 on one side.
+    let mut photo = rendered.clone();
+    for (i, pixel) in photo.rgba.chunks_exact_mut(4).enumerate() {
+        let darker = if i % 64 < 32 { 0.2 } else { 0.0 };
+        pixel[..3].iter_mut().for_each(|c| *c -= darker);
+    }
+    let mut evidence = Evidence::new(3);
+    let mut of = Contributions::new(&gpu, &scene, &options).unwrap();
+    evidence.add(&mut of, &camera, 0.0, [&rendered, &photo]).unwrap();
+    let seen: f64 = rendered.rgba.chunks_exact(4).map(|p| f64::from(p[3])).sum();
+    assert!((evidence.visibility.iter().sum::<f64>() - seen).abs() < 1e-3 * seen, "{evidence:?}, {seen}");
+    assert_eq!((evidence.visibility[2], evidence.error[2]), (0.0, 0.0));
+    let mut drawn = Confidence::new(&gpu, &scene, &options, &evidence).unwrap();
+    let expected = drawn.render(&camera, 0.0).unwrap();
+    let at = |x: usize| expected.error[24 * 64 + x];
+    let side = if scene_side(&camera, -1.0) < 32.0 { [-1.0, 1.0] } else { [1.0, -1.0] };
+    let [dark, same] = side.map(|x| at(scene_side(&camera, x) as usize));
+    assert!((dark - 0.2).abs() < 0.03 && same < 0.02, "{dark} {same}");
+    // From behind, the Gaussian that nobody saw.
+    let behind = Camera::look_at(DVec3::new(0.0, 0.0, -35.0), DVec3::Z * -40.0, DVec3::NEG_Y, 0.9, [64, 48]);
+    let unknown = drawn.render(&behind, 0.0).unwrap().error[24 * 64 + 32];
+    assert!((f64::from(unknown) - PRIOR_ERROR).abs() < 0.02, "{unknown}");
+    let other = Confidence::new(&gpu, &scene, &options, &Evidence::new(2)).unwrap_err();
+    assert!(other.to_string().contains("2 Gaussians"), "{other}");
+}
+
+/// Column of a point on the x axis.
+fn scene_side(camera: &Camera, x: f64) -> f64 {
+    let p = camera.rotation * (DVec3::X * x - camera.position);
+    camera.fx * p.x / p.z + camera.cx
 }
 
 #[test]

@@ -9,6 +9,7 @@ use super::MAX_IMAGE_SIDE;
 use super::lens::Lens;
 use super::resample::{self, Plane};
 use crate::error::{Error, Result};
+use crate::image::Image;
 
 /// Colour premultiplied by alpha, 8 bits a channel, row-major, top row first.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -25,6 +26,17 @@ impl Pixels {
     /// Bytes of the pixels.
     pub fn bytes(&self) -> u64 {
         4 * self.rgba.len() as u64
+    }
+
+    /// The picture over a background, A kept.
+    pub fn over(&self, background: [f32; 3]) -> Image {
+        let pixel = |p: &u32| {
+            let [r, g, b, a] = p.to_le_bytes().map(|c| f32::from(c) / 255.0);
+            let over = |c: f32, i: usize| c + (1.0 - a) * background[i];
+            [over(r, 0), over(g, 1), over(b, 2), a]
+        };
+        let rgba = self.rgba.iter().flat_map(pixel).collect();
+        Image { width: self.width, height: self.height, rgba, depth: Vec::new() }
     }
 
     /// Premultiplied R, G, B, A of pixel (x, y) in [0, 1].

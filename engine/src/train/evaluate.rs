@@ -49,7 +49,7 @@ impl RenderedView {
     /// # Errors
     /// `Usage` when sizes differ.
     pub fn score(&self) -> Result<(ViewScore, Image)> {
-        let truth = composite(&self.photo, self.background);
+        let truth = self.photo.over(self.background);
         let (ours, photo) = (Planes::clamped(&self.rendered)?, Planes::clamped(&truth)?);
         let psnr = metrics::psnr(&photo, &ours, None)?;
         let ssim = metrics::ssim(&photo, &ours, None)?.zero_padded;
@@ -144,17 +144,6 @@ impl Coverage {
     pub fn empty_share(&self) -> Option<f64> {
         (self.transparent > 0 && self.opaque > 0).then(|| self.empty as f64 / self.opaque as f64)
     }
-}
-
-/// A photo over a background.
-fn composite(photo: &Pixels, background: [f32; 3]) -> Image {
-    let pixel = |p: &u32| {
-        let [r, g, b, a] = p.to_le_bytes().map(|c| f32::from(c) / 255.0);
-        let over = |c: f32, i: usize| c + (1.0 - a) * background[i];
-        [over(r, 0), over(g, 1), over(b, 2), a]
-    };
-    let rgba = photo.rgba.iter().flat_map(pixel).collect();
-    Image { width: photo.width, height: photo.height, rgba, depth: Vec::new() }
 }
 
 #[cfg(test)]

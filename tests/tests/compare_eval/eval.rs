@@ -41,6 +41,7 @@ fn scores_are_those_of_the_pictures_it_writes() {
         text(&out),
         "--scene",
         "lego",
+        "--confidence",
     ];
     let printed = ok(&arguments);
     let e = read(&json);
@@ -58,8 +59,15 @@ fn scores_are_those_of_the_pictures_it_writes() {
         assert!(image["lpips_vgg"].is_null());
         // The data set is this scene, but for the rounding of straight alpha.
         assert!(truth.psnr > 35.0 && image["float"]["psnr"].as_f64().unwrap() > 35.0, "{image}");
+        let sure = &e["confidence"]["images"][i];
+        assert_eq!(sure["name"], image["name"]);
+        let drawn = files::read(&out.join(format!("{i:05}_expected.png"))).unwrap();
+        let of_drawn = drawn.rgb().sum::<f64>() / (4.0 * 3.0 * 172.0 * 164.0);
+        assert!((of_drawn - sure["expected_error"].as_f64().unwrap()).abs() < 2e-3, "{of_drawn}, {sure}");
         assert!(out.join(format!("{i:05}_flip.png")).exists() && out.join(format!("{i:05}_error.png")).exists());
     }
+    assert_eq!(e["confidence"]["training_views"], options.train);
+    assert!(printed.contains("error expected from"), "{printed}");
     let mean = images.iter().map(|i| i["psnr"].as_f64().unwrap()).sum::<f64>() / 3.0;
     assert!((e["mean"]["psnr"].as_f64().unwrap() - mean).abs() < 1e-12);
     let rows = e["paper"]["rows"].as_array().unwrap();

@@ -24,6 +24,7 @@ const LAYERS: &[&[&str]] = &[
     &["metrics"],
     &["render"],
     &["train"],
+    &["confidence"],
     &["edit"],
     &["distill"],
     &["pose"],

@@ -1,5 +1,6 @@
 //! `spgs eval`: a model scored on the held-out views of a data set, with the paper's figures beside it.
 
+mod confidence;
 mod evaluation;
 mod protocol;
 mod report;
@@ -10,10 +11,12 @@ use std::path::{Path, PathBuf};
 
 use engine::error::{Error, Result};
 use engine::file::picture::{self, Alpha};
+use engine::image::Image;
 use engine::metrics::flicker::Flicker;
-use engine::metrics::{flip, mean_of};
+use engine::metrics::{Planes, flip, mean_of};
 use serde_json::{Value, json};
 
+use self::confidence::{Foretold, Summary};
 use self::evaluation::{Evaluation, our_row, paper_rows, paper_title};
 use self::session::{FloatScores, Session, ViewResult};
 use self::setting::Setting;
@@ -32,15 +35,19 @@ pub fn run(args: &EvalArgs, global: &Global) -> Result<()> {
     let gpu = gpu_session::open(global)?;
     let mut session = Session::new(&gpu, &loaded.scene, &setting, &weights)?;
     let staged = args.out.as_deref().map(Staged::new).transpose()?;
-    let bar = progress::bar(setting.views.len() as u64, global.quiet);
+    let bar = progress::bar((setting.views.len() + setting.training.len()) as u64, global.quiet);
+    let foretold = args.confidence.then(|| Foretold::new(&gpu, &loaded.scene, &setting, &bar));
+    let mut foretold = foretold.transpose()?;
     let begin = std::time::Instant::now();
     let (views, flicker) = session.score_all(|index, rendered, truth| {
         bar.inc(1);
-        staged.as_ref().map_or(Ok(()), |s| s.write(index, rendered, truth))
+        let expected = foretold.as_mut().map(|f| f.view(&setting, index, [rendered, truth])).transpose()?;
+        staged.as_ref().map_or(Ok(()), |s| s.write(index, rendered, truth, expected.as_ref()))
     })?;
     let seconds = begin.elapsed().as_secs_f64();
     bar.finish_and_clear();
-    let evaluation = summarise(views, flicker, &setting, &weights)?;
+    let confidence = foretold.map(Foretold::summary);
+    let evaluation = Evaluation { confidence, ..summarise(views, flicker, &setting, &weights)? };
     let record = record(args, &gpu, &loaded.scene, &setting, &evaluation, seconds)?;
     args.results.write(&record, || report::page(&record, &setting, &evaluation, &mut session))?;
     gpu_session::report_validation(&gpu);
@@ -71,7 +78,16 @@ fn summarise(
         notes.push(format!("masked scores: of {} of {} views, whose mask is not empty", masked.len(), views.len()));
     }
     let mean_lpips_paper = mean_of(views.iter().map(|v| v.lpips_paper));
-    Ok(Evaluation { views, mean, mean_float, mean_masked: AllScores::mean(&masked), mean_lpips_paper, flicker, notes })
+    Ok(Evaluation {
+        views,
+        mean,
+        mean_float,
+        mean_masked: AllScores::mean(&masked),
+        mean_lpips_paper,
+        flicker,
+        confidence: None,
+        notes,
+    })
 }
 
 /// The JSON.
@@ -96,6 +112,7 @@ fn record(
         "seconds": seconds,
         "mean": mean,
         "flicker": e.flicker,
+        "confidence": e.confidence,
         "images": e.views,
         "paper": paper_record(setting)?,
         "notes": e.notes,
@@ -132,6 +149,7 @@ fn print(setting: &Setting, e: &Evaluation) -> Result<()> {
         let (rms, share) = (cell(f.rms, 5), 100.0 * f.static_share);
         output::line(&format!("flicker {rms} rms on static pixels ({share:.1} %), {} pairs of frames", f.pairs));
     }
+    e.confidence.iter().for_each(|c: &Summary| output::line(&c.line()));
     e.notes.iter().for_each(|n| output::line(n));
     let Some(protocol) = &setting.protocol else { return Ok(()) };
     output::line(&format!("\nthe paper on {}, {}:", protocol.benchmark.name(), paper_title(setting)));
@@ -161,7 +179,7 @@ impl Staged {
         Ok(Self { staging: staging.map_err(|e| Error::io(parent, "make folder", e))?, out: out.into() })
     }
 
-    fn write(&self, index: usize, rendered: &engine::metrics::Planes, truth: &engine::metrics::Planes) -> Result<()> {
+    fn write(&self, index: usize, rendered: &Planes, truth: &Planes, expected: Option<&Image>) -> Result<()> {
         let file = |kind: &str| self.staging.path().join(format!("{index:05}{kind}.png"));
         let map = flip(truth, rendered, engine::metrics::PIXELS_PER_DEGREE)?;
         for (kind, image) in [
@@ -171,6 +189,9 @@ impl Staged {
             ("_error", error_image::absolute(truth, rendered)),
         ] {
             picture::write_png(&file(kind), &image, Alpha::Drop)?;
+        }
+        if let Some(image) = expected {
+            picture::write_png(&file("_expected"), image, Alpha::Drop)?;
         }
         Ok(())
     }

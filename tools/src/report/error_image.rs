@@ -31,6 +31,12 @@ pub fn absolute(reference: &Planes, test: &Planes) -> Image {
     Image { width: reference.width as u32, height: reference.height as u32, rgba, depth: Vec::new() }
 }
 
+/// Errors in grey, [`GAIN`] times, as bright as [`absolute`] shows them.
+pub fn gained(error: &[f32], [width, height]: [u32; 2]) -> Image {
+    let rgba = error.iter().flat_map(|e| [[GAIN as f32 * e; 3].as_slice(), &[1.0]].concat()).collect();
+    Image { width, height, rgba, depth: Vec::new() }
+}
+
 /// The largest |difference| of a pixel's channels in colours, by its power of ten: black is `from` and below, pale yellow
 /// `to` and above.
 pub fn decades(reference: &Planes, test: &Planes, [from, to]: [f64; 2]) -> Image {

@@ -39,6 +39,10 @@ pub struct EvalArgs {
     /// Also score the moving parts, by the data set's masks
     #[arg(long)]
     pub masks: bool,
+    /// Also say how far off each pixel may be, by what the training views show of each Gaussian, and how well that foretells
+    /// the true error; with --out also NNNNN_expected.png, in the colours and gain of NNNNN_error.png's brightness
+    #[arg(long)]
+    pub confidence: bool,
     /// Where the results go
     #[command(flatten)]
     pub results: ResultArgs,

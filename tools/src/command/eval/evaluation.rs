@@ -3,6 +3,7 @@
 use engine::error::Result;
 use engine::metrics::flicker::Flicker;
 
+use super::confidence::Summary;
 use super::session::{FloatScores, ViewResult};
 use super::setting::Setting;
 use crate::report::paper::{self, SceneRow};
@@ -18,6 +19,7 @@ pub(super) struct Evaluation {
     /// Mean LPIPS as the paper's code computes it, if its network is known and has weights.
     pub(super) mean_lpips_paper: Option<f64>,
     pub(super) flicker: Option<Flicker>,
+    pub(super) confidence: Option<Summary>,
     pub(super) notes: Vec<String>,
 }
 

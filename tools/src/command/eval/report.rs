@@ -63,6 +63,9 @@ fn facts(record: &Value, setting: &Setting, e: &Evaluation) -> Vec<(&'static str
         let share = 100.0 * f.static_share;
         facts.push(("Flicker", format!("{rms}, {share:.1} % of pixels static, {} pairs of frames", f.pairs)));
     }
+    if let Some(c) = &e.confidence {
+        facts.push(("Confidence", c.line()));
+    }
     facts
 }
 

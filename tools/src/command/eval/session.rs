@@ -1,8 +1,6 @@
 //! Renders the views and scores them.
 
-use std::sync::Arc;
-
-use engine::data::{DatasetKind, ImageLoader, Pixels, View};
+use engine::data::{DatasetKind, ImageLoader, View};
 use engine::error::Result;
 use engine::gpu::Gpu;
 use engine::image::Image;
@@ -17,7 +15,7 @@ use super::setting::Setting;
 use crate::report::scores::{AllScores, Scorer};
 
 /// Decoded photos that are kept, bytes.
-const PHOTO_BYTES: u64 = 1 << 30;
+pub(super) const PHOTO_BYTES: u64 = 1 << 30;
 
 /// Scores of float images: those metrics that rounding changes in a way worth telling.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -95,11 +93,10 @@ impl<'a> Session<'a> {
     pub(super) fn new(gpu: &Gpu, scene: &Scene, setting: &'a Setting, weights: &WeightsFile) -> Result<Self> {
         let network = setting.protocol.as_ref().and_then(|p| p.lpips);
         let paper_lpips = network.and_then(|n| weights.get(n)).map(|w| Lpips::new(gpu, w)).transpose()?;
-        let workers = std::thread::available_parallelism().map_or(1, usize::from).min(4);
         Ok(Self {
             setting,
             renderer: Renderer::new(gpu, scene, &setting.options)?,
-            loader: ImageLoader::new(setting.views.clone().into(), PHOTO_BYTES, workers)?,
+            loader: ImageLoader::new(setting.views.clone().into(), PHOTO_BYTES, workers())?,
             scorer: Scorer::new(Some(gpu), weights)?,
             paper_lpips,
         })
@@ -142,7 +139,7 @@ impl<'a> Session<'a> {
         let begin = std::time::Instant::now();
         let rendered = self.renderer.render(&view.camera, view.time)?;
         let render_ms = begin.elapsed().as_secs_f64() * 1e3;
-        let truth = composite(&self.loader.get(index)?, self.setting.background);
+        let truth = self.loader.get(index)?.over(self.setting.background);
         Ok(Pair { rendered, truth, render_ms })
     }
 
@@ -182,16 +179,9 @@ impl<'a> Session<'a> {
     }
 }
 
-/// A photo over a background.
-fn composite(photo: &Arc<Pixels>, background: [f32; 3]) -> Image {
-    let pixel = |p: &u32| {
-        let [r, g, b, a] = p.to_le_bytes().map(|c| f32::from(c) / 255.0);
-        let over = |c: f32, i: usize| c + (1.0 - a) * background[i];
-        [over(r, 0), over(g, 1), over(b, 2), a]
-    };
-    let mut rgba = vec![0.0; 4 * photo.rgba.len()];
-    rgba.as_chunks_mut().0.iter_mut().zip(&photo.rgba).for_each(|(out, p)| *out = pixel(p));
-    Image { width: photo.width, height: photo.height, rgba, depth: Vec::new() }
+/// Threads that decode photos.
+pub(super) fn workers() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from).min(4)
 }
 
 /// Views of one camera side by side, in order of time.

@@ -19,6 +19,8 @@ pub(super) struct Setting {
     pub(super) path: PathBuf,
     pub(super) kind: DatasetKind,
     pub(super) views: Vec<View>,
+    /// Those that say how sure images are; empty if nobody asks.
+    pub(super) training: Vec<View>,
     pub(super) split: SplitArg,
     pub(super) downscale: u32,
     pub(super) background: [f32; 3],
@@ -42,6 +44,7 @@ impl Setting {
         let background = args.background.or(trained.map(|c| c.background)).unwrap_or([0.0; 3]);
         let near = trained.map_or(RenderOptions::default().near, |c| c.near);
         let render = RenderOptions { background, near, motion: motion_source(args.motion), ..RenderOptions::default() };
+        let training = if args.confidence { data.train.clone() } else { Vec::new() };
         let views = match args.split {
             SplitArg::Test => data.test,
             SplitArg::Val => data.val,
@@ -51,6 +54,9 @@ impl Setting {
             let at = format!("split `{}`", args.split.name());
             return Err(Error::corrupt(&args.data, at, "no view", "at least one"));
         };
+        if args.confidence && training.is_empty() {
+            return Err(Error::corrupt(&args.data, "split `train` (--confidence)", "no view", "at least one"));
+        }
         if args.masks && views.iter().all(|v| v.image.mask.is_none()) {
             return Err(Error::corrupt(&args.data, "masks (--masks)", "none", "a mask of at least one view"));
         }
@@ -68,6 +74,7 @@ impl Setting {
             masks: args.masks,
             options: render,
             views,
+            training,
             background,
             protocol,
             scene,

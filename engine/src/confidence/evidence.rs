@@ -1,0 +1,147 @@
+//! What training views say, and the images that follow from it.
+
+use super::contribution::Contributions;
+use crate::data::loader::ImageLoader;
+use crate::error::{Error, Result};
+use crate::file::codec::SH_C0;
+use crate::gpu::Gpu;
+use crate::image::Image;
+use crate::render::{RenderOptions, Renderer};
+use crate::scene::{Camera, Gaussians, Scene};
+
+/// Pixels that count as much as what is thought of a Gaussian that nobody saw.
+pub const PRIOR_PIXELS: f64 = 4.0;
+/// Error of a colour that nobody checked: the mean distance of two values between 0 and 1.
+pub const PRIOR_ERROR: f64 = 1.0 / 3.0;
+
+/// Sums over training views.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evidence {
+    /// `[N]` Σ αT: pixels that each Gaussian makes up.
+    pub visibility: Vec<f64>,
+    /// `[N]` Σ αT e.
+    pub error: Vec<f64>,
+    /// The same two of what is behind everything: Σ T and Σ T e.
+    pub background: [f64; 2],
+}
+
+impl Evidence {
+    /// Nothing was seen of `n` Gaussians.
+    pub fn new(n: usize) -> Self {
+        Self { visibility: vec![0.0; n], error: vec![0.0; n], background: [0.0; 2] }
+    }
+
+    /// What all views of a loader say, rendered with `options`; `each` hears of each.
+    ///
+    /// # Errors
+    /// Those of rendering and decoding.
+    pub fn of_views(
+        gpu: &Gpu,
+        scene: &Scene,
+        loader: &ImageLoader,
+        options: &RenderOptions,
+        mut each: impl FnMut(),
+    ) -> Result<Self> {
+        let mut evidence = Self::new(scene.gaussians.len());
+        let mut contributions = Contributions::new(gpu, scene, options)?;
+        let mut renderer = Renderer::new(gpu, scene, options)?;
+        let order: Vec<usize> = (0..loader.views().len()).collect();
+        loader.prefetch(&order);
+        for index in order {
+            let view = &loader.views()[index];
+            let photo = loader.get(index)?.over(options.background);
+            let rendered = renderer.render(&view.camera, view.time)?;
+            evidence.add(&mut contributions, &view.camera, view.time, [&rendered, &photo])?;
+            each();
+        }
+        Ok(evidence)
+    }
+
+    /// Adds a view: what was rendered of it, with A, and the photo over the same background.
+    ///
+    /// # Errors
+    /// `Usage` for images of other sizes than the camera's; those of [`Contributions::of_view`].
+    pub fn add(&mut self, of: &mut Contributions, camera: &Camera, time: f64, images: [&Image; 2]) -> Result<()> {
+        let [rendered, photo] = images;
+        for image in images {
+            if [image.width, image.height] != [camera.width, camera.height] {
+                let found = format!("{}×{} pixels", image.width, image.height);
+                return Err(Error::usage(format!("image of {}", camera.name), found, "the camera's size"));
+            }
+        }
+        let errors = errors(rendered, photo);
+        let weight: Vec<[f32; 3]> = errors.iter().map(|e| [1.0, *e, 0.0]).collect();
+        for (i, [seen, error, _]) in of.of_view(camera, time, &weight)?.into_iter().enumerate() {
+            self.visibility[i] += f64::from(seen);
+            self.error[i] += f64::from(error);
+        }
+        for (pixel, error) in rendered.rgba.chunks_exact(4).zip(errors) {
+            let behind = f64::from(1.0 - pixel[3]).max(0.0);
+            self.background[0] += behind;
+            self.background[1] += behind * f64::from(error);
+        }
+        Ok(())
+    }
+
+    /// `[N]` the error to expect of each Gaussian, and of what is behind all.
+    fn expected(&self) -> (Vec<f64>, f64) {
+        let of = |seen: f64, error: f64| (error + PRIOR_PIXELS * PRIOR_ERROR) / (seen + PRIOR_PIXELS);
+        let each = self.visibility.iter().zip(&self.error).map(|(v, e)| of(*v, *e));
+        (each.collect(), of(self.background[0], self.background[1]))
+    }
+}
+
+/// Root of the mean square of r, g and b's differences, per pixel.
+fn errors(a: &Image, b: &Image) -> Vec<f32> {
+    let of_pixel = |(a, b): (&[f32], &[f32])| {
+        let sum: f32 = a[..3].iter().zip(&b[..3]).map(|(a, b)| (a.clamp(0.0, 1.0) - b).powi(2)).sum();
+        // Nothing that is not a number may reach the sums.
+        if sum.is_finite() { (sum / 3.0).sqrt() } else { 1.0 }
+    };
+    a.rgba.chunks_exact(4).zip(b.rgba.chunks_exact(4)).map(of_pixel).collect()
+}
+
+/// How far off an image may be.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExpectedErrors {
+    /// `[H,W]` the mean of what a pixel may be off by: roots of mean squares over r, g, b; 0 to 1.
+    pub error: Vec<f32>,
+    /// `[H,W]` A of the image.
+    pub opacity: Vec<f32>,
+}
+
+/// Draws how far off images may be.
+#[derive(Debug)]
+pub struct Confidence {
+    renderer: Renderer,
+}
+
+impl Confidence {
+    /// The scene with expected errors for colours.
+    ///
+    /// # Errors
+    /// `Usage` for evidence of another number of Gaussians; as [`Renderer::new`].
+    pub fn new(gpu: &Gpu, scene: &Scene, options: &RenderOptions, evidence: &Evidence) -> Result<Self> {
+        let g = &scene.gaussians;
+        if evidence.visibility.len() != g.len() {
+            let found = format!("of {} Gaussians", evidence.visibility.len());
+            return Err(Error::usage("evidence", found, format!("{} Gaussians", g.len())));
+        }
+        let (each, behind) = evidence.expected();
+        let color = |error: f64| ((error - 0.5) / SH_C0) as f32;
+        let gaussians = Gaussians { sh: each.iter().flat_map(|s| [color(*s); 3]).collect(), sh_degree: 0, ..g.clone() };
+        let scene = Scene { gaussians, ..scene.clone() };
+        let options = RenderOptions { background: [behind as f32; 3], ..options.clone() };
+        Ok(Self { renderer: Renderer::new(gpu, &scene, &options)? })
+    }
+
+    /// The errors to expect of a view.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn render(&mut self, camera: &Camera, time: f64) -> Result<ExpectedErrors> {
+        let image = self.renderer.render(camera, time)?;
+        let of = |value: fn(&[f32]) -> f32| image.rgba.chunks_exact(4).map(value).collect();
+        Ok(ExpectedErrors { error: of(|p| p[0].clamp(0.0, 1.0)), opacity: of(|p| p[3]) })
+    }
+}
