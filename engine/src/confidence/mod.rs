@@ -7,8 +7,8 @@
 //! The error to expect where it shows is (Eᵢ + k s)/(Vᵢ + k): what was measured, or, where hardly a pixel was, s, the error of
 //! a colour that nobody checked ([`PRIOR_PIXELS`], [`PRIOR_ERROR`]). Blended as colours are, with the background's own value
 //! behind, this is the expected error of a pixel, which [`Confidence::render`] gives. (With squared errors, and the root at the
-//! end, a few large errors decide: held-out images of `bending_creature` then had a rank correlation of −0.34 with the true
-//! errors, with plain ones 0.88.)
+//! end, a few large errors decide: held-out images of `bending_creature`, 400×400 pixels, then had a rank correlation of −0.34
+//! with the true errors, with plain ones 0.88.)
 
 mod contribution;
 mod evidence;

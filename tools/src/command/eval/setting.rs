@@ -85,7 +85,13 @@ impl Setting {
 
 /// The configuration that the model was trained with, if it says so in a way that this version reads.
 fn training_config(scene: &Scene) -> Option<Config> {
-    serde_json::from_str(scene.metadata.get("training")?).ok()
+    let said = scene.metadata.get("training")?;
+    let not_read = |e: &serde_json::Error| {
+        log::warn!(
+            "how the model was trained is not read ({e}): give --downscale and --background if they were not 1 and black"
+        );
+    };
+    serde_json::from_str(said).inspect_err(not_read).ok()
 }
 
 fn paper_scene(args: &EvalArgs, protocol: &Protocol) -> Result<Option<String>> {
