@@ -26,7 +26,9 @@ const NEAREST: usize = 3;
 /// Stream of random cameras and times.
 const STREAM: u32 = 0x7455_6E65;
 /// Pixels of a step, of key poses and of centres: at the start, and at the end.
-const RATE_PX: [f64; 2] = [0.05, 0.005];
+const RATE_PX: [f64; 2] = [0.05, 0.002];
+/// What is left of the other rates at the end: nothing that they do is smoothed out later.
+const FINAL_SHARE: f64 = 0.03;
 /// λ of the terms that fade.
 const HOLD: f64 = 0.05;
 const SMOOTH: f64 = 0.05;
@@ -171,7 +173,7 @@ fn config(student: &Scene, options: &TuneOptions, unit: f64) -> Config {
     [r.mean, r.mean_final] = RATE_PX.map(|px| (px * unit).clamp(1e-12, 1.0));
     (r.spatial_scale, r.mean_iterations) = (1.0, options.iterations);
     (r.log_scale, r.rotation, r.opacity_logit) = (1e-3, 5e-4, 0.01);
-    (r.sh_0, r.sh_rest) = (1e-3, 1e-3 / 20.0);
+    (r.sh_0, r.sh_rest, r.final_share) = (1e-3, 1e-3 / 20.0, FINAL_SHARE);
     c
 }
 
@@ -184,8 +186,7 @@ fn unit(student: &Scene, views: &Views<Camera>) -> f64 {
 }
 
 fn keys(student: &Scene, moved: &SuperpointDeformation, views: &Views<Camera>, options: &TuneOptions) -> KeyOptions {
-    let center: Vec<DVec3> =
-        moved.superpoints.position.iter().map(|p| DVec3::from_array(p.map(f64::from))).collect();
+    let center: Vec<DVec3> = moved.superpoints.position.iter().map(|p| DVec3::from_array(p.map(f64::from))).collect();
     let g = &student.gaussians;
     let mut sums = vec![(1e-12, 0.0); center.len()];
     for i in 0..g.len() {
@@ -223,7 +224,9 @@ fn random_view(cameras: &[Camera], [start, end]: [f64; 2], seed: u64, k: u64) ->
     let pick = |count: usize, what: u64| ((draw(what) * count as f64) as usize).min(count.saturating_sub(1));
     let one = &cameras[pick(cameras.len(), 0)];
     let mut others: Vec<&Camera> = cameras.iter().filter(|c| c.position != one.position).collect();
-    others.sort_by(|a, b| a.position.distance_squared(one.position).total_cmp(&b.position.distance_squared(one.position)));
+    others.sort_by(|a, b| {
+        a.position.distance_squared(one.position).total_cmp(&b.position.distance_squared(one.position))
+    });
     others.truncate(NEAREST);
     let two = others.get(pick(others.len(), 1)).copied().unwrap_or(one);
     let way = 0.5 * draw(2);

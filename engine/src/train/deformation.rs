@@ -152,7 +152,12 @@ pub(super) fn begin(gpu: &Gpu, config: &Config, scene: &SceneBuffers) -> Result<
 ///
 /// # Errors
 /// `Usage` without a table, or for options of other lengths; `OutOfMemory`.
-pub(super) fn of_table(gpu: &Gpu, scene: &SuperpointDeformation, gaussians: u32, options: KeyOptions) -> Result<Trained> {
+pub(super) fn of_table(
+    gpu: &Gpu,
+    scene: &SuperpointDeformation,
+    gaussians: u32,
+    options: KeyOptions,
+) -> Result<Trained> {
     Ok(Box::new(TableTraining::new(gpu, scene, gaussians, options)?))
 }
 

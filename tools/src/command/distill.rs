@@ -101,7 +101,11 @@ pub fn distill(args: &DistillArgs, global: &Global) -> Result<(Value, Summary)> 
         None => (fitted.scene, None),
     };
     let report = fitted.report;
-    let record = json!({ "teacher": name(&args.teacher), "report": report, "tuning": tuning });
+    let mut record = json!({ "teacher": name(&args.teacher), "report": report, "tuning": tuning });
+    // The same model has the same bytes, however long it took.
+    for part in ["report", "tuning"] {
+        record[part].as_object_mut().map(|part| part.remove("seconds"));
+    }
     scene.metadata.insert("distilled".into(), record.to_string());
     let mut shown = Vec::new();
     let bar = progress::counter("", quiet);

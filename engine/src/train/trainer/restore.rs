@@ -48,13 +48,7 @@ impl Trainer {
     ///
     /// # Errors
     /// As [`Trainer::new`]; `Usage` for a scene without a key-time table, and for density control.
-    pub fn table(
-        gpu: &Gpu,
-        config: &Config,
-        data: &TrainingData,
-        scene: &Scene,
-        keys: KeyOptions,
-    ) -> Result<Self> {
+    pub fn table(gpu: &Gpu, config: &Config, data: &TrainingData, scene: &Scene, keys: KeyOptions) -> Result<Self> {
         let Some(moved) = scene.deformation.superpoint_deformation() else {
             return Err(Error::usage("model to train", "no superpoints", "superpoints with a key-time table"));
         };

@@ -40,7 +40,9 @@ pub(super) fn page(record: &Value, s: &Summary, shown: &[Shown]) -> Result<Strin
         page.table(&tuned(m, t));
         let [photos, drawn] = t.images;
         let (n, seed, seconds) = (t.iterations, t.seed, t.seconds);
-        page.text(&format!("{n} steps on {photos} photos and {drawn} images of the teacher, seed {seed}, {seconds:.1} s."));
+        page.text(&format!(
+            "{n} steps on {photos} photos and {drawn} images of the teacher, seed {seed}, {seconds:.1} s."
+        ));
     }
     page.heading("What the student lacks");
     if m.dropped.is_empty() {

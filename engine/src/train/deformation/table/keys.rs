@@ -234,3 +234,135 @@ impl Keys {
         self.twin(key).is_some_and(|twin| self.keys[twin * m + j].rotation != self.keys[key * m + j].rotation)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+    use super::*;
+    use crate::scene::synthetic::Random;
+
+    fn table(times: &[f32], m: usize, seed: u64) -> Motion {
+        let mut random = Random::new(seed);
+        let mut rows = |size: f64| {
+            let row = |_| (random.range(0.2, size) * random.direction()).as_vec3().to_array();
+            (0..times.len() * m).map(row).collect::<Vec<_>>()
+        };
+        Motion { times: times.to_vec(), rotation: rows(2.5), translation: rows(1.0) }
+    }
+
+    fn options(m: usize) -> KeyOptions {
+        let center = (0..m).map(|j| DVec3::new(0.7, -0.4 * j as f64, 1.1)).collect();
+        let (reach, unit) = (vec![0.3; m], vec![0.01; m]);
+        KeyOptions { center, reach, unit, rate_px: [0.5, 0.05], hold: 0.0, smooth: 0.0, iterations: 200 }
+    }
+
+    /// A loss of a pose: where it takes a point, and where its centre is.
+    fn loss(p: &Pose) -> f64 {
+        DVec3::new(0.3, -1.0, 0.6).dot(exp(p.rotation) * DVec3::new(0.5, 0.2, -0.9))
+            + DVec3::new(1.0, 0.4, -0.2).dot(p.translation)
+    }
+
+    fn gradient(p: &Pose) -> Twist {
+        let arm = exp(p.rotation) * DVec3::new(0.5, 0.2, -0.9);
+        Twist { rotation: arm.cross(DVec3::new(0.3, -1.0, 0.6)), translation: DVec3::new(1.0, 0.4, -0.2) }
+    }
+
+    #[test]
+    fn gradients_of_keys_are_those_of_differences() {
+        let times = [0.0, 0.3, 1.0];
+        let mut keys = Keys::new(&table(&times, 2, 3), options(2)).unwrap();
+        let (j, time) = (1, 0.44);
+        let between = keys.between(time);
+        let now = keys.at(j, between);
+        for (key, weight) in between.keys.into_iter().zip([1.0 - between.weight, between.weight]) {
+            let found = keys.gradient(j, key, weight, &now, &gradient(&now));
+            let scale = keys.scale(j);
+            for part in 0..2 {
+                for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
+                    let h = 1e-5;
+                    let mut at = |step: f64| {
+                        let (old, k) = (keys.keys[key * 2 + j], &mut keys.keys[key * 2 + j]);
+                        if part == 0 {
+                            k.rotation += axis * step
+                        } else {
+                            k.place += axis * step
+                        }
+                        let value = loss(&keys.at(j, between));
+                        keys.keys[key * 2 + j] = old;
+                        value
+                    };
+                    let expected = (at(h) - at(-h)) / (2.0 * h) * scale[part];
+                    let difference = (found[part].dot(axis) - expected).abs();
+                    assert!(difference < 1e-9, "key {key}, part {part}, {axis}: {found:?} for {expected}");
+                }
+            }
+        }
+    }
+
+    /// Where the motion of superpoint 0 is at some times, after learning towards another table; from 0.6 on keys rest.
+    fn learnt(over: KeyOptions, times: &[f32]) -> (Keys, f64, f64) {
+        let truth = Keys::new(&table(times, 2, 3), options(2)).unwrap();
+        let mut disturbed = truth.table();
+        disturbed.translation.iter_mut().for_each(|t| t[0] += 0.02);
+        let mut keys = Keys::new(&disturbed, over).unwrap();
+        let off = |keys: &Keys| {
+            let at =
+                |k: &Keys, t: f64| k.poses(t)[0].translation + exp(k.poses(t)[0].rotation) * DVec3::new(0.7, 0.0, 1.1);
+            (0..20).map(|k| at(keys, k as f64 / 19.0).distance(at(&truth, k as f64 / 19.0))).fold(0.0, f64::max)
+        };
+        let before = off(&keys);
+        for i in 1..=200_u64 {
+            let time = (i * 7 % 20) as f64 / 19.0;
+            let (now, aim) = (keys.poses(time), truth.poses(time));
+            // Half the squared distance of the centres.
+            let twist = |j: usize| {
+                let arm = exp(now[j].rotation) * keys.options.center[j];
+                let to = exp(aim[j].rotation) * keys.options.center[j] + aim[j].translation;
+                let g = now[j].translation + arm - to;
+                Twist { rotation: arm.cross(g), translation: g }
+            };
+            let twists = [twist(0), twist(1)];
+            keys.learn(i, time, &twists);
+        }
+        let after = off(&keys);
+        (keys, before, after)
+    }
+
+    #[test]
+    fn keys_learn_are_held_or_rest() {
+        let times = [0.0, 0.4, 0.6, 1.0];
+        let (keys, before, after) = learnt(options(2), &times);
+        assert!(after < 0.2 * before, "{before} to {after}");
+        assert!(keys.table().times == times && keys.table() != table(&times, 2, 3));
+        let (_, _, held) = learnt(KeyOptions { hold: 1e3, ..options(2) }, &times);
+        assert!(held > 2.0 * after, "held keys stay longer: {held}, free {after}");
+        let (still, before, after) = learnt(KeyOptions { unit: vec![0.0; 2], ..options(2) }, &times);
+        assert!(before == after && still.keys.iter().all(|k| k.updates == 0));
+    }
+
+    #[test]
+    fn two_keys_of_one_time_stay_one_and_vectors_that_begin_anew_stay() {
+        let times = [0.0, 0.5, 0.5_f32.next_up(), 1.0];
+        let mut motion = table(&times, 2, 5);
+        // Superpoint 0 goes on, superpoint 1 begins anew.
+        motion.rotation[2 * 2] = motion.rotation[2];
+        motion.translation[2 * 2] = motion.translation[2];
+        let mut keys = Keys::new(&motion, options(2)).unwrap();
+        for i in 1..40 {
+            let twists = [Twist { rotation: DVec3::X, translation: DVec3::Y }; 2];
+            keys.learn(i, 0.1 + 0.02 * i as f64, &twists);
+        }
+        let t = keys.table();
+        assert!(t.rotation[2] == t.rotation[4] && t.translation[2] == t.translation[4], "{t:?}");
+        assert!(t.translation[2] != motion.translation[2], "superpoint 0 has moved");
+        assert!(t.rotation[3] == motion.rotation[3] && t.rotation[5] == motion.rotation[5], "superpoint 1 stays there");
+    }
+
+    #[test]
+    fn other_lengths_are_rejected() {
+        let motion = table(&[0.0, 1.0], 2, 1);
+        assert!(Keys::new(&motion, options(3)).is_err());
+        assert!(Keys::new(&motion, KeyOptions { unit: vec![1.0], ..options(2) }).is_err());
+        assert!(Keys::new(&Motion::default(), options(2)).is_err());
+    }
+}
