@@ -27,6 +27,8 @@ const NEAREST: usize = 3;
 const STREAM: u32 = 0x7455_6E65;
 /// Pixels of a step, of key poses and of centres: at the start, and at the end.
 const RATE_PX: [f64; 2] = [0.05, 0.002];
+/// The same where images of the teacher take part, as a share: the fit is near it already.
+const TEACHER_SHARE: f64 = 0.1;
 /// What is left of the other rates at the end: nothing that they do is smoothed out later.
 const FINAL_SHARE: f64 = 0.03;
 /// λ of the terms that fade.
@@ -59,6 +61,8 @@ pub struct TuneOptions {
     pub background: [f32; 3],
     /// Near plane, world units.
     pub near: f32,
+    /// Pixels of a step of key poses and centres, first and last; `None`: what suits the images.
+    pub rate_px: Option<[f64; 2]>,
 }
 
 /// A student that has learnt.
@@ -95,7 +99,9 @@ pub fn tune(
     all.extend((0..drawn).map(|k| random_view(&cameras, times, options.seed, k)));
     let extent = spread(all.iter().map(|v| v.camera.position));
     let data = TrainingData { views: all.into(), extent, is_static: false };
-    let mut trainer = trainer(gpu, student, views, &data, options)?;
+    let share = if drawn > 0 { TEACHER_SHARE } else { 1.0 };
+    let rate_px = options.rate_px.unwrap_or(RATE_PX.map(|px| share * px));
+    let mut trainer = trainer(gpu, student, views, &data, options, rate_px)?;
     let mut order = Order::new(options.seed, photo_count, drawn as usize);
     let mut losses = Vec::with_capacity(options.iterations as usize);
     for i in 1..=options.iterations {
@@ -145,16 +151,20 @@ fn trainer(
     views: &Views<Camera>,
     data: &TrainingData,
     options: &TuneOptions,
+    rate_px: [f64; 2],
 ) -> Result<Trainer> {
-    let config = config(student, options, unit(student, views));
+    let unit = unit(student, views);
+    let config = config(student, options, rate_px.map(|px| px * unit));
     match student.deformation.superpoint_deformation().filter(|s| s.table.is_some()) {
-        Some(moved) => Trainer::table(gpu, &config, data, student, keys(student, moved, views, options)),
+        Some(moved) => {
+            Trainer::table(gpu, &config, data, student, KeyOptions { rate_px, ..keys(student, moved, views, options) })
+        }
         None => Trainer::new(gpu, &config, data, &student.gaussians),
     }
 }
 
-/// Rates go by `unit`, the world units of a pixel.
-fn config(student: &Scene, options: &TuneOptions, unit: f64) -> Config {
+/// `rate`: of centres, first and last, world units.
+fn config(student: &Scene, options: &TuneOptions, rate: [f64; 2]) -> Config {
     let mut c = Config {
         iterations: options.iterations,
         seed: options.seed,
@@ -170,7 +180,7 @@ fn config(student: &Scene, options: &TuneOptions, unit: f64) -> Config {
     c.gaussians.sh_degree = student.gaussians.sh_degree;
     c.budget.max_gaussians = student.gaussians.len().max(1) as u32;
     let r = &mut c.learning_rate;
-    [r.mean, r.mean_final] = RATE_PX.map(|px| (px * unit).clamp(1e-12, 1.0));
+    [r.mean, r.mean_final] = rate.map(|r| r.clamp(1e-12, 1.0));
     (r.spatial_scale, r.mean_iterations) = (1.0, options.iterations);
     (r.log_scale, r.rotation, r.opacity_logit) = (1e-3, 5e-4, 0.01);
     (r.sh_0, r.sh_rest, r.final_share) = (1e-3, 1e-3 / 20.0, FINAL_SHARE);

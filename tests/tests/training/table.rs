@@ -57,7 +57,7 @@ fn tuned(gpu: &Gpu, teacher: &Scene, student: &Scene, iterations: u64, seed: u64
     let mut draw = |camera: &Camera| Ok(opaque(&renderer.render(camera, camera.time)?));
     let lessons = Lessons { photos: Vec::new(), cameras: cameras(), times: teacher.time_range(), draw: &mut draw };
     let views = Views { cameras: cameras(), near: 0.2, everywhere: true };
-    let options = TuneOptions { iterations, seed, background: [0.0; 3], near: 0.2 };
+    let options = TuneOptions { iterations, seed, background: [0.0; 3], near: 0.2, rate_px: Some([0.05, 0.005]) };
     let mut steps = 0;
     let found = tune(gpu, student, &views, lessons, &options, &mut |done| {
         steps += 1;
@@ -86,7 +86,7 @@ fn key_poses_find_the_way_back() {
     for soft in [false, true] {
         let teacher = teacher(soft);
         let student = disturbed(&teacher);
-        let found = tuned(&gpu, &teacher, &student, 256, 1).unwrap();
+        let found = tuned(&gpu, &teacher, &student, 300, 1).unwrap();
         let [(far, low), (near, high)] = [&student, &found.scene].map(|s| off(&gpu, &teacher, s));
         println!("soft {soft}: {far:.4} to {near:.4}, {low:.2} to {high:.2} dB, loss {:?}", found.loss);
         assert!(near < 0.6 * far && high > low + 4.0, "soft {soft}: {far} to {near}, {low} to {high} dB");

@@ -3,6 +3,7 @@
 mod compare;
 mod page;
 mod photos;
+mod session;
 mod summary;
 mod tune;
 
@@ -16,11 +17,10 @@ use engine::render::RenderOptions;
 use engine::scene::{Camera, MotionSource, Scene};
 use engine::train::bake::Views;
 use engine::train::config::Config;
-use indicatif::ProgressBar;
 use serde_json::{Value, json};
 
 use crate::cli::args::{DistillArgs, Global, motion_source};
-use crate::cli::interrupt::{self, Interrupt};
+use crate::cli::interrupt::Interrupt;
 use crate::cli::{gpu_session, model, output, progress};
 use crate::command::convert::moment::Moments;
 use crate::command::convert::targets::Targets;
@@ -29,6 +29,7 @@ use crate::report::files::{to_json, write_text};
 use crate::report::provenance;
 use compare::Shown;
 use photos::{Held, Photos};
+use session::{Taught, step};
 
 pub use summary::Summary;
 pub use tune::Tuning;
@@ -54,14 +55,6 @@ pub fn run(args: &DistillArgs, global: &Global) -> Result<()> {
         record.1.lines().iter().for_each(|line| output::line(line));
     }
     Ok(())
-}
-
-/// The teacher and how it is looked at.
-struct Taught<'a> {
-    moments: Moments<'a>,
-    views: Views<Camera>,
-    measured_in: String,
-    options: RenderOptions,
 }
 
 /// Distills; the record that was written, and what it says.
@@ -128,17 +121,6 @@ pub fn distill(args: &DistillArgs, global: &Global) -> Result<(Value, Summary)> 
         photos,
     };
     write(summary, &scene, gpu.as_ref(), &shown)
-}
-
-/// Shows what is done, and ends the program when it is asked to: nothing is written yet.
-fn step(bar: &ProgressBar, interrupt: &Interrupt, what: impl Into<std::borrow::Cow<'static, str>>, done: usize) {
-    bar.set_message(what);
-    bar.set_position(done as u64);
-    if interrupt.is_set() {
-        bar.finish_and_clear();
-        output::error_line("spgs: interrupted; nothing is written");
-        std::process::exit(interrupt::CODE);
-    }
 }
 
 /// Looks whether files can be written, before any work.

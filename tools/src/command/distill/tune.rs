@@ -12,8 +12,9 @@ use engine::render::{RenderOptions, Renderer};
 use engine::scene::{Camera, Scene};
 use serde::Serialize;
 
+use super::compare;
 use super::photos::Held;
-use super::{Taught, compare, step};
+use super::session::{Taught, step};
 use crate::cli::args::{DistillArgs, TuneOn};
 use crate::cli::interrupt::Interrupt;
 use crate::cli::progress;
@@ -103,7 +104,8 @@ impl Task<'_> {
         let mut renderer = Renderer::new(self.gpu, moments.scene(), options)?;
         let mut draw = |camera: &Camera| Ok(opaque(&renderer.render(camera, camera.time)?));
         let lessons = Lessons { photos, cameras, times: moments.scene().time_range(), draw: &mut draw };
-        let how = TuneOptions { iterations, seed: args.seed, background: options.background, near: options.near };
+        let (background, near) = (options.background, options.near);
+        let how = TuneOptions { iterations, seed: args.seed, background, near, rate_px: None };
         let bar = progress::training(iterations, 0, self.quiet);
         let tuned = distill::tune(self.gpu, &fitted.scene, views, lessons, &how, &mut |done| {
             let text = format!("fine-tuning: loss {:.4}, PSNR {:.2} dB", done.loss, done.psnr);
