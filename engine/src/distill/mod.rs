@@ -1,4 +1,5 @@
-//! Any motion as superpoints that move rigidly, with a stated error: no photos, no training.
+//! Any motion as superpoints that move rigidly, with a stated error: no photos, no training. [`tune`](tune()) then trains the student
+//! on images, where they matter more than places.
 //!
 //! A teacher (a deformation field, networks F and G, a table, soft superpoints) is evaluated at as many times as it takes. Probes of
 //! each Gaussian (its centre, and two standard deviations along its two longest axes) give paths. Gaussians whose probes stay in
@@ -32,6 +33,8 @@ mod table;
 #[cfg(test)]
 mod tests;
 mod tracks;
+mod tune;
+mod yardstick;
 
 use std::time::Instant;
 
@@ -44,14 +47,15 @@ use crate::train::bake::Views;
 
 use divide::{adopt, at_rest, divide};
 pub use measure::Spread;
-use measure::Worst;
 use parts::Parts;
 pub use report::{Report, SizeChange};
 use rigid::Frame;
-use sample::{Moment, Sampler, Samples, lengths};
+use sample::{Moment, Sampler, Samples};
 use soft::soften;
 use table::Table;
 use tracks::Tracks;
+pub use tune::{Draw, Lessons, TuneOptions, Tuned, tune};
+pub use yardstick::{Displacement, Yardstick};
 
 /// Most times at which a teacher is evaluated to fit its motion.
 pub const MOST_TIMES: usize = 129;
@@ -91,12 +95,14 @@ impl Default for Options {
 }
 
 /// A student.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Distilled {
     /// Gaussians with superpoints and a key-time table.
     pub scene: Scene,
     /// What it cost.
     pub report: Report,
+    /// What measures it again when it has changed.
+    pub yardstick: Yardstick,
 }
 
 /// Superpoints that move as `place` says that the teacher does, as seen by `views`.
@@ -133,19 +139,13 @@ pub fn distill(
     let student = build::Student::new(teacher, &kept, &samples, &tracks, &parts, &rests, &soft);
     let times = samples.moments.iter().map(|m| m.time).collect();
     let table = Table::new(times, tracks.middle, &parts);
-    let found = keyed(
-        &student,
-        &table,
-        &Taught { tracks: &tracks, parts: &parts, samples: &samples, fresh: &fresh },
-        views,
-        options,
-        tick,
-    )?;
-    let mut report = report::of(teacher, &samples, &tracks, &parts, &found, options);
+    let yardstick = Yardstick { bound_px: options.error_px, tracks, samples, fresh };
+    let found = keyed(&student, &table, &yardstick, &parts, views, options, tick)?;
+    let mut report = report::of(teacher, &yardstick, &parts, &found, options);
     report.seconds = [sampled, fitted - sampled, begin.elapsed().as_secs_f64() - fitted];
     report.checked_times = checked.len();
     report.soft = found.scene.deformation.blend().map_or(0, Blend::soft_count);
-    Ok(Distilled { scene: found.scene, report })
+    Ok(Distilled { scene: found.scene, report, yardstick })
 }
 
 fn check(teacher: &Scene, views: &Views<Camera>, options: &Options) -> Result<()> {
@@ -200,29 +200,18 @@ fn motion(tracks: &Tracks, options: &Options, tick: &mut Tick<'_>) -> (Parts, Ve
     (parts, rests)
 }
 
-/// A teacher's motion, and how it is divided.
-struct Taught<'a> {
-    tracks: &'a Tracks,
-    parts: &'a Parts,
-    samples: &'a Samples,
-    /// At times between those sampled.
-    fresh: &'a [Moment],
-}
-
 /// A student with key times, and how far off it is.
 struct Keyed {
     scene: Scene,
-    worst: Worst,
-    /// Largest displacements at key times, and between them, pixels.
-    at_keys_px: f64,
-    between_px: f64,
+    displacement: Displacement,
 }
 
 /// Chooses key times, closer ones where the student is off by too much between them.
 fn keyed(
     student: &build::Student,
     table: &Table,
-    taught: &Taught<'_>,
+    yardstick: &Yardstick,
+    parts: &Parts,
     views: &Views<Camera>,
     options: &Options,
     tick: &mut Tick<'_>,
@@ -233,30 +222,16 @@ fn keyed(
         attempt += 1;
         tick("key times", attempt, None);
         let bound = share * options.error_px;
-        let keys = table.keys(taught.tracks, taught.parts, bound, (share - FIT_SHARE).max(0.0) * options.error_px);
-        let keyed = measured(student.scene(table, &keys), &keys, taught, views)?;
-        let all_are_kept = keys.len() == taught.samples.moments.len();
-        if keyed.between_px <= options.error_px.max(keyed.at_keys_px) || all_are_kept || attempt == MOST_ATTEMPTS {
+        let keys = table.keys(&yardstick.tracks, parts, bound, (share - FIT_SHARE).max(0.0) * options.error_px);
+        let scene = student.scene(table, &keys);
+        let displacement = yardstick.measure(&scene, views)?;
+        let keyed = Keyed { scene, displacement };
+        let all_are_kept = keys.len() == yardstick.samples.moments.len();
+        let Displacement { between_px, at_keys_px, .. } = keyed.displacement;
+        if between_px <= options.error_px.max(at_keys_px) || all_are_kept || attempt == MOST_ATTEMPTS {
             return Ok(keyed);
         }
         // The last attempt takes all times.
         share = if attempt + 1 == MOST_ATTEMPTS { 0.0 } else { 0.8 * share };
     }
-}
-
-/// Measures a student at all times at which the teacher is known.
-fn measured(scene: Scene, keys: &[usize], taught: &Taught<'_>, views: &Views<Camera>) -> Result<Keyed> {
-    let Taught { tracks, samples, fresh, .. } = taught;
-    let mut worst = Worst::new(tracks.opacity.len());
-    let (mut at_keys_px, mut between_px): (f64, f64) = (0.0, 0.0);
-    for (k, moment) in samples.moments.iter().enumerate() {
-        let px = worst.add(&scene, moment.time, &samples.order, &|i| tracks.of(i)[k], views)?;
-        let place = if keys.binary_search(&k).is_ok() { &mut at_keys_px } else { &mut between_px };
-        *place = place.max(px);
-    }
-    for moment in *fresh {
-        let point = |i: usize| moment.point(i, lengths(samples.sizes.mean(i), samples.order[i]));
-        between_px = between_px.max(worst.add(&scene, moment.time, &samples.order, &point, views)?);
-    }
-    Ok(Keyed { scene, worst, at_keys_px, between_px })
 }

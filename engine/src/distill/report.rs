@@ -6,6 +6,7 @@ use super::measure::Spread;
 use super::parts::Parts;
 use super::sample::Samples;
 use super::tracks::Tracks;
+use super::yardstick::Yardstick;
 use super::{Keyed, Options};
 use crate::scene::Scene;
 
@@ -70,8 +71,7 @@ impl Report {
 
 pub(super) fn of(
     teacher: &Scene,
-    samples: &Samples,
-    tracks: &Tracks,
+    Yardstick { samples, tracks, .. }: &Yardstick,
     parts: &Parts,
     found: &Keyed,
     options: &Options,
@@ -79,8 +79,7 @@ pub(super) fn of(
     let before = teacher.gaussians.len();
     let after = tracks.opacity.len();
     let superpoints = found.scene.deformation.superpoint_count();
-    let error_px = Spread::of(found.worst.px.clone());
-    let above = found.worst.px.iter().filter(|px| **px > options.error_px).count();
+    let d = &found.displacement;
     let moving: usize = parts.0.iter().map(|p| p.members.len()).sum();
     let mut dropped = Vec::new();
     if after < before {
@@ -102,12 +101,12 @@ pub(super) fn of(
     dropped.extend(parts_gone.map(|part| format!("{part}: play-back needs it no more")));
     Report {
         bound_px: options.error_px,
-        capped: above > 0 && superpoints >= options.max_superpoints,
-        above,
-        error_px,
-        at_keys_px: found.at_keys_px,
-        between_px: found.between_px,
-        rotation_degrees: Spread::of(found.worst.degrees.clone()),
+        capped: d.above > 0 && superpoints >= options.max_superpoints,
+        above: d.above,
+        error_px: d.error_px,
+        at_keys_px: d.at_keys_px,
+        between_px: d.between_px,
+        rotation_degrees: d.rotation_degrees,
         gaussians: [before, after],
         still: after - moving,
         superpoints: [teacher.deformation.superpoint_count(), superpoints],

@@ -90,7 +90,7 @@ fn bodies(b: usize, n: usize, seed: u64) -> (Scene, Vec<u32>) {
 fn rigid_bodies_are_found_again() {
     for (b, n, seed) in [(2, 300, 1), (5, 1000, 2), (12, 3000, 3)] {
         let (teacher, group) = bodies(b, n, seed);
-        let Distilled { scene, report } = distilled(&teacher, 0.25, 2048);
+        let Distilled { scene, report, .. } = distilled(&teacher, 0.25, 2048);
         assert_eq!(scene.deformation.superpoint_count(), b, "{report:?}");
         let index = adjusted_rand(&group, scene.deformation.superpoint_of_gaussian());
         assert!(index == 1.0, "{b} bodies: adjusted Rand index {index}");
@@ -122,7 +122,7 @@ fn the_residual_of_a_bending_beam_falls_with_the_square_of_its_parts() {
     let teacher = beam(1200, 1e-4);
     let errors: Vec<f64> = [4, 8, 16, 32]
         .map(|m| {
-            let Distilled { scene, report } = distilled(&teacher, 1e-3, m);
+            let Distilled { scene, report, .. } = distilled(&teacher, 1e-3, m);
             assert!(scene.deformation.superpoint_count() <= m && report.capped && report.above > 0, "{report:?}");
             assert!(report.error_px.largest <= 1.5 * report.error_px.q999.max(report.at_keys_px), "{report:?}");
             report.error_px.largest
@@ -164,7 +164,7 @@ fn the_measured_error_stays_within_any_bound() {
     for (name, teacher) in [("beam", beam(200, 0.03)), ("F", network), ("soft", soft), ("G", nonrigid)] {
         let mut before = usize::MAX;
         for error_px in [0.05, 0.25, 1.0, 4.0, 60.0] {
-            let Distilled { scene, report } = distilled(&teacher, error_px, 100_000);
+            let Distilled { scene, report, .. } = distilled(&teacher, error_px, 100_000);
             assert!(report.is_within() && !report.capped && report.above == 0, "{name} within {error_px}: {report:?}");
             let again = look(&teacher, &scene);
             assert!(again <= 1.02 * error_px, "{name} within {error_px}: {again} px between all times");
@@ -176,7 +176,7 @@ fn the_measured_error_stays_within_any_bound() {
             before = count;
             assert_eq!(report.size_change.is_some(), name == "G");
         }
-        let Distilled { scene, report } = distilled(&teacher, 0.01, 3);
+        let Distilled { scene, report, .. } = distilled(&teacher, 0.01, 3);
         assert!(
             scene.deformation.superpoint_count() <= 3 && report.capped && !report.is_within(),
             "{name}: {report:?}"
@@ -203,7 +203,7 @@ fn look(teacher: &Scene, student: &Scene) -> f64 {
 fn blends_follow_what_few_rigid_parts_do_not() {
     // The number of parts is given; then the bend between their motions is blended.
     let teacher = beam(600, 0.01);
-    let Distilled { scene, report } = distilled(&teacher, 0.02, 12);
+    let Distilled { scene, report, .. } = distilled(&teacher, 0.02, 12);
     let blend = scene.deformation.blend().unwrap();
     assert!(report.capped && report.soft > 300 && blend.soft_count() == report.soft, "{report:?}");
     assert!(blend.levels().is_some(), "weights as bytes");
@@ -235,7 +235,7 @@ fn spins_beyond_whole_turns_stay_spins() {
         about(center, axis[i % 2] * ([1.5, -2.2][i % 2] * std::f64::consts::TAU * t), DVec3::ZERO)
     };
     let teacher = one_pose_each(&means, 0.02, 129, pose);
-    let Distilled { scene, report } = distilled(&teacher, 0.25, 64);
+    let Distilled { scene, report, .. } = distilled(&teacher, 0.25, 64);
     assert_eq!(scene.deformation.superpoint_count(), 2, "{report:?}");
     assert!(report.is_within(), "{report:?}");
     let table = scene.deformation.table().unwrap();
@@ -260,7 +260,7 @@ fn flat_thin_and_tiny_sets_are_bodies_too() {
     };
     for scale in [0.01, 1e-5] {
         let teacher = one_pose_each(&means, scale, 17, pose);
-        let Distilled { scene, report } = distilled(&teacher, 0.25, 64);
+        let Distilled { scene, report, .. } = distilled(&teacher, 0.25, 64);
         assert_eq!(scene.deformation.superpoint_count(), 4, "{report:?}");
         let index = adjusted_rand(&group, scene.deformation.superpoint_of_gaussian());
         assert!(index == 1.0 && report.at_keys_px < 2e-3 && report.is_within(), "{index} {report:?}");
@@ -281,13 +281,13 @@ fn what_rests_stays_and_what_is_not_drawn_goes() {
         }
     }
     teacher.gaussians.opacity_logit[7] = -9.0;
-    let Distilled { scene, report } = distilled(&teacher, 0.25, 2048);
+    let Distilled { scene, report, .. } = distilled(&teacher, 0.25, 2048);
     assert_eq!((report.gaussians, report.still), ([600, 599], 300), "{report:?}");
     assert_eq!(scene.deformation.superpoint_count(), 4, "{report:?}");
     assert!(report.dropped.iter().any(|d| d.contains("1 Gaussians with an opacity")), "{report:?}");
     assert!(scene.gaussians.mean[2] == teacher.gaussians.mean[2]);
     // Nothing moves enough.
-    let Distilled { scene, report } = distilled(&teacher, 1e5, 2048);
+    let Distilled { scene, report, .. } = distilled(&teacher, 1e5, 2048);
     assert!(!scene.deformation.moves() && report.is_within() && report.still == 599, "{report:?}");
 }
 
@@ -330,7 +330,7 @@ fn mistakes_are_named() {
 #[test]
 fn many_gaussians_do_not_take_long() {
     let (teacher, group) = bodies(40, 8_000, 7);
-    let Distilled { scene, report } = distilled(&teacher, 0.25, 2048);
+    let Distilled { scene, report, .. } = distilled(&teacher, 0.25, 2048);
     let index = adjusted_rand(&group, scene.deformation.superpoint_of_gaussian());
     assert!(index > 0.999 && report.is_within(), "{index} {report:?}");
 }

@@ -178,6 +178,8 @@ pub struct LearningRates {
     pub sh_0: f64,
     /// SH degrees 1–3 (2.5e-3 / 20).
     pub sh_rest: f64,
+    /// What is left of the rates of scales, quaternions, opacities and SH when the centres' has fallen (3DGS: 1, they stay).
+    pub final_share: f64,
     /// Those of optional parameters, by name; the table of parameters has one for each that is not here.
     pub optional: BTreeMap<String, f64>,
     /// Network F at the start (1e-3).
@@ -196,16 +198,17 @@ pub struct LearningRates {
 impl LearningRates {
     /// First and last rate of a key of the table of parameters; `None` for a key that is none of theirs.
     pub fn of(&self, key: &str) -> Option<[f64; 2]> {
+        let falling = |rate: f64| [rate, rate * self.final_share];
         Some(match key {
             "mean" => [self.mean, self.mean_final],
-            "log_scale" => [self.log_scale; 2],
-            "rotation" => [self.rotation; 2],
-            "opacity_logit" => [self.opacity_logit; 2],
-            "sh_0" => [self.sh_0; 2],
-            "sh_rest" => [self.sh_rest; 2],
+            "log_scale" => falling(self.log_scale),
+            "rotation" => falling(self.rotation),
+            "opacity_logit" => falling(self.opacity_logit),
+            "sh_0" => falling(self.sh_0),
+            "sh_rest" => falling(self.sh_rest),
             optional => {
                 let of_table = PARAMETERS[REQUIRED..].iter().find(|p| p.learning_rate == optional)?.rate;
-                [self.optional.get(optional).copied().unwrap_or(of_table); 2]
+                falling(self.optional.get(optional).copied().unwrap_or(of_table))
             }
         })
     }
@@ -356,6 +359,7 @@ impl Config {
             ("learning_rate.opacity_logit", self.learning_rate.opacity_logit, 0.0, 10.0),
             ("learning_rate.sh_0", self.learning_rate.sh_0, 0.0, 1.0),
             ("learning_rate.sh_rest", self.learning_rate.sh_rest, 0.0, 1.0),
+            ("learning_rate.final_share", self.learning_rate.final_share, 1e-6, 1.0),
             ("learning_rate.deform", self.learning_rate.deform, 0.0, 1.0),
             ("learning_rate.deform_final", self.learning_rate.deform_final, 0.0, 1.0),
             ("learning_rate.association", self.learning_rate.association, 0.0, 1.0),

@@ -3,20 +3,24 @@
 
 mod nonrigid;
 mod superpoints;
+mod table;
 
 use super::association::AssociationOptions;
 use super::config::Config;
 use super::density::RowArray;
 use super::saved::{Saved, Stored};
+use super::step::Step;
 use super::usage::TrainingMemory;
 use crate::error::Result;
 use crate::gpu::{Buffer, Gpu, Recorder, Slice};
 use crate::render::deformation::DeformationBuffers;
 use crate::render::scene_buffers::SceneBuffers;
-use crate::scene::{Deformation, Motion, NonrigidNetwork};
+use crate::scene::{Deformation, Motion, NonrigidNetwork, SuperpointDeformation};
 
 use nonrigid::NonrigidTraining;
 use superpoints::SuperpointTraining;
+pub use table::KeyOptions;
+use table::TableTraining;
 
 /// A model of motion under training.
 pub(super) type Trained = Box<dyn TrainedDeformation>;
@@ -57,6 +61,21 @@ pub(super) type Numbers = (&'static str, Slice, u32);
 pub(super) trait TrainedDeformation: std::fmt::Debug + Send + Sync {
     /// Makes the renderer read this model's poses and offsets.
     fn attach(&self, buffers: &mut DeformationBuffers);
+
+    /// Steps that may be in flight: one, where the host learns from each before the next.
+    fn most_in_flight(&self) -> usize {
+        usize::MAX
+    }
+
+    /// Writes what the host gives a step, before it is submitted: of its image, the exact time and the number of pixels.
+    fn prepare(&mut self, _step: &Step, _time: f64, _pixels: f64) -> Result<()> {
+        Ok(())
+    }
+
+    /// Learns on the host from the step that was prepared last; it has finished and was applied.
+    fn learn(&mut self) -> Result<()> {
+        Ok(())
+    }
 
     /// Records poses and offsets at the step's time.
     fn record_forward(&self, r: &mut Recorder, inputs: &StepInputs<'_>) -> Result<()>;
@@ -127,6 +146,19 @@ pub(super) trait TrainedDeformation: std::fmt::Debug + Send + Sync {
 /// `OutOfMemory`, `Limit`.
 pub(super) fn begin(gpu: &Gpu, config: &Config, scene: &SceneBuffers) -> Result<Trained> {
     Ok(Box::new(SuperpointTraining::begin(gpu, config, scene)?))
+}
+
+/// A key-time table, whose poses are trained themselves.
+///
+/// # Errors
+/// `Usage` without a table, or for options of other lengths; `OutOfMemory`.
+pub(super) fn of_table(
+    gpu: &Gpu,
+    scene: &SuperpointDeformation,
+    gaussians: u32,
+    options: KeyOptions,
+) -> Result<Trained> {
+    Ok(Box::new(TableTraining::new(gpu, scene, gaussians, options)?))
 }
 
 /// The model that a checkpoint holds; `None` where motion has not begun.

@@ -76,6 +76,7 @@ pub mod trainer;
 pub mod usage;
 
 pub use association::{AssociationInit, AssociationOptions};
+pub use deformation::KeyOptions;
 pub use density::DensityChange;
 pub use parameters::ParameterState;
 

@@ -15,6 +15,8 @@ pub enum Stage {
     Rigid,
     /// Gaussians and network G; network F and the association are frozen.
     Nonrigid,
+    /// Gaussians and the key poses of a table.
+    Table,
 }
 
 /// The schedule of one stage.
@@ -67,7 +69,7 @@ impl Schedule {
         match self.stage {
             Stage::Static => false,
             Stage::Rigid => iteration >= self.config.schedule.warm_up.max(1),
-            Stage::Nonrigid => true,
+            Stage::Nonrigid | Stage::Table => true,
         }
     }
 
@@ -80,7 +82,7 @@ impl Schedule {
     pub fn sh_degree(&self, iteration: u64) -> u32 {
         let most = self.config.gaussians.sh_degree;
         match (self.stage, self.config.schedule.sh_degree_interval) {
-            (Stage::Nonrigid, _) | (_, 0) => most,
+            (Stage::Nonrigid | Stage::Table, _) | (_, 0) => most,
             (_, interval) => most.min((iteration / interval).min(3) as u32),
         }
     }

@@ -3,10 +3,12 @@
 use std::path::Path;
 
 use clap::Parser as _;
+use engine::data::camera_file;
 use engine::file;
 use engine::reference::place_scene;
 use engine::scene::synthetic::{moving_scene, random_gaussians};
-use engine::scene::{Deformation, MotionSource, Scene};
+use engine::scene::{Camera, Deformation, MotionSource, Scene};
+use glam::DVec3;
 use tests_harness::data;
 use tools::cli::args::{Cli, Command};
 use tools::command::distill::Summary;
@@ -107,4 +109,54 @@ fn mistakes_write_nothing() {
     rejected(&[text(&at("a.safetensors")), "--out", text(&out), "--motion", "table"], 2, "table");
     rejected(&[text(&at("a.safetensors")), "--out", text(&out), "--data", text(&at("none"))], 3, "none");
     assert!(Cli::try_parse_from(["spgs", "distill", "a", "--out", "b", "--error", "0"]).is_err());
+}
+
+#[test]
+fn a_student_is_fine_tuned_on_its_teacher() {
+    let folder = tempfile::tempdir().unwrap();
+    let [from, cameras] = ["a.safetensors", "cameras.json"].map(|name| folder.path().join(name));
+    file::save(&from, &network()).unwrap();
+    let eye = |k: usize| DVec3::new(4.0 * (k as f64).cos(), 4.0 * (k as f64).sin(), 1.0);
+    let look = |k: usize| Camera {
+        name: format!("c{k}"),
+        time: k as f64 / 3.0,
+        ..Camera::look_at(eye(k), DVec3::ZERO, DVec3::Z, 0.8, [96, 96])
+    };
+    camera_file::write(&cameras, &(0..4).map(look).collect::<Vec<_>>()).unwrap();
+    let run = |out: &Path, over: &[&str]| {
+        let base = [text(&from), "--out", text(out), "--data", text(&cameras), "--teacher-views", "4", "--json"];
+        distill(
+            &[
+                &base[..],
+                &["--downscale", "2", "--max-superpoints", "1", "--error", "0.01", "--iterations", "60"],
+                over,
+            ]
+            .concat(),
+        )
+    };
+    let [one, two, other] = ["one", "two", "other"].map(|name| folder.path().join(name));
+    let said = run(&one, &[]).unwrap();
+    let t = said.tuning.as_ref().unwrap();
+    assert!(t.iterations == 60 && t.images == [0, 60] && t.photo_psnr.is_none(), "{t:?}");
+    assert_eq!(said.images.as_ref().unwrap().size, [48, 48]);
+    let [before, after] = t.teacher_psnr.map(Option::unwrap);
+    assert!(after != before && t.loss.iter().all(|l| *l > 0.0), "{before} to {after} dB, {t:?}");
+    assert_eq!(said.images.as_ref().unwrap().psnr, Some(after), "images are those after it");
+    assert!(t.displacement.error_px != said.motion.error_px && !t.within_bound, "{t:?}");
+    let [record, page] = ["report.json", "report.html"].map(|name| std::fs::read_to_string(one.join(name)).unwrap());
+    let record: serde_json::Value = serde_json::from_str(&record).unwrap();
+    assert_eq!(record["tuning"]["within_bound"], false);
+    assert!(page.contains("Fine-tuning") && page.contains("the bound of 0.01 px does not hold"), "{page}");
+    run(&two, &[]).unwrap();
+    run(&other, &["--seed", "3"]).unwrap();
+    let bytes = |out: &Path| std::fs::read(out.join("model.safetensors")).unwrap();
+    assert!(bytes(&one) == bytes(&two), "the same file twice");
+    assert!(bytes(&one) != bytes(&other), "another seed");
+    let none = folder.path().join("none");
+    for on in ["photos", "both"] {
+        let error = run(&none, &["--on", on]).unwrap_err();
+        assert!([2, 3].contains(&error.exit_code()) && !none.exists(), "{error}");
+    }
+    assert!(Cli::try_parse_from(["spgs", "distill", "a", "--out", "b", "--on", "teacher"]).is_err());
+    assert!(Cli::try_parse_from(["spgs", "distill", "a", "--out", "b", "--iterations", "0"]).is_err());
 }

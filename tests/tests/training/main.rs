@@ -15,3 +15,4 @@ mod nonrigid;
 mod numbers;
 mod quality;
 mod soft;
+mod table;

@@ -26,7 +26,7 @@ pub use compare::CompareArgs;
 pub use convert::ConvertArgs;
 pub use demo::DemoArgs;
 pub use devices::DevicesArgs;
-pub use distill::DistillArgs;
+pub use distill::{DistillArgs, TuneOn};
 pub use edit::EditArgs;
 pub use eval::{EvalArgs, SplitArg};
 pub use help::{HelpArgs, topics};

@@ -3,7 +3,9 @@
 mod compare;
 mod page;
 mod photos;
+mod session;
 mod summary;
+mod tune;
 
 use std::path::Path;
 
@@ -12,14 +14,13 @@ use engine::error::{Error, Result};
 use engine::file::{self, durable};
 use engine::gpu::Gpu;
 use engine::render::RenderOptions;
-use engine::scene::{Camera, Scene};
+use engine::scene::{Camera, MotionSource, Scene};
 use engine::train::bake::Views;
 use engine::train::config::Config;
-use indicatif::ProgressBar;
 use serde_json::{Value, json};
 
 use crate::cli::args::{DistillArgs, Global, motion_source};
-use crate::cli::interrupt::{self, Interrupt};
+use crate::cli::interrupt::Interrupt;
 use crate::cli::{gpu_session, model, output, progress};
 use crate::command::convert::moment::Moments;
 use crate::command::convert::targets::Targets;
@@ -27,8 +28,11 @@ use crate::command::convert::views;
 use crate::report::files::{to_json, write_text};
 use crate::report::provenance;
 use compare::Shown;
+use photos::{Held, Photos};
+use session::{Taught, step};
 
 pub use summary::Summary;
+pub use tune::Tuning;
 
 /// Cameras that pixels are measured through, at most, and the size of those that are made.
 const CAMERAS: usize = 12;
@@ -53,14 +57,6 @@ pub fn run(args: &DistillArgs, global: &Global) -> Result<()> {
     Ok(())
 }
 
-/// The teacher and how it is looked at.
-struct Taught<'a> {
-    moments: Moments<'a>,
-    views: Views<Camera>,
-    measured_in: String,
-    options: RenderOptions,
-}
-
 /// Distills; the record that was written, and what it says.
 ///
 /// # Errors
@@ -80,47 +76,51 @@ pub fn distill(args: &DistillArgs, global: &Global) -> Result<(Value, Summary)> 
     let mut place = |time: f64| taught.moments.at(time);
     let options = Options { error_px: args.error, max_superpoints: args.max_superpoints as usize };
     let mut tick = |what: &'static str, done: usize, _| step(&bar, &interrupt, what, done);
-    let distill::Distilled { mut scene, mut report } =
-        distill::distill(&teacher, &mut place, &taught.views, &options, &mut tick)?;
-    report.dropped.extend(file::unread(&args.teacher)?);
-    scene.metadata.insert("distilled".into(), json!({ "teacher": name(&args.teacher), "report": report }).to_string());
-    let mut shown = Vec::new();
-    let images = gpu.as_ref().map(|gpu| {
-        let count = args.teacher_views.unwrap_or(COMPARED[usize::from(gpu.info().is_cpu())]);
-        let cameras = compared(args, &taught, count as usize)?;
-        compare::compare(gpu, &taught.moments, &scene, &cameras, &taught.options, &mut shown, &mut |k| {
-            step(&bar, &interrupt, "images of teacher and student", k);
-        })
-    });
-    let images = images.transpose()?.flatten();
-    let photos = match (&gpu, &args.data) {
-        (Some(gpu), Some(data)) => photos::score(gpu, [&teacher, &scene], source, data, &taught.options, &mut |k| {
-            step(&bar, &interrupt, "photos", k);
-        })?,
+    let mut fitted = distill::distill(&teacher, &mut place, &taught.views, &options, &mut tick)?;
+    fitted.report.dropped.extend(file::unread(&args.teacher)?);
+    let held = held(args, gpu.as_ref())?;
+    let cameras = compared(args, &taught, gpu.as_ref())?;
+    let tuned = match (args.iterations, &gpu) {
+        (Some(iterations), Some(gpu)) => {
+            bar.finish_and_clear();
+            let (held, interrupt) = (held.as_ref(), &interrupt);
+            let task = tune::Task { gpu, taught: &taught, held, compared: &cameras, interrupt, quiet };
+            Some(task.tune(args, &fitted, iterations)?)
+        }
         _ => None,
     };
+    let (mut scene, tuning) = match tuned {
+        Some((scene, tuning)) => (scene, Some(tuning)),
+        None => (fitted.scene, None),
+    };
+    let report = fitted.report;
+    let mut record = json!({ "teacher": name(&args.teacher), "report": report, "tuning": tuning });
+    // The same model has the same bytes, however long it took.
+    for part in ["report", "tuning"] {
+        record[part].as_object_mut().map(|part| part.remove("seconds"));
+    }
+    scene.metadata.insert("distilled".into(), record.to_string());
+    let mut shown = Vec::new();
+    let bar = progress::counter("", quiet);
+    let (mut images, mut photos) = (None, None);
+    if let Some(gpu) = &gpu {
+        images = compare::compare(gpu, &taught.moments, &scene, &cameras, &taught.options, &mut shown, &mut |k| {
+            step(&bar, &interrupt, "images of teacher and student", k);
+        })?;
+        photos = score(gpu, held.as_ref(), &taught, &scene, &mut |k| step(&bar, &interrupt, "photos", k))?;
+    }
     bar.finish_and_clear();
     let summary = Summary {
         teacher: args.teacher.clone(),
         out: args.out.clone(),
         motion: report,
+        tuning,
         bytes: [std::fs::metadata(&args.teacher).ok().filter(|m| m.is_file()).map(|m| m.len()), None],
         measured_in: taught.measured_in,
         images,
         photos,
     };
     write(summary, &scene, gpu.as_ref(), &shown)
-}
-
-/// Shows what is done, and ends the program when it is asked to: nothing is written yet.
-fn step(bar: &ProgressBar, interrupt: &Interrupt, what: &'static str, done: usize) {
-    bar.set_message(what);
-    bar.set_position(done as u64);
-    if interrupt.is_set() {
-        bar.finish_and_clear();
-        output::error_line("spgs: interrupted; nothing is written");
-        std::process::exit(interrupt::CODE);
-    }
 }
 
 /// Looks whether files can be written, before any work.
@@ -136,6 +136,9 @@ fn check_folder(out: &Path) -> Result<()> {
 
 /// The device: a field is evaluated on it, and images are drawn. Without any, the motion alone is measured.
 fn device(args: &DistillArgs, teacher: &Scene, global: &Global) -> Result<Option<Gpu>> {
+    if args.iterations.is_some() {
+        return gpu_session::open_to_train(global).map(Some);
+    }
     if args.teacher_views == Some(0) && args.data.is_none() && teacher.deformation.field().is_none() {
         return Ok(None);
     }
@@ -161,7 +164,7 @@ fn look<'a>(args: &DistillArgs, moments: Moments<'a>) -> Result<Taught<'a>> {
     }
     let (cameras, measured_in) = match &args.data {
         Some(data) => {
-            let all = model::load_cameras(data, None, [None; 2])?.cameras;
+            let all = cameras_of(data, args.downscale)?;
             let some = spread(&all, CAMERAS);
             let size = some.first().map(|c| format!("{}x{}", c.width, c.height)).unwrap_or_default();
             let measured_in = format!("{} cameras of {}, {size}", some.len(), name(data));
@@ -177,8 +180,43 @@ fn look<'a>(args: &DistillArgs, moments: Moments<'a>) -> Result<Taught<'a>> {
     Ok(Taught { moments, views, measured_in, options })
 }
 
+/// Photos to score on, where there is a device.
+fn held(args: &DistillArgs, gpu: Option<&Gpu>) -> Result<Option<Held>> {
+    match (&args.data, gpu) {
+        (Some(data), Some(_)) => Held::of(data, args.downscale),
+        _ => Ok(None),
+    }
+}
+
+/// Scores teacher and student on photos.
+fn score(
+    gpu: &Gpu,
+    held: Option<&Held>,
+    taught: &Taught<'_>,
+    student: &Scene,
+    tick: &mut dyn FnMut(usize),
+) -> Result<Option<Photos>> {
+    let Some(held) = held else { return Ok(None) };
+    let auto = RenderOptions { motion: MotionSource::Auto, ..taught.options.clone() };
+    let teacher = held.score(gpu, taught.moments.scene(), &taught.options, tick)?;
+    Ok(Some(held.both([teacher, held.score(gpu, student, &auto, tick)?])))
+}
+
+/// All cameras of a data set or a camera file.
+fn cameras_of(data: &Path, downscale: Option<u32>) -> Result<Vec<Camera>> {
+    let all = model::load_cameras(data, None, [None; 2])?.cameras;
+    let side = |pixels: u32, by: u32| (f64::from(pixels) / f64::from(by)).round().max(1.0) as u32;
+    let smaller = |c: &Camera, by: u32| c.resized(side(c.width, by), side(c.height, by));
+    Ok(match downscale {
+        Some(by) => all.iter().map(|c| smaller(c, by)).collect(),
+        None => all,
+    })
+}
+
 /// The views in which images are compared: of the data, at their times, or around the scene.
-fn compared(args: &DistillArgs, taught: &Taught<'_>, count: usize) -> Result<Vec<Camera>> {
+fn compared(args: &DistillArgs, taught: &Taught<'_>, gpu: Option<&Gpu>) -> Result<Vec<Camera>> {
+    let Some(gpu) = gpu else { return Ok(Vec::new()) };
+    let count = args.teacher_views.unwrap_or(COMPARED[usize::from(gpu.info().is_cpu())]) as usize;
     if count == 0 {
         return Ok(Vec::new());
     }
@@ -186,7 +224,7 @@ fn compared(args: &DistillArgs, taught: &Taught<'_>, count: usize) -> Result<Vec
         let size = SIZE.map(|side| side / 2);
         return Ok(views::around(&taught.moments, size, count, None)?.cameras);
     };
-    let all = model::load_cameras(data, None, [None; 2])?.cameras;
+    let all = cameras_of(data, args.downscale)?;
     Ok(spread(&all, count))
 }
 

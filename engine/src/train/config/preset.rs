@@ -215,6 +215,7 @@ impl Default for LearningRates {
             opacity_logit: 0.05,
             sh_0: 2.5e-3,
             sh_rest: 1.25e-4,
+            final_share: 1.0,
             optional: BTreeMap::new(),
             deform: 1e-3,
             deform_final: 1e-5,

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::PhotoLoss;
 use crate::reference::gradient::sh::color_gradient;
 use crate::reference::{Pose, color_of, exp};
-use crate::scene::{Camera, Gaussians};
+use crate::scene::{Camera, Gaussians, SuperpointDeformation};
 use crate::train::blend_backward::ROW_WORDS;
 use crate::train::deform_project_backward::SLOT_PLANES;
 
@@ -54,29 +54,31 @@ pub struct CameraGradient {
     pub position: DVec3,
 }
 
-impl PhotoLoss<'_> {
-    /// `[M]` gradients by the poses from `float[6][N]`, or `float[K][7][N]` with soft superpoints.
-    pub(super) fn pose_sums(&self, planes: &[f32], poses: &[Pose]) -> Vec<Twist> {
-        let moved = &self.buffers.deformation;
-        let (n, slots) = (self.buffers.gaussians as usize, moved.blend_slots() as usize);
-        let mut sums = vec![Twist::default(); moved.superpoints as usize];
-        let vector =
-            |plane: usize, i: usize| DVec3::from_array([0, 1, 2].map(|c| f64::from(planes[(plane + c) * n + i])));
-        let mut add = |j: u32, first: usize, i: usize| {
-            if let Some(sum) = sums.get_mut(j as usize) {
-                *sum = *sum + Twist { rotation: vector(first, i), translation: vector(first + 3, i) };
-            }
-        };
-        match self.scene.deformation.blend().filter(|_| slots > 0) {
-            None => {
-                let own = self.scene.deformation.superpoint_of_gaussian();
-                own.iter().take(n).enumerate().for_each(|(i, &j)| add(j, 0, i));
-            }
-            Some(blend) => (0..n.min(blend.len())).for_each(|i| {
-                let row = blend.row(i).0.iter().enumerate();
-                row.for_each(|(slot, &j)| add(j, slot * SLOT_PLANES as usize, i));
-            }),
+/// `[M]` gradients by the poses, with τ held as a superpoint turns, from `float[6][N]`, or `float[K][7][N]` with soft
+/// superpoints; of `n` Gaussians, in their order.
+pub(in crate::train) fn superpoint_sums(planes: &[f32], n: usize, motion: &SuperpointDeformation) -> Vec<Twist> {
+    let mut sums = vec![Twist::default(); motion.superpoints.position.len()];
+    let vector = |plane: usize, i: usize| DVec3::from_array([0, 1, 2].map(|c| f64::from(planes[(plane + c) * n + i])));
+    let mut add = |j: u32, first: usize, i: usize| {
+        if let Some(sum) = sums.get_mut(j as usize) {
+            *sum = *sum + Twist { rotation: vector(first, i), translation: vector(first + 3, i) };
         }
+    };
+    match &motion.blend {
+        None => motion.superpoints.of_gaussian.iter().take(n).enumerate().for_each(|(i, &j)| add(j, 0, i)),
+        Some(blend) => (0..n.min(blend.len())).for_each(|i| {
+            let row = blend.row(i).0.iter().enumerate();
+            row.for_each(|(slot, &j)| add(j, slot * SLOT_PLANES as usize, i));
+        }),
+    }
+    sums
+}
+
+impl PhotoLoss<'_> {
+    /// `[M]` gradients by the poses about the world's origin, from what [`superpoint_sums`] takes.
+    pub(super) fn pose_sums(&self, planes: &[f32], poses: &[Pose]) -> Vec<Twist> {
+        let Some(motion) = self.scene.deformation.superpoint_deformation() else { return Vec::new() };
+        let sums = superpoint_sums(planes, self.buffers.gaussians as usize, motion);
         // On the device a superpoint turns with its translation held: about where its pose takes the device's origin.
         let origin = self.buffers.origin;
         let center = |pose: &Pose| exp(pose.rotation) * origin + pose.translation;

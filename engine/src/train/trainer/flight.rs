@@ -97,7 +97,7 @@ impl Trainer {
     }
 
     /// [`Trainer::advance`] on this view, with a photo that is not the loader's.
-    pub(super) fn advance_on(&mut self, view: usize, photo: Option<&Pixels>) -> Result<()> {
+    pub(crate) fn advance_on(&mut self, view: usize, photo: Option<&Pixels>) -> Result<()> {
         let iteration = self.iteration + 1;
         if self.schedule.superpoints_begin(iteration) {
             self.drain()?;
@@ -141,9 +141,10 @@ impl Trainer {
         self.finished.pop_front()
     }
 
-    /// Steps that may be in flight: as many as were asked for, fewer where photos have no room.
+    /// Steps that may be in flight: as many as were asked for, fewer where photos have no room or the host learns in between.
     pub fn flight(&self) -> usize {
-        self.slots.len().min(self.photos.lanes())
+        let most = self.deformation.as_ref().map_or(usize::MAX, |model| model.most_in_flight());
+        self.slots.len().min(self.photos.lanes()).min(most)
     }
 
     /// Steps that were submitted again, because they or one before them had no room.
@@ -169,6 +170,11 @@ impl Trainer {
         }
         let found = format!("{} steps in flight", self.flying.len());
         Err(Error::usage("state of the training", found, "a trainer that was drained"))
+    }
+
+    /// Whether the photo of a view is on the device to stay, so that it need not be given again.
+    pub(crate) fn has_photo(&self, view: usize) -> bool {
+        self.photos.find(view).is_some()
     }
 
     /// Where the photo of `view` begins on the device, uploaded if need be.
@@ -201,6 +207,8 @@ impl Trainer {
         let frame = Frame::new(camera, self.parameters.scene.origin, &self.frame_options(view, at))?;
         let step = self.step_of(iteration, view, photo);
         self.slots[slot].step.write(0, bytemuck::bytes_of(&step))?;
+        let (time, pixels) = (self.pyramid.views[view].time, f64::from(camera.width) * f64::from(camera.height));
+        self.deformation.as_mut().map_or(Ok(()), |model| model.prepare(&step, time, pixels))?;
         let key = RecordingKey { sh_degree: self.parameters.scene.sh_degree, moves: self.deformation.is_some() };
         let target = &self.targets[at];
         target.frames[slot].frame.write(0, bytemuck::bytes_of(&frame))?;
@@ -245,6 +253,7 @@ impl Trainer {
     }
 
     fn finish(&mut self, job: &Job, report: StepReport) -> Result<()> {
+        self.deformation.as_mut().map_or(Ok(()), |model| model.learn())?;
         if let Some(window) = &mut self.window {
             window.note(report.view, report.l1);
         }

@@ -1,12 +1,12 @@
 //! What a run goes on from and what it leaves: checkpoints, scenes, poses.
 
 use super::{Trainer, TrainingData};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gpu::Gpu;
 use crate::scene::{Deformation, Motion, Scene};
 use crate::train::checkpoint::Checkpoint;
 use crate::train::config::Config;
-use crate::train::deformation;
+use crate::train::deformation::{self, KeyOptions};
 use crate::train::parameters::{ParameterState, with_sh_degree};
 use crate::train::saved::Saved;
 use crate::train::schedule::Stage;
@@ -40,6 +40,31 @@ impl Trainer {
         };
         let mut trainer = Self::assemble(gpu, config, data, Stage::Nonrigid, 0, &state)?;
         trainer.set_deformation(deformation::nonrigid(gpu, config, &trained.stored())?);
+        Ok(trainer)
+    }
+
+    /// Trains a finished scene: its Gaussians, and the key poses of its superpoints as `keys` says; which superpoint a Gaussian moves
+    /// with stays, and so do the Gaussians in number. There are no checkpoints of it.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`]; `Usage` for a scene without a key-time table, and for density control.
+    pub fn table(gpu: &Gpu, config: &Config, data: &TrainingData, scene: &Scene, keys: KeyOptions) -> Result<Self> {
+        let Some(moved) = scene.deformation.superpoint_deformation() else {
+            return Err(Error::usage("model to train", "no superpoints", "superpoints with a key-time table"));
+        };
+        if config.density.enabled {
+            return Err(Error::usage("density.enabled", "true", "false, to train a key-time table"));
+        }
+        let gaussians = &scene.gaussians;
+        let state = ParameterState {
+            superpoint_of_gaussian: moved.superpoints.of_gaussian.clone(),
+            ..ParameterState::new(gaussians, gaussians.sh_degree)
+        };
+        let mut config = config.clone();
+        config.gaussians.sh_degree = gaussians.sh_degree;
+        config.motion.blend = moved.blend.as_ref().map_or(1, |blend| blend.neighbors as u32);
+        let mut trainer = Self::assemble(gpu, &config, data, Stage::Table, 0, &state)?.with_flight(1)?;
+        trainer.set_deformation(deformation::of_table(gpu, moved, gaussians.len() as u32, keys)?);
         Ok(trainer)
     }
 

@@ -29,6 +29,18 @@ pub struct DistillArgs {
     /// Number of views in which images of teacher and student are compared; 0: none [default: 256, on a CPU device 16]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
     pub teacher_views: Option<u32>,
+    /// Train the student for so many steps after the fit: its Gaussians and its key poses [default: none]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    pub iterations: Option<u64>,
+    /// Images that those steps look at [default: both with photos in --data, else teacher]
+    #[arg(long, value_enum, requires = "iterations")]
+    pub on: Option<TuneOn>,
+    /// Seed of the order of photos, and of random cameras and times
+    #[arg(long, value_name = "S", default_value_t = 0, requires = "iterations")]
+    pub seed: u64,
+    /// Average photos of --data down by this factor, and shrink its cameras
+    #[arg(long, value_name = "K", requires = "data", value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub downscale: Option<u32>,
     /// Where the teacher's motion comes from [default: the key-time table where it has one]
     #[arg(long, value_enum)]
     pub motion: Option<MotionArg>,
@@ -40,4 +52,16 @@ pub struct DistillArgs {
 /// Parses a number above 0.
 fn above_zero(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or_else(|| "expected a number above 0".into())
+}
+
+/// Which images a student learns from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TuneOn {
+    /// Photos of --data
+    Photos,
+    /// Images of the teacher from random cameras at random times
+    Teacher,
+    /// Both in turn
+    Both,
 }

@@ -84,12 +84,7 @@ pub(super) fn compare(
     let Some(first) = cameras.first() else { return Ok(None) };
     let mut one = Renderer::new(gpu, teacher.scene(), &RenderOptions { motion: teacher.source(), ..options.clone() })?;
     let mut two = Renderer::new(gpu, student, &RenderOptions { motion: MotionSource::Auto, ..options.clone() })?;
-    let mut views = Vec::with_capacity(cameras.len());
-    for (k, camera) in cameras.iter().enumerate() {
-        tick(k);
-        let psnr = psnr_8bit(&one.render(camera, camera.time)?, &two.render(camera, camera.time)?)?;
-        views.push(View { name: camera.name.clone(), time: camera.time, psnr: (psnr < EQUAL).then_some(psnr) });
-    }
+    let views = seen([&mut one, &mut two], cameras, tick)?;
     let mut order: Vec<usize> = (0..views.len()).collect();
     let value = |k: usize| views[k].psnr.unwrap_or(f64::INFINITY);
     order.sort_by(|&a, &b| value(a).total_cmp(&value(b)));
@@ -104,16 +99,47 @@ pub(super) fn compare(
             student: two.render(camera, camera.time)?,
         });
     }
-    let mean = views.iter().map(|v| v.psnr.map_or(0.0, |p| 10f64.powf(-p / 10.0))).sum::<f64>() / views.len() as f64;
     let timed = TIMED[usize::from(gpu.info().is_cpu())];
     let frame_ms = [frame_ms(&mut one, cameras, timed, tick)?, frame_ms(&mut two, cameras, timed, tick)?];
     Ok(Some(Comparison {
-        psnr: (mean > 0.0).then(|| -10.0 * mean.log10()),
+        psnr: total(&views),
         worst: views.iter().filter_map(|v| v.psnr).reduce(f64::min),
         size: [first.width, first.height],
         views,
         frame_ms,
     }))
+}
+
+/// PSNR of the student against the teacher over all cameras, dB; `None` where all is equal or there are no cameras.
+pub(super) fn psnr(
+    gpu: &Gpu,
+    teacher: &Moments<'_>,
+    student: &Scene,
+    cameras: &[Camera],
+    options: &RenderOptions,
+) -> Result<Option<f64>> {
+    if cameras.is_empty() {
+        return Ok(None);
+    }
+    let mut one = Renderer::new(gpu, teacher.scene(), &RenderOptions { motion: teacher.source(), ..options.clone() })?;
+    let mut two = Renderer::new(gpu, student, &RenderOptions { motion: MotionSource::Auto, ..options.clone() })?;
+    Ok(total(&seen([&mut one, &mut two], cameras, &mut |_| {})?))
+}
+
+/// Every view, drawn by both.
+fn seen([one, two]: [&mut Renderer; 2], cameras: &[Camera], tick: &mut dyn FnMut(usize)) -> Result<Vec<View>> {
+    let view = |(k, camera): (usize, &Camera)| {
+        tick(k);
+        let psnr = psnr_8bit(&one.render(camera, camera.time)?, &two.render(camera, camera.time)?)?;
+        Ok(View { name: camera.name.clone(), time: camera.time, psnr: (psnr < EQUAL).then_some(psnr) })
+    };
+    cameras.iter().enumerate().map(view).collect()
+}
+
+/// PSNR of the mean squared error of all.
+fn total(views: &[View]) -> Option<f64> {
+    let mean = views.iter().map(|v| v.psnr.map_or(0.0, |p| 10f64.powf(-p / 10.0))).sum::<f64>() / views.len() as f64;
+    (mean > 0.0).then(|| -10.0 * mean.log10())
 }
 
 /// Median time of a frame, without the copy of the image to the host, ms.

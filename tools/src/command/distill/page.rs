@@ -7,6 +7,7 @@ use serde_json::Value;
 
 use super::compare::Shown;
 use super::summary::{Summary, verdict};
+use super::tune::Tuning;
 use crate::report::error_image;
 use crate::report::page::{Align, Axis, Chart, Page, Picture, Series, Standing, Table};
 use crate::report::scores::cell;
@@ -29,9 +30,20 @@ pub(super) fn page(record: &Value, s: &Summary, shown: &[Shown]) -> Result<Strin
         ("Times", format!("{} to fit, {} more to measure", m.sampled_times, m.checked_times)),
         ("Chords", format!("between those times the teacher is off them by up to {:.4} px", m.chord_px)),
     ]);
-    page.note(&format!("Error: {}.", verdict(m)));
-    page.heading("Error");
+    let when = if s.tuning.is_some() { "Error of the fit" } else { "Error" };
+    page.note(&format!("{when}: {}.", verdict(m)));
+    s.tuning.iter().for_each(|t| page.note(&format!("Fine-tuning: {}.", t.verdict())));
+    page.heading(when);
     page.table(&errors(m));
+    if let Some(t) = &s.tuning {
+        page.heading("Fine-tuning");
+        page.table(&tuned(m, t));
+        let [photos, drawn] = t.images;
+        let (n, seed, seconds) = (t.iterations, t.seed, t.seconds);
+        page.text(&format!(
+            "{n} steps on {photos} photos and {drawn} images of the teacher, seed {seed}, {seconds:.1} s."
+        ));
+    }
     page.heading("What the student lacks");
     if m.dropped.is_empty() {
         page.text("Nothing.");
@@ -71,6 +83,27 @@ fn errors(m: &Report) -> Table {
         table.row(row("size not followed, px at two standard deviations", change.px.largest, Some(change.px.q999)));
         table.row(row("size not followed, %", 100.0 * change.share.largest, Some(100.0 * change.share.q999)));
     }
+    table
+}
+
+/// Before and after.
+fn tuned(m: &Report, t: &Tuning) -> Table {
+    let mut table = Table::new(&[("", Align::Left), ("before", Align::Right), ("after", Align::Right)]);
+    let d = &t.displacement;
+    let row = |name: &str, pair: [Option<f64>; 2], digits: usize| {
+        let [a, b] = pair.map(|v| cell(v, digits));
+        [name.to_owned(), a, b]
+    };
+    let standing = if t.within_bound { Standing::Good } else { Standing::Bad };
+    table.marked(standing, row("largest displacement, px", [m.error_px.largest, d.error_px.largest].map(Some), 4));
+    table.row(row("99.9 % of the Gaussians, px", [m.error_px.q999, d.error_px.q999].map(Some), 4));
+    table.row(["Gaussians above the bound".into(), m.above.to_string(), d.above.to_string()]);
+    table.row(row("PSNR against the teacher, dB", t.teacher_psnr, 2));
+    if let (Some(psnr), Some(ssim)) = (t.photo_psnr, t.photo_ssim) {
+        table.row(row("PSNR against photos, dB", psnr.map(Some), 2));
+        table.row(row("SSIM against photos", ssim.map(Some), 4));
+    }
+    table.row(row("loss of the steps", t.loss.map(Some), 5));
     table
 }
 

@@ -7,7 +7,7 @@ use engine::data::loader::ImageLoader;
 use engine::error::Result;
 use engine::gpu::Gpu;
 use engine::render::RenderOptions;
-use engine::scene::{MotionSource, Scene};
+use engine::scene::Scene;
 use engine::train::evaluate;
 use serde::Serialize;
 
@@ -38,29 +38,42 @@ impl Photos {
     }
 }
 
-/// Scores both on the held-out photos, or, where there are none, on those to train on. `None` for cameras without photos.
-pub(super) fn score(
-    gpu: &Gpu,
-    [teacher, student]: [&Scene; 2],
-    source: MotionSource,
-    data: &Path,
-    options: &RenderOptions,
-    tick: &mut dyn FnMut(usize),
-) -> Result<Option<Photos>> {
-    let Ok(data) = dataset::load(data, &DatasetOptions::default()) else { return Ok(None) };
-    let (split, views) = if data.test.is_empty() { ("train", data.train) } else { ("test", data.test) };
-    let loader = ImageLoader::new(views.into(), PHOTO_BYTES, 1)?;
-    let all: Vec<usize> = (0..loader.views().len()).collect();
-    let mut done = 0;
-    let mut of = |scene: &Scene, motion: MotionSource| {
-        let options = RenderOptions { motion, ..options.clone() };
-        let scores = evaluate::evaluate(gpu, scene, &loader, &all, &options, |_, _, _| {
+/// Held-out photos, or, where there are none, those to train on.
+#[derive(Debug)]
+pub(super) struct Held {
+    split: &'static str,
+    loader: ImageLoader,
+}
+
+impl Held {
+    /// `None` for cameras without photos.
+    pub(super) fn of(data: &Path, downscale: Option<u32>) -> Result<Option<Self>> {
+        let options = DatasetOptions { downscale, ..DatasetOptions::default() };
+        let Ok(data) = dataset::load(data, &options) else { return Ok(None) };
+        let (split, views) = if data.test.is_empty() { ("train", data.train) } else { ("test", data.test) };
+        Ok(Some(Self { split, loader: ImageLoader::new(views.into(), PHOTO_BYTES, 1)? }))
+    }
+
+    /// Mean PSNR and SSIM of a scene.
+    pub(super) fn score(
+        &self,
+        gpu: &Gpu,
+        scene: &Scene,
+        options: &RenderOptions,
+        tick: &mut dyn FnMut(usize),
+    ) -> Result<[f64; 2]> {
+        let all: Vec<usize> = (0..self.loader.views().len()).collect();
+        let mut done = 0;
+        let scores = evaluate::evaluate(gpu, scene, &self.loader, &all, options, |_, _, _| {
             done += 1;
             tick(done);
             Ok(())
         })?;
-        Ok::<_, engine::error::Error>(evaluate::mean(&scores))
-    };
-    let ([a, c], [b, d]) = (of(teacher, source)?, of(student, MotionSource::Auto)?);
-    Ok(Some(Photos { split, views: all.len(), psnr: [a, b], ssim: [c, d] }))
+        Ok(evaluate::mean(&scores))
+    }
+
+    /// Scores of teacher and student side by side.
+    pub(super) fn both(&self, [[a, c], [b, d]]: [[f64; 2]; 2]) -> Photos {
+        Photos { split: self.split, views: self.loader.views().len(), psnr: [a, b], ssim: [c, d] }
+    }
 }

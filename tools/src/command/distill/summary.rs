@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::compare::Comparison;
 use super::photos::Photos;
+use super::tune::Tuning;
 
 /// What was done.
 #[derive(Debug, Serialize)]
@@ -17,6 +18,8 @@ pub struct Summary {
     pub out: PathBuf,
     /// The motion, and how far off it is.
     pub motion: Report,
+    /// What fine-tuning did, where it was asked for; the model, images and photos are those after it.
+    pub tuning: Option<Tuning>,
     /// Bytes of the teacher, where it is one file, and of the student.
     pub bytes: [Option<u64>; 2],
     /// Where pixels are measured.
@@ -50,6 +53,7 @@ impl Summary {
         if !m.dropped.is_empty() {
             lines.push(format!("left out: {}", m.dropped.join("; ")));
         }
+        lines.extend(self.tuning.iter().flat_map(Tuning::lines));
         lines.extend(self.images.iter().map(|images| format!("images  {}", images.line())));
         lines.extend(self.photos.iter().map(|photos| format!("photos  {}", photos.line())));
         let bytes = |b: Option<u64>| b.map_or("?".into(), |b| b.to_string());
