@@ -1,9 +1,7 @@
 //! Which splats may show in each block of an area's pixels.
 
-use glam::DVec2;
-
-use super::pick::Area;
 use crate::reference::{ALPHA_MIN, Splat};
+use glam::DVec2;
 
 /// Pixels along a side of a block.
 const SIDE: f64 = 8.0;
@@ -16,9 +14,9 @@ pub(super) struct Blocks<'a> {
 }
 
 impl<'a> Blocks<'a> {
-    pub(super) fn new(splats: &'a [Splat], area: &Area) -> Self {
+    pub(super) fn new(splats: &'a [Splat], x: [f64; 2], y: [f64; 2]) -> Self {
         let count = |[from, to]: [f64; 2]| ((to - from) / SIDE).ceil() as usize;
-        let (columns, rows) = (count(area.x), count(area.y));
+        let (columns, rows) = (count(x), count(y));
         let mut lists = vec![Vec::new(); columns * rows];
         for splat in splats {
             // Half the sides of the box around the ellipse where α is 1/255, a little more.
@@ -28,13 +26,13 @@ impl<'a> Blocks<'a> {
                 let [low, high] = [mean - reach, mean + reach].map(|v| ((v - from) / SIDE).floor());
                 low.max(0.0) as usize..(high + 1.0).clamp(0.0, count as f64) as usize
             };
-            for row in span(splat.mean.y, reach(2), area.y[0], rows) {
-                for column in span(splat.mean.x, reach(0), area.x[0], columns) {
+            for row in span(splat.mean.y, reach(2), y[0], rows) {
+                for column in span(splat.mean.x, reach(0), x[0], columns) {
                     lists[row * columns + column].push(splat);
                 }
             }
         }
-        Self { origin: DVec2::new(area.x[0], area.y[0]), columns, lists }
+        Self { origin: DVec2::new(x[0], y[0]), columns, lists }
     }
 
     /// Those that may show at a point of the area.

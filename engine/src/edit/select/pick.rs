@@ -129,7 +129,7 @@ fn region(view: &View<'_>, area: &Area, inside: &(dyn Fn(DVec2) -> bool + Sync),
     }
     let splats = splats(view, [DVec2::new(x[0], y[0]), DVec2::new(x[1], y[1])])?;
     let columns = (x[1] - x[0]) as usize;
-    let blocks = Blocks::new(&splats, area);
+    let blocks = Blocks::new(&splats, x, y);
     let rows: Vec<Vec<Option<&Splat>>> = (y[0] as usize..y[1] as usize)
         .into_par_iter()
         .map(|row| {
