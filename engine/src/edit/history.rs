@@ -1,10 +1,12 @@
 //! Commands that can be undone, and done again, without limit. What is kept of each is the rows that it changed, bit by bit.
 
+mod before;
 mod change;
 mod columns;
 mod splices;
 
-use self::change::{Before, Change};
+use self::before::Before;
+use self::change::Change;
 use super::script::Command;
 use super::session::{Session, Step};
 use crate::error::Result;
@@ -23,13 +25,14 @@ pub struct History {
 pub struct Entry {
     /// What they came to.
     pub steps: Vec<Step>,
-    change: Change,
+    /// That of each command.
+    changes: Vec<Change>,
 }
 
 impl Entry {
     /// Whether they changed the scene, and not selections alone.
     pub fn changes_scene(&self) -> bool {
-        self.change.is_of_scene()
+        self.changes.iter().any(Change::is_of_scene)
     }
 }
 
@@ -50,31 +53,30 @@ impl History {
     /// Those of the commands. The session is then as it was before.
     pub fn run(&mut self, commands: &[Command]) -> Result<()> {
         let session = &mut self.session;
-        let changes = commands.iter().any(|command| command.action.changes_scene());
-        let scene = changes.then(|| session.scene.clone());
-        let before = Before { scene, masks: session.masks.clone(), seen: session.seen.clone() };
-        let steps: Result<Vec<Step>> = commands.iter().map(|command| session.apply(command)).collect();
-        match steps {
-            Ok(steps) => {
-                self.undone.clear();
-                let change = Change::since(before, session);
-                self.done.push(Entry { steps, change });
-                Ok(())
-            }
-            Err(error) => {
-                (session.masks, session.seen) = (before.masks, before.seen);
-                if let Some(scene) = before.scene {
-                    session.scene = scene;
+        let (mut steps, mut changes) = (Vec::with_capacity(commands.len()), Vec::with_capacity(commands.len()));
+        for command in commands {
+            let before = Before::of(session, &command.action);
+            match session.apply(command) {
+                Ok(step) => {
+                    steps.push(step);
+                    changes.push(Change::since(before, session));
                 }
-                Err(error)
+                Err(error) => {
+                    before.restore(session);
+                    changes.iter_mut().rev().for_each(|change| change.swap(session));
+                    return Err(error);
+                }
             }
         }
+        self.undone.clear();
+        self.done.push(Entry { steps, changes });
+        Ok(())
     }
 
     /// Takes back what was done last; `None` at the beginning.
     pub fn undo(&mut self) -> Option<&Entry> {
         let mut entry = self.done.pop()?;
-        entry.change.swap(&mut self.session);
+        entry.changes.iter_mut().rev().for_each(|change| change.swap(&mut self.session));
         self.undone.push(entry);
         self.undone.last()
     }
@@ -82,7 +84,7 @@ impl History {
     /// Does again what was undone last; `None` when nothing was.
     pub fn redo(&mut self) -> Option<&Entry> {
         let mut entry = self.undone.pop()?;
-        entry.change.swap(&mut self.session);
+        entry.changes.iter_mut().for_each(|change| change.swap(&mut self.session));
         self.done.push(entry);
         self.done.last()
     }
@@ -104,6 +106,6 @@ impl History {
 
     /// Bytes that the past takes: of rows and selections that are no longer, or are no longer undone.
     pub fn bytes(&self) -> usize {
-        self.done.iter().chain(&self.undone).map(|entry| entry.change.bytes()).sum()
+        self.done.iter().chain(&self.undone).flat_map(|entry| &entry.changes).map(Change::bytes).sum()
     }
 }

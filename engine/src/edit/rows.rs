@@ -1,5 +1,8 @@
 //! Gaussians with all that belongs to them, taken by index.
 
+use bytemuck::Pod;
+use rayon::prelude::*;
+
 use crate::error::{Error, Result};
 use crate::scene::{Association, Blend, Deformation, Scene, SuperpointDeformation, Superpoints};
 
@@ -30,6 +33,15 @@ pub(crate) fn take(scene: &mut Scene, indices: &[usize]) -> Result<()> {
     Ok(())
 }
 
+/// The Gaussians at `indices` as a scene of their own, moved as before. Only for scenes without a deformation field.
+pub(crate) fn part(scene: &Scene, indices: &[usize]) -> Scene {
+    let mut deformation = scene.deformation.clone();
+    if let Deformation::Superpoints(s) = &mut deformation {
+        take_superpoints(s, indices);
+    }
+    Scene { gaussians: scene.gaussians.selected(indices), deformation, ..Scene::default() }
+}
+
 /// What says that a deformation field cannot follow.
 pub(crate) fn is_field(found: &str) -> Error {
     let expected = "a key-time table: `spgs convert --bake` makes one";
@@ -53,8 +65,10 @@ fn take_superpoints(s: &mut SuperpointDeformation, indices: &[usize]) {
     });
 }
 
-fn pick<T: Copy>(values: &[T], width: usize, indices: &[usize]) -> Vec<T> {
-    let mut picked = Vec::with_capacity(indices.len() * width);
-    indices.iter().for_each(|&i| picked.extend_from_slice(&values[i * width..(i + 1) * width]));
+/// The rows of `width` values at `indices`.
+pub(super) fn pick<T: Pod + Send + Sync>(values: &[T], width: usize, indices: &[usize]) -> Vec<T> {
+    let mut picked = vec![T::zeroed(); indices.len() * width];
+    let rows = picked.par_chunks_exact_mut(width.max(1)).zip(indices);
+    rows.with_min_len(1024).for_each(|(row, &i)| row.copy_from_slice(&values[i * width..(i + 1) * width]));
     picked
 }

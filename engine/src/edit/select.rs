@@ -1,5 +1,6 @@
 //! Which Gaussians an edit is about: a mask `[N]`, made from what is asked for.
 
+mod blocks;
 mod flood;
 mod grow;
 mod pick;

@@ -161,8 +161,7 @@ impl Session {
                 return self.keep(&rest);
             }
             Action::Keep => {
-                let mask = self.mask()?;
-                let kept: Vec<bool> = (0..mask.len()).map(|i| mask[i] || !self.masks.is_free(i)).collect();
+                let kept = self.kept()?;
                 return self.keep(&kept);
             }
             Action::Duplicate => {
@@ -192,6 +191,12 @@ impl Session {
             }
         }
         Ok(Touched::default())
+    }
+
+    /// What `keep` leaves: the selection, and what cannot be changed.
+    pub(super) fn kept(&self) -> Result<Vec<bool>> {
+        let mask = self.mask()?;
+        Ok((0..mask.len()).map(|i| mask[i] || !self.masks.is_free(i)).collect())
     }
 
     fn mask(&self) -> Result<&[bool]> {

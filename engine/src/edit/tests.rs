@@ -1,10 +1,12 @@
 //! Edits against the f64 reference and against their definitions in f64.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "tests")]
 
+mod fuzz;
 mod history;
 mod motion;
 mod replay;
 mod selecting;
+mod speed;
 
 use glam::{DQuat, DVec3};
 

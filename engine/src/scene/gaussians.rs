@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::ops::Range;
 
+use rayon::prelude::*;
 use serde::Serialize;
 
 use super::parameter::{
@@ -82,13 +83,14 @@ impl Gaussians {
     #[must_use]
     pub fn selected(&self, indices: &[usize]) -> Self {
         let k = self.sh_coefficients() * 3;
-        let mut sh = Vec::with_capacity(indices.len() * k);
-        indices.iter().for_each(|&i| sh.extend_from_slice(&self.sh[i * k..(i + 1) * k]));
+        let mut sh = vec![0.0; indices.len() * k];
+        let rows = sh.par_chunks_exact_mut(k).zip(indices).with_min_len(1024);
+        rows.for_each(|(row, &i)| row.copy_from_slice(&self.sh[i * k..(i + 1) * k]));
         Self {
-            mean: indices.iter().map(|&i| self.mean[i]).collect(),
-            log_scale: indices.iter().map(|&i| self.log_scale[i]).collect(),
-            rotation: indices.iter().map(|&i| self.rotation[i]).collect(),
-            opacity_logit: indices.iter().map(|&i| self.opacity_logit[i]).collect(),
+            mean: indices.par_iter().map(|&i| self.mean[i]).collect(),
+            log_scale: indices.par_iter().map(|&i| self.log_scale[i]).collect(),
+            rotation: indices.par_iter().map(|&i| self.rotation[i]).collect(),
+            opacity_logit: indices.par_iter().map(|&i| self.opacity_logit[i]).collect(),
             sh_degree: self.sh_degree,
             sh,
             optional: self.optional.selected(indices),

@@ -58,7 +58,7 @@ pub enum Command {
     Train(TrainArgs),
     /// Render a model from the views of a camera file, or along a path
     Render(RenderArgs),
-    /// Fly through a scene in a window and scrub its time
+    /// Fly through a scene in a window, scrub its time and edit it (Ctrl+E; `spgs help editing`)
     View(ViewerArgs),
     /// Measure frames, kernels, training steps and errors
     Bench(BenchArgs),

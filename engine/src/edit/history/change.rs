@@ -1,20 +1,14 @@
 //! What a group of commands changed of a session: what undoes them and then what does them again.
 
 use bytemuck::Pod;
+use rayon::prelude::*;
 
-use super::columns::Columns;
+use super::before::Before;
+use super::columns::{Columns, SH};
 use super::splices::Splices;
 use crate::edit::masks::{Mask, Masks};
 use crate::edit::session::{Seen, Session};
 use crate::scene::Scene;
-
-/// A session as it was before some commands; the scene only if they may change it.
-#[derive(Debug)]
-pub(super) struct Before {
-    pub(super) scene: Option<Scene>,
-    pub(super) masks: Masks,
-    pub(super) seen: Seen,
-}
 
 /// What brings a session back to what it was, and there again.
 #[derive(Debug)]
@@ -32,8 +26,15 @@ impl Change {
     pub(super) fn since(before: Before, session: &mut Session) -> Self {
         let mut change = Self { masks: masks_between(&session.masks, &before.masks), ..Self::nothing(before.seen) };
         if let Some(mut scene) = before.scene {
-            let (now, then) = (Columns::take(&mut session.scene), Columns::take(&mut scene));
+            let (mut now, mut then) = (Columns::take(&mut session.scene), Columns::take(&mut scene));
+            let sh = before.colors.is_some().then(|| (now.numbers.remove(SH), then.numbers.remove(SH)).0).flatten();
             change.numbers = differences(&now.numbers, &then.numbers);
+            if let (Some(sh), Some(colors)) = (sh, before.colors) {
+                if colors.changes(bytemuck::cast_slice(&sh.0)) {
+                    change.numbers.push((SH, colors));
+                }
+                now.numbers.insert(SH, sh);
+            }
             change.indices = differences(&now.indices, &then.indices);
             change.rest = (scene != session.scene).then(|| Box::new(scene));
             now.put(&mut session.scene);
@@ -82,10 +83,10 @@ impl Change {
 
 type Named<T> = std::collections::BTreeMap<&'static str, (Vec<T>, usize)>;
 
-fn differences<T: Pod>(now: &Named<T>, then: &Named<T>) -> Vec<(&'static str, Splices)> {
+fn differences<T: Pod + Sync>(now: &Named<T>, then: &Named<T>) -> Vec<(&'static str, Splices)> {
     let names: std::collections::BTreeSet<&'static str> = now.keys().chain(then.keys()).copied().collect();
     let nothing = (Vec::new(), 0);
-    let of = |name| {
+    let of = |name: &'static str| {
         let [(here, a), (there, b)] = [now, then].map(|named| named.get(name).unwrap_or(&nothing));
         // Rows of other widths have nothing in common.
         let width = if *a == *b {
@@ -97,7 +98,7 @@ fn differences<T: Pod>(now: &Named<T>, then: &Named<T>) -> Vec<(&'static str, Sp
         };
         Some((name, Splices::between(bytemuck::cast_slice(here), bytemuck::cast_slice(there), width)?))
     };
-    names.into_iter().filter_map(of).collect()
+    names.into_par_iter().filter_map(of).collect()
 }
 
 /// Masks that were others.

@@ -2,8 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use bytemuck::Pod;
+
 use crate::scene::parameter::PARAMETERS;
 use crate::scene::{Deformation, Scene, SuperpointDeformation};
+
+/// The name of SH coefficients.
+pub(super) const SH: &str = "sh";
 
 /// The arrays of a scene by name, each with the words of its rows.
 #[derive(Debug, Default)]
@@ -22,7 +27,7 @@ impl Columns {
         columns.vectors("log_scale", &mut g.log_scale);
         columns.vectors("rotation", &mut g.rotation);
         columns.number("opacity_logit", &mut g.opacity_logit, 1);
-        columns.number("sh", &mut g.sh, width);
+        columns.number(SH, &mut g.sh, width);
         for parameter in g.optional.present().iter() {
             let values = g.optional.get(parameter).unwrap_or_default().to_vec();
             columns.numbers.insert(PARAMETERS[parameter].name, (values, PARAMETERS[parameter].width as usize));
@@ -59,7 +64,7 @@ impl Columns {
         g.log_scale = self.rows("log_scale");
         g.rotation = self.rows("rotation");
         g.opacity_logit = self.values("opacity_logit");
-        g.sh = self.values("sh");
+        g.sh = self.values(SH);
         for parameter in g.optional.present().iter() {
             g.optional.set(parameter, self.values(PARAMETERS[parameter].name));
         }
@@ -106,7 +111,11 @@ impl Columns {
         self.indices.remove(name).unwrap_or_default().0
     }
 
-    fn rows<const N: usize>(&mut self, name: &str) -> Vec<[f32; N]> {
-        self.values(name).as_chunks().0.to_vec()
+    fn rows<const N: usize>(&mut self, name: &str) -> Vec<[f32; N]>
+    where
+        [f32; N]: Pod,
+    {
+        // Where the capacity is no whole number of rows, they are copied.
+        bytemuck::try_cast_vec(self.values(name)).unwrap_or_else(|(_, values)| values.as_chunks().0.to_vec())
     }
 }

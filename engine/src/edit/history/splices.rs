@@ -1,6 +1,12 @@
 //! How an array differs from what it was: the rows that are others, no longer there or new.
 
 use bytemuck::Pod;
+use rayon::prelude::*;
+
+use crate::edit::rows::pick;
+
+/// Words that a thread copies at a time.
+const PIECE: usize = 1 << 16;
 
 /// Rows that are the same in both arrays, then rows that are not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,39 +50,107 @@ impl Splices {
         Some(Self { width, runs, stored })
     }
 
+    /// What brings back rows of `now` that a change is about to overwrite.
+    pub(super) fn overwritten(now: &[u32], width: usize, mask: &[bool]) -> Self {
+        Self { stored: rows_of(now, width, mask), runs: runs_of(mask, Run { same: 0, here: 1, there: 1 }), width }
+    }
+
+    /// What brings back rows of `now` that are about to be taken away.
+    pub(super) fn removed(now: &[u32], width: usize, mask: &[bool]) -> Self {
+        Self { stored: rows_of(now, width, mask), runs: runs_of(mask, Run { same: 0, here: 0, there: 1 }), width }
+    }
+
+    /// What takes away `count` rows that are about to be added after `rows` others.
+    pub(super) fn added(rows: usize, width: usize, count: usize) -> Self {
+        let run = Run { same: rows as u32, here: count as u32, there: 0 };
+        Self { stored: Vec::new(), runs: Vec::from_iter((count > 0).then_some(run)), width }
+    }
+
     /// Makes the other array of `values`, which is the one that this belongs to; and belongs to the other one from then on.
     pub(super) fn swap<T: Pod>(&mut self, values: &mut Vec<T>) {
         if self.runs.iter().all(|run| run.here == run.there) {
             return self.swap_in_place(bytemuck::cast_slice_mut(values));
         }
         let old: &[u32] = bytemuck::cast_slice(values);
+        let words = |rows: u32| rows as usize * self.width;
+        let gone = self.runs.iter().map(|run| words(run.here)).sum();
+        let (mut made, mut stored) = (vec![0; old.len() - gone + self.stored.len()], vec![0; gone]);
+        let (mut pieces, mut to, mut out) = (Vec::new(), made.as_mut_slice(), stored.as_mut_slice());
         let (mut at, mut from) = (0, 0);
-        let (mut made, mut stored) = (Vec::with_capacity(old.len()), Vec::new());
         for run in &self.runs {
-            let [same, here, there] = [run.same, run.here, run.there].map(|rows| rows as usize * self.width);
-            made.extend_from_slice(&old[at..at + same]);
-            made.extend_from_slice(&self.stored[from..from + there]);
-            stored.extend_from_slice(&old[at + same..at + same + here]);
+            let [same, here, there] = [run.same, run.here, run.there].map(words);
+            copy(&mut pieces, &mut to, &old[at..at + same]);
+            copy(&mut pieces, &mut to, &self.stored[from..from + there]);
+            copy(&mut pieces, &mut out, &old[at + same..at + same + here]);
             (at, from) = (at + same + here, from + there);
         }
-        made.extend_from_slice(&old[at..]);
-        *values = bytemuck::pod_collect_to_vec(&made);
+        copy(&mut pieces, &mut to, &old[at..]);
+        pieces.into_par_iter().for_each(|(to, from)| to.copy_from_slice(from));
+        *values = bytemuck::try_cast_vec(made).unwrap_or_else(|(_, made)| bytemuck::pod_collect_to_vec(&made));
         (self.runs, self.stored) = (inverse(std::mem::take(&mut self.runs)), stored);
     }
 
     fn swap_in_place(&mut self, values: &mut [u32]) {
-        let (mut at, mut from) = (0, 0);
+        let (mut values, mut stored, mut pieces) = (values, self.stored.as_mut_slice(), Vec::new());
         for run in &self.runs {
-            let (start, count) = (at + run.same as usize * self.width, run.here as usize * self.width);
-            values[start..start + count].swap_with_slice(&mut self.stored[from..from + count]);
-            (at, from) = (start + count, from + count);
+            let [same, count] = [run.same, run.here].map(|rows| rows as usize * self.width);
+            let a = front(&mut values, same + count).split_at_mut(same).1;
+            let b = front(&mut stored, count);
+            pieces.extend(a.chunks_mut(PIECE).zip(b.chunks_mut(PIECE)));
         }
+        pieces.into_par_iter().for_each(|(a, b)| a.swap_with_slice(b));
+    }
+
+    /// Brings back rows that were overwritten; does nothing where others were to be added or taken away.
+    pub(super) fn restore<T: Pod>(&mut self, values: &mut [T]) {
+        if self.runs.iter().all(|run| run.here == run.there) {
+            self.swap_in_place(bytemuck::cast_slice_mut(values));
+        }
+    }
+
+    /// Whether it makes another array of `values`.
+    pub(super) fn changes(&self, values: &[u32]) -> bool {
+        if self.runs.iter().any(|run| run.here != run.there) {
+            return true;
+        }
+        let (mut at, mut from, mut pieces) = (0, 0, Vec::new());
+        for run in &self.runs {
+            let [same, count] = [run.same, run.here].map(|rows| rows as usize * self.width);
+            let (a, b) = (&values[at + same..at + same + count], &self.stored[from..from + count]);
+            pieces.extend(a.chunks(PIECE).zip(b.chunks(PIECE)));
+            (at, from) = (at + same + count, from + count);
+        }
+        pieces.into_par_iter().any(|(a, b)| a != b)
     }
 
     /// Memory that it takes.
     pub(super) fn bytes(&self) -> usize {
         size_of_val(self.runs.as_slice()) + size_of_val(self.stored.as_slice())
     }
+}
+
+/// A run for all neighbours in a mask, `one` for each of them.
+fn runs_of(mask: &[bool], one: Run) -> Vec<Run> {
+    let mut runs = Collector::default();
+    mask.iter().for_each(|&is_other| if is_other { runs.other(one.here, one.there) } else { runs.same() });
+    runs.finish()
+}
+
+fn rows_of(values: &[u32], width: usize, mask: &[bool]) -> Vec<u32> {
+    let indices: Vec<usize> = (0..mask.len()).filter(|&i| mask[i]).collect();
+    pick(values, width, &indices)
+}
+
+/// Takes a slice's front off.
+fn front<'a>(slice: &mut &'a mut [u32], count: usize) -> &'a mut [u32] {
+    let (front, rest) = std::mem::take(slice).split_at_mut(count);
+    *slice = rest;
+    front
+}
+
+/// Notes that `from` is to be copied to the front of `to`, which is taken off.
+fn copy<'a>(pieces: &mut Vec<(&'a mut [u32], &'a [u32])>, to: &mut &'a mut [u32], from: &'a [u32]) {
+    pieces.extend(front(to, from.len()).chunks_mut(PIECE).zip(from.chunks(PIECE)));
 }
 
 fn inverse(runs: Vec<Run>) -> Vec<Run> {

@@ -1,11 +1,13 @@
 //! What is seen at a pixel, or in a rectangle of them.
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
+use super::blocks::Blocks;
+use crate::edit::{centers, rows};
 use crate::error::{Error, Result};
 use crate::reference::{ALPHA_MIN, Parameters, ReferenceOptions, Splat, TRANSMITTANCE_MIN, place_scene, project};
-use crate::scene::{Camera, MotionSource, Rejected, Scene};
+use crate::scene::{Camera, Deformation, MotionSource, Rejected, Scene};
 
 /// Most pixels of a rectangle: an image of 16,384 a side.
 const MOST_PIXELS: f64 = (1_u64 << 28) as f64;
@@ -43,10 +45,10 @@ pub fn click(view: &View<'_>, point: [f64; 2], depth: Depth) -> Result<Vec<bool>
         let expected = format!("a pixel of the {}x{} image", camera.width, camera.height);
         return Err(Error::usage("click", format!("{x},{y}"), expected));
     }
-    let splats = splats(view)?;
-    let seen: Vec<&Splat> = splats.iter().collect();
     // A point belongs to its pixel, which is drawn at its centre.
     let centre = DVec2::new(x.floor() + 0.5, y.floor() + 0.5);
+    let splats = splats(view, [centre, centre])?;
+    let seen: Vec<&Splat> = splats.iter().collect();
     let mut mask = vec![false; view.scene.gaussians.len()];
     let Some(surface) = surface(&seen, centre) else {
         return Err(Error::usage("click", format!("nothing at {x},{y}"), "a pixel where something is seen"));
@@ -100,9 +102,9 @@ fn is_within(points: &[DVec2], at: DVec2) -> bool {
 }
 
 /// Whole pixels of an image, ends excluded.
-struct Area {
-    x: [f64; 2],
-    y: [f64; 2],
+pub(super) struct Area {
+    pub(super) x: [f64; 2],
+    pub(super) y: [f64; 2],
 }
 
 impl Area {
@@ -125,14 +127,14 @@ fn region(view: &View<'_>, area: &Area, inside: &(dyn Fn(DVec2) -> bool + Sync),
     if pixels > MOST_PIXELS {
         return Err(Error::Limit { what: "pixels of a pick".into(), need: pixels as u128, have: MOST_PIXELS as u128 });
     }
-    let splats = splats(view)?;
+    let splats = splats(view, [DVec2::new(x[0], y[0]), DVec2::new(x[1], y[1])])?;
     let columns = (x[1] - x[0]) as usize;
+    let blocks = Blocks::new(&splats, x, y);
     let rows: Vec<Vec<Option<&Splat>>> = (y[0] as usize..y[1] as usize)
         .into_par_iter()
         .map(|row| {
             let y = row as f64 + 0.5;
-            let on_row: Vec<&Splat> = splats.iter().filter(|s| reaches(s, y)).collect();
-            let seen = |at: DVec2| if inside(at) { surface(&on_row, at) } else { None };
+            let seen = |at: DVec2| if inside(at) { surface(blocks.at(at), at) } else { None };
             (0..columns).map(|column| seen(DVec2::new(x[0] + column as f64 + 0.5, y))).collect()
         })
         .collect();
@@ -169,28 +171,57 @@ fn surface<'a>(splats: &[&'a Splat], point: DVec2) -> Option<&'a Splat> {
     best.1
 }
 
-/// Whether a splat may show on a row: the height of the ellipse where α is 1/255, a little more.
-fn reaches(splat: &Splat, y: f64) -> bool {
-    let reach = 2.0 * (splat.opacity / ALPHA_MIN).ln().max(0.0) * splat.covariance[2];
-    (y - splat.mean.y).abs() <= reach.sqrt() + 1e-6
-}
-
-/// Everything that may be seen, front to back, as the f64 reference draws it.
-fn splats(view: &View<'_>) -> Result<Vec<Splat>> {
+/// What may be seen between two pixels, front to back, as the f64 reference draws it.
+fn splats(view: &View<'_>, corners: [DVec2; 2]) -> Result<Vec<Splat>> {
     let View { scene, camera, time, hidden } = *view;
-    let parameters = Parameters::from(&scene.gaussians);
-    parameters.check()?;
-    let placed = place_scene(scene, time, MotionSource::Auto)?;
     let near = ReferenceOptions::default().near;
-    let mut splats: Vec<Splat> = (0..scene.gaussians.len())
+    let found = candidates(view, corners, near)?;
+    let part = found.as_ref().map(|indices| rows::part(scene, indices));
+    let drawn = part.as_ref().unwrap_or(scene);
+    let number = |k: usize| found.as_ref().map_or(k, |indices| indices[k]);
+    let parameters = Parameters::from(&drawn.gaussians);
+    let placed = place_scene(drawn, time, MotionSource::Auto)?;
+    let mut splats: Vec<Splat> = (0..drawn.gaussians.len())
         .into_par_iter()
-        .filter(|&i| !hidden.is_some_and(|hidden| hidden[i]))
-        .filter(|&i| scene.gaussians.is_valid(i, &mut Rejected::default()))
-        .filter_map(|i| {
-            let place = (placed.mean[i], placed.rotation[i], placed.scale[i]);
-            project(&parameters, i, place, placed.opacity[i], camera, near)
+        .filter(|&k| !hidden.is_some_and(|hidden| hidden[number(k)]))
+        .filter(|&k| drawn.gaussians.is_valid(k, &mut Rejected::default()))
+        .filter_map(|k| {
+            let place = (placed.mean[k], placed.rotation[k], placed.scale[k]);
+            let splat = project(&parameters, k, place, placed.opacity[k], camera, near)?;
+            Some(Splat { index: number(k), ..splat })
         })
         .collect();
     splats.par_sort_by(|a, b| a.depth.total_cmp(&b.depth).then(a.index.cmp(&b.index)));
     Ok(splats)
+}
+
+/// Gaussians that may show between two pixels: most are far from them. `None`: all, where a network says how large they are.
+/// The ellipse of one is never longer than its largest deviation seen at its depth, aside by at most the clamped tangents.
+fn candidates(view: &View<'_>, [low, high]: [DVec2; 2], near: f64) -> Result<Option<Vec<usize>>> {
+    let View { scene, camera: c, time, .. } = *view;
+    let g = &scene.gaussians;
+    Parameters::from(g).check()?;
+    let is_plain = matches!(scene.deformation, Deformation::None | Deformation::Superpoints(_));
+    if !is_plain || scene.deformation.changes_scales() || scene.deformation.nonrigid().is_some() {
+        return Ok(None);
+    }
+    let aside = 1.3 * 0.5 * DVec2::new(f64::from(c.width) / c.fx, f64::from(c.height) / c.fy);
+    let focal = c.fx.abs().max(c.fy.abs());
+    // Centres away from the middle of the image only make it wider.
+    let aside = aside + DVec2::new(c.cx / c.fx, c.cy / c.fy).abs() * 1.3;
+    let stretch = focal * (1.0 + aside.length_squared()).sqrt();
+    let most = (2.0 * ALPHA_MIN.recip().ln()).sqrt();
+    let may_show = |i: usize, x: DVec3| {
+        let x = c.rotation * (x - c.position);
+        if x.z <= 0.99 * near {
+            return false;
+        }
+        let size = f64::from(g.log_scale[i].into_iter().fold(f32::NEG_INFINITY, f32::max)).exp();
+        let reach = most * (size * stretch / x.z + 1.0) + 1.0;
+        let at = DVec2::new(c.fx * x.x / x.z + c.cx, c.fy * x.y / x.z + c.cy);
+        // What has no place is left to the reference.
+        !(at.cmplt(low - reach).any() || at.cmpgt(high + reach).any())
+    };
+    let all = centers(scene, time)?;
+    Ok(Some(all.into_par_iter().enumerate().filter(|(i, x)| may_show(*i, *x)).map(|(i, _)| i).collect()))
 }
