@@ -43,6 +43,7 @@ pub mod commands {
 
 pub mod viewer {
     //! [drivers]: super::drivers
+    //! [editing]: super::editing
     //! [video]: super::video
     #![doc = include_str!("../docs/viewer.md")]
 }

@@ -173,9 +173,13 @@ fn surface<'a>(splats: &[&'a Splat], point: DVec2) -> Option<&'a Splat> {
 
 /// What may be seen between two pixels, front to back, as the f64 reference draws it.
 fn splats(view: &View<'_>, corners: [DVec2; 2]) -> Result<Vec<Splat>> {
+    splats_of(view, candidates(view, corners, ReferenceOptions::default().near)?)
+}
+
+/// The same of these Gaussians, in order; `None`: of all.
+fn splats_of(view: &View<'_>, found: Option<Vec<usize>>) -> Result<Vec<Splat>> {
     let View { scene, camera, time, hidden } = *view;
     let near = ReferenceOptions::default().near;
-    let found = candidates(view, corners, near)?;
     let part = found.as_ref().map(|indices| rows::part(scene, indices));
     let drawn = part.as_ref().unwrap_or(scene);
     let number = |k: usize| found.as_ref().map_or(k, |indices| indices[k]);
@@ -224,4 +228,48 @@ fn candidates(view: &View<'_>, [low, high]: [DVec2; 2], near: f64) -> Result<Opt
     };
     let all = centers(scene, time)?;
     Ok(Some(all.into_par_iter().enumerate().filter(|(i, x)| may_show(*i, *x)).map(|(i, _)| i).collect()))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+    use super::*;
+    use crate::scene::synthetic::{moving_scene, random_scene};
+
+    /// Everything that reaches an area when all are projected is among what is projected for it.
+    #[test]
+    fn what_is_left_out_of_a_pick_does_not_reach_it() {
+        let mut giants = random_scene(2000, 9, 0);
+        giants.gaussians.log_scale.iter_mut().flatten().enumerate().for_each(|(k, s)| *s += (k % 5) as f32 - 2.5);
+        let (mut compared, mut left_out) = (0, 0);
+        for (seed, scene) in [giants, moving_scene(2000, 9, 5, 4, false)].iter().enumerate() {
+            for eye in [DVec3::new(0.3, -0.2, -4.0), DVec3::new(0.1, 0.2, 0.3), DVec3::new(1.5, 0.5, 0.9)] {
+                let mut camera = Camera::look_at(eye, DVec3::new(0.2, 0.1, 0.5), DVec3::NEG_Y, 1.1, [200, 120]);
+                (camera.cx, camera.fy) = (camera.cx + 60.0 * seed as f64, 0.7 * camera.fy);
+                let view = View { scene, camera: &camera, time: 0.3, hidden: None };
+                let all = splats_of(&view, None).unwrap();
+                for [low, high] in
+                    [[[0.0, 0.0], [9.0, 8.0]], [[100.5, 60.5], [100.5, 60.5]], [[150.0, 20.0], [200.0, 90.0]]]
+                {
+                    let [low, high] = [low, high].map(DVec2::from_array);
+                    let kept = splats(&view, [low, high]).unwrap();
+                    let reaches = |s: &&Splat| {
+                        let level = 2.0 * (s.opacity / ALPHA_MIN).ln().max(0.0);
+                        let reach = DVec2::new((level * s.covariance[0]).sqrt(), (level * s.covariance[2]).sqrt());
+                        !(s.mean.cmplt(low - reach).any() || s.mean.cmpgt(high + reach).any())
+                    };
+                    for splat in all.iter().filter(reaches) {
+                        let found = kept
+                            .iter()
+                            .find(|s| s.index == splat.index)
+                            .unwrap_or_else(|| panic!("{splat:?} reaches {low}..{high} from {eye} and is left out"));
+                        assert_eq!((found.mean, found.depth), (splat.mean, splat.depth));
+                        compared += 1;
+                    }
+                    left_out += all.len() - kept.len();
+                }
+            }
+        }
+        assert!(compared > 500 && left_out > 5000, "{compared} compared, {left_out} left out");
+    }
 }
