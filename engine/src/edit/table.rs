@@ -61,16 +61,22 @@ pub(crate) fn corners(scene: &Scene, part: &[usize]) -> Vec<Vec<DVec3>> {
     let Some(s) = scene.deformation.superpoint_deformation() else { return Vec::new() };
     let mut place = vec![usize::MAX; s.superpoints.position.len()];
     part.iter().enumerate().for_each(|(k, &j)| place[j] = k);
-    let mut boxes = vec![(DVec3::INFINITY, DVec3::NEG_INFINITY); part.len()];
     let g = &scene.gaussians;
-    for i in 0..g.len() {
+    let nothing = || vec![(DVec3::INFINITY, DVec3::NEG_INFINITY); part.len()];
+    let with = |mut boxes: Vec<(DVec3, DVec3)>, i: usize| {
         let mean = DVec3::from_array(g.mean[i].map(f64::from));
         let reach = 2.0 * g.log_scale[i].map(f64::from).into_iter().fold(f64::NEG_INFINITY, f64::max).exp();
         for (j, _) in s.slots(i).filter(|(j, _)| place[*j] != usize::MAX) {
             let (low, high) = &mut boxes[place[j]];
             (*low, *high) = (low.min(mean - reach), high.max(mean + reach));
         }
-    }
+        boxes
+    };
+    let both = |mut a: Vec<(DVec3, DVec3)>, b: Vec<(DVec3, DVec3)>| {
+        a.iter_mut().zip(b).for_each(|(a, b)| *a = (a.0.min(b.0), a.1.max(b.1)));
+        a
+    };
+    let boxes = (0..g.len()).into_par_iter().with_min_len(4096).fold(nothing, with).reduce(nothing, both);
     let eight = |(low, high): (DVec3, DVec3)| {
         let corner = |k: usize| DVec3::select(glam::BVec3::new(k & 1 > 0, k & 2 > 0, k & 4 > 0), high, low);
         if low.x <= high.x { (0..8).map(corner).collect() } else { Vec::new() }

@@ -1,6 +1,7 @@
 //! Gaussians under an affine map: nodes of a scene graph, files with other axes.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
+use multiversion::multiversion;
 use rayon::prelude::*;
 
 use super::codec::unit;
@@ -121,23 +122,37 @@ pub(crate) fn turn_colors(g: &mut Gaussians, m: DMat3, is_turned: impl Fn(usize)
             }
         }
     }
-    g.sh.par_chunks_exact_mut(k3).enumerate().filter(|(i, _)| is_turned(*i)).for_each(|(_, sh)| {
-        // Four numbers each, of which the last is 0: they fit registers.
-        let mut old = [[0.0; 4]; 16];
-        for (old, now) in old.iter_mut().zip(sh.as_chunks::<3>().0) {
-            *old = [f64::from(now[0]), f64::from(now[1]), f64::from(now[2]), 0.0];
+    let rows = g.sh.par_chunks_exact_mut(k3).enumerate().filter(|(i, _)| is_turned(*i));
+    rows.for_each(|(_, sh)| turn_row(sh, &matrix, degree as usize));
+}
+
+/// Turns the bands of one Gaussian. No multiplication is fused with an addition, so every processor makes the same bits.
+#[multiversion(targets("x86_64+avx2"))]
+fn turn_row(sh: &mut [f32], matrix: &[[f64; 16]; 16], degree: usize) {
+    // Four numbers each, of which the last is 0: they fit registers.
+    let mut old = [[0.0; 4]; 16];
+    for (old, now) in old.iter_mut().zip(sh.as_chunks::<3>().0) {
+        *old = [f64::from(now[0]), f64::from(now[1]), f64::from(now[2]), 0.0];
+    }
+    turn_band::<1, 3>(sh, &old, matrix);
+    if degree > 1 {
+        turn_band::<4, 5>(sh, &old, matrix);
+    }
+    if degree > 2 {
+        turn_band::<9, 7>(sh, &old, matrix);
+    }
+}
+
+/// The `COUNT` coefficients from `FIRST` on; loops of a known length are unrolled.
+#[inline(always)]
+fn turn_band<const FIRST: usize, const COUNT: usize>(sh: &mut [f32], old: &[[f64; 4]; 16], matrix: &[[f64; 16]; 16]) {
+    for k in FIRST..FIRST + COUNT {
+        let mut sum = [0.0; 4];
+        for j in FIRST..FIRST + COUNT {
+            (0..4).for_each(|c| sum[c] += matrix[k][j] * old[j][c]);
         }
-        for band in 1..=degree as usize {
-            let inside = band * band..(band + 1) * (band + 1);
-            for k in inside.clone() {
-                let mut sum = [0.0; 4];
-                for (old, share) in old[inside.clone()].iter().zip(&matrix[k][inside.clone()]) {
-                    sum.iter_mut().zip(old).for_each(|(sum, old)| *sum += share * old);
-                }
-                (0..3).for_each(|c| sh[3 * k + c] = sum[c] as f32);
-            }
-        }
-    });
+        (0..3).for_each(|c| sh[3 * k + c] = sum[c] as f32);
+    }
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use std::borrow::Borrow;
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use crate::scene::Camera;
 
@@ -72,7 +72,7 @@ fn image_distance(c: &Camera, one: DVec3, two: DVec3, near: f64) -> Option<f64> 
     let (p, q) = (pixel(c, one, near), pixel(c, two, near));
     let shows = [p, q].into_iter().flatten().any(|p| is_inside(c, p));
     shows.then(|| match (p, q) {
-        (Some(p), Some(q)) => (p.0 - q.0).hypot(p.1 - q.1),
+        (Some(p), Some(q)) => DVec2::new(p.0 - q.0, p.1 - q.1).length(),
         // One of them is behind the camera and has no place in its image.
         _ => turned_distance(c, one, two, near),
     })
