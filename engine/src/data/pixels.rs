@@ -28,6 +28,14 @@ impl Pixels {
         4 * self.rgba.len() as u64
     }
 
+    /// An image in 8 bits a channel; what is behind the scene is in its colours, so it is opaque.
+    pub fn opaque(image: &Image) -> Self {
+        let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
+        let pixel = |p: &[f32; 4]| u32::from_le_bytes([byte(p[0]), byte(p[1]), byte(p[2]), 255]);
+        let rgba = image.rgba.as_chunks().0.iter().map(pixel).collect();
+        Self { width: image.width, height: image.height, rgba }
+    }
+
     /// The picture over a background, A kept.
     pub fn over(&self, background: [f32; 3]) -> Image {
         let pixel = |p: &u32| {

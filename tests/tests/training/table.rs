@@ -3,7 +3,6 @@
 use engine::data::pixels::Pixels;
 use engine::distill::{Lessons, TuneOptions, Tuned, tune};
 use engine::gpu::Gpu;
-use engine::image::Image;
 use engine::metrics::psnr::psnr_8bit;
 use engine::reference::place_scene;
 use engine::render::{RenderOptions, Renderer};
@@ -46,15 +45,9 @@ fn disturbed(teacher: &Scene) -> Scene {
     scene
 }
 
-fn opaque(image: &Image) -> Pixels {
-    let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u32;
-    let word = |p: &[f32]| byte(p[0]) | byte(p[1]) << 8 | byte(p[2]) << 16 | 255 << 24;
-    Pixels { width: image.width, height: image.height, rgba: image.rgba.chunks_exact(4).map(word).collect() }
-}
-
 fn tuned(gpu: &Gpu, teacher: &Scene, student: &Scene, iterations: u64, seed: u64) -> engine::Result<Tuned> {
     let mut renderer = Renderer::new(gpu, teacher, &RenderOptions::default()).unwrap();
-    let mut draw = |camera: &Camera| Ok(opaque(&renderer.render(camera, camera.time)?));
+    let mut draw = |camera: &Camera| Ok(Pixels::opaque(&renderer.render(camera, camera.time)?));
     let lessons = Lessons { photos: Vec::new(), cameras: cameras(), times: teacher.time_range(), draw: &mut draw };
     let views = Views { cameras: cameras(), near: 0.2, everywhere: true };
     let options = TuneOptions { iterations, seed, background: [0.0; 3], near: 0.2, rate_px: Some([0.05, 0.005]) };

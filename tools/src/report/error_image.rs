@@ -33,7 +33,8 @@ pub fn absolute(reference: &Planes, test: &Planes) -> Image {
 
 /// Errors in grey, [`GAIN`] times, as bright as [`absolute`] shows them.
 pub fn gained(error: &[f32], [width, height]: [u32; 2]) -> Image {
-    let rgba = error.iter().flat_map(|e| [[GAIN as f32 * e; 3].as_slice(), &[1.0]].concat()).collect();
+    let grey = |e: &f32| GAIN as f32 * e;
+    let rgba = error.iter().map(grey).flat_map(|v| [v, v, v, 1.0]).collect();
     Image { width, height, rgba, depth: Vec::new() }
 }
 

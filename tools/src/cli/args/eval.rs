@@ -40,7 +40,7 @@ pub struct EvalArgs {
     #[arg(long)]
     pub masks: bool,
     /// Also say how far off each pixel may be, by what the training views show of each Gaussian, and how well that foretells
-    /// the true error; with --out also NNNNN_expected.png, in the colours and gain of NNNNN_error.png's brightness
+    /// the true error; with --out also NNNNN_expected.png, as bright as NNNNN_error.png
     #[arg(long)]
     pub confidence: bool,
     /// Where the results go

@@ -7,7 +7,6 @@ use engine::data::pixels::Pixels;
 use engine::distill::{self, Displacement, Distilled, Lessons, TuneOptions};
 use engine::error::{Error, Result};
 use engine::gpu::Gpu;
-use engine::image::Image;
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::{Camera, Scene};
 use serde::Serialize;
@@ -102,7 +101,7 @@ impl Task<'_> {
         let photos = if on == TuneOn::Teacher { Vec::new() } else { photos };
         let Taught { moments, views, options, .. } = self.taught;
         let mut renderer = Renderer::new(self.gpu, moments.scene(), options)?;
-        let mut draw = |camera: &Camera| Ok(opaque(&renderer.render(camera, camera.time)?));
+        let mut draw = |camera: &Camera| Ok(Pixels::opaque(&renderer.render(camera, camera.time)?));
         let lessons = Lessons { photos, cameras, times: moments.scene().time_range(), draw: &mut draw };
         let (background, near) = (options.background, options.near);
         let how = TuneOptions { iterations, seed: args.seed, background, near, rate_px: None };
@@ -115,7 +114,7 @@ impl Task<'_> {
         let seconds = begin.elapsed().as_secs_f64();
         let displacement = fitted.yardstick.measure(&tuned.scene, views)?;
         let [before, after] = [&fitted.scene, &tuned.scene].map(|scene| self.scores(scene));
-        let ([a, before], [b, after]) = (before?, after?);
+        let ((a, before), (b, after)) = (before?, after?);
         let pair = |k: usize| Some([before?[k], after?[k]]);
         let tuning = Tuning {
             iterations,
@@ -125,7 +124,7 @@ impl Task<'_> {
             loss: tuned.loss,
             within_bound: displacement.is_within(),
             displacement,
-            teacher_psnr: [a, b].map(|psnr| psnr.map(|p| p[0])),
+            teacher_psnr: [a, b],
             photo_psnr: pair(0),
             photo_ssim: pair(1),
             seconds,
@@ -134,12 +133,12 @@ impl Task<'_> {
     }
 
     /// Against the teacher (PSNR), and against photos (PSNR, SSIM).
-    fn scores(&self, student: &Scene) -> Result<[Option<[f64; 2]>; 2]> {
+    fn scores(&self, student: &Scene) -> Result<(Option<f64>, Option<[f64; 2]>)> {
         let Taught { moments, options, .. } = self.taught;
         let teacher = compare::psnr(self.gpu, moments, student, self.compared, options)?;
         let auto = RenderOptions { motion: engine::scene::MotionSource::Auto, ..options.clone() };
         let photos = self.held.map(|held| held.score(self.gpu, student, &auto, &mut |_| {})).transpose()?;
-        Ok([teacher.map(|psnr| [psnr, 0.0]), photos])
+        Ok((teacher, photos))
     }
 
     /// Those of the photos, or of the views around the scene at half their size.
@@ -171,12 +170,4 @@ fn chosen(args: &DistillArgs, photos: &[View]) -> Result<TuneOn> {
         }
         on => Ok(on),
     }
-}
-
-/// 8 bits a channel; what is behind the scene is in the colours.
-fn opaque(image: &Image) -> Pixels {
-    let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u32;
-    let pixel = |p: &[f32; 4]| byte(p[0]) | byte(p[1]) << 8 | byte(p[2]) << 16 | 255 << 24;
-    let rgba = image.rgba.as_chunks().0.iter().map(pixel).collect();
-    Pixels { width: image.width, height: image.height, rgba }
 }

@@ -75,13 +75,16 @@ impl Keys {
     /// Of a table.
     ///
     /// # Errors
-    /// `Usage` for another number of superpoints, or no key.
+    /// `Usage` for another number of superpoints, no key, or a rate that is not above 0.
     pub(in crate::train) fn new(table: &Motion, options: KeyOptions) -> Result<Self> {
         let (m, count) = (options.center.len(), table.rotation.len());
         let lengths = [options.reach.len(), options.unit.len(), table.superpoint_count()];
         if m == 0 || table.times.is_empty() || lengths != [m; 3] || count != table.times.len() * m {
             let found = format!("{count} poses of {} key times, {lengths:?} and {m} superpoints", table.times.len());
             return Err(Error::usage("key poses to train", found, "as many of each, at least one"));
+        }
+        if !options.rate_px.iter().all(|rate| rate.is_finite() && *rate > 0.0) {
+            return Err(Error::usage("rate of key poses", format!("{:?} pixels", options.rate_px), "two above 0"));
         }
         let vector = |v: &[f32; 3]| DVec3::from_array(v.map(f64::from));
         let key = |(at, (r, t)): (usize, (&[f32; 3], &[f32; 3]))| {
@@ -364,5 +367,6 @@ mod tests {
         assert!(Keys::new(&motion, options(3)).is_err());
         assert!(Keys::new(&motion, KeyOptions { unit: vec![1.0], ..options(2) }).is_err());
         assert!(Keys::new(&Motion::default(), options(2)).is_err());
+        assert!(Keys::new(&motion, KeyOptions { rate_px: [0.0, 0.1], ..options(2) }).is_err());
     }
 }
