@@ -83,11 +83,35 @@ impl Evidence {
         Ok(())
     }
 
+    /// `Usage` unless it is about as many Gaussians as the scene has.
+    pub(super) fn check(&self, scene: &Scene) -> Result<()> {
+        let [n, own] = [scene.gaussians.len(), self.visibility.len()];
+        if own != n || self.error.len() != n {
+            return Err(Error::usage("evidence", format!("of {own} Gaussians"), format!("{n} Gaussians")));
+        }
+        Ok(())
+    }
+
     /// `[N]` the error to expect of each Gaussian, and of what is behind all.
-    fn expected(&self) -> (Vec<f64>, f64) {
+    pub fn expected(&self) -> (Vec<f64>, f64) {
         let of = |seen: f64, error: f64| (error + PRIOR_PIXELS * PRIOR_ERROR) / (seen + PRIOR_PIXELS);
         let each = self.visibility.iter().zip(&self.error).map(|(v, e)| of(*v, *e));
         (each.collect(), of(self.background[0], self.background[1]))
+    }
+
+    /// The scene with the error to expect for r, g and b, and the options with the background's: what it renders to is the
+    /// expected error of each pixel.
+    ///
+    /// # Errors
+    /// `Usage` for evidence of another number of Gaussians.
+    pub fn scene(&self, scene: &Scene, options: &RenderOptions) -> Result<(Scene, RenderOptions)> {
+        self.check(scene)?;
+        let (each, behind) = self.expected();
+        let color = |error: f64| ((error - 0.5) / SH_C0) as f32;
+        let sh = each.iter().flat_map(|s| [color(*s); 3]).collect();
+        let gaussians = Gaussians { sh, sh_degree: 0, ..scene.gaussians.clone() };
+        let options = RenderOptions { background: [behind as f32; 3], ..options.clone() };
+        Ok((Scene { gaussians, ..scene.clone() }, options))
     }
 }
 
@@ -117,21 +141,12 @@ pub struct Confidence {
 }
 
 impl Confidence {
-    /// The scene with expected errors for colours.
+    /// A renderer of [`Evidence::scene`].
     ///
     /// # Errors
-    /// `Usage` for evidence of another number of Gaussians; as [`Renderer::new`].
+    /// As [`Evidence::scene`] and [`Renderer::new`].
     pub fn new(gpu: &Gpu, scene: &Scene, options: &RenderOptions, evidence: &Evidence) -> Result<Self> {
-        let g = &scene.gaussians;
-        if evidence.visibility.len() != g.len() {
-            let found = format!("of {} Gaussians", evidence.visibility.len());
-            return Err(Error::usage("evidence", found, format!("{} Gaussians", g.len())));
-        }
-        let (each, behind) = evidence.expected();
-        let color = |error: f64| ((error - 0.5) / SH_C0) as f32;
-        let gaussians = Gaussians { sh: each.iter().flat_map(|s| [color(*s); 3]).collect(), sh_degree: 0, ..g.clone() };
-        let scene = Scene { gaussians, ..scene.clone() };
-        let options = RenderOptions { background: [behind as f32; 3], ..options.clone() };
+        let (scene, options) = evidence.scene(scene, options)?;
         Ok(Self { renderer: Renderer::new(gpu, &scene, &options)? })
     }
 

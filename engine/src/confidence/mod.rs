@@ -12,6 +12,7 @@
 
 mod contribution;
 mod evidence;
+mod file;
 mod rank;
 
 pub use contribution::Contributions;

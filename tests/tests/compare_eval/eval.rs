@@ -43,7 +43,8 @@ fn scores_are_those_of_the_pictures_it_writes() {
         "lego",
         "--confidence",
     ];
-    let printed = ok(&arguments);
+    let kept = folder.path().join("confidence.safetensors");
+    let printed = ok(&[&arguments[..], &["--save-confidence", text(&kept)]].concat());
     let e = read(&json);
     let images = e["images"].as_array().unwrap();
     assert_eq!(images.len(), 3);
@@ -79,7 +80,29 @@ fn scores_are_those_of_the_pictures_it_writes() {
         assert!(page.contains(part), "{part}");
     }
     assert!(!page.contains("src=\"http") && !page.contains("href="), "loads something");
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 4, "nothing but what was asked for");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 5, "nothing but what was asked for");
+
+    // The same errors from the file.
+    let (model, sure) = (folder.path().join("model.safetensors"), folder.path().join("sure"));
+    let cameras = ["--cameras", text(posed.path()), "--split", "test", "--confidence", text(&kept)];
+    let rendered = [&["render", text(&model)][..], &cameras, &["--out", text(&sure)]].concat();
+    ok(&rendered);
+    ok(&[&rendered[..], &["--format", "exr"]].concat());
+    for i in 0..3 {
+        let [of_eval, of_render] = [out.join(format!("{i:05}_expected.png")), sure.join(format!("{i:05}.png"))]
+            .map(|p| files::read(&p).unwrap());
+        let apart = of_eval.rgba.iter().zip(&of_render.rgba).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(of_eval.rgba.len() == of_render.rgba.len() && apart < 1.5 / 255.0, "view {i}: {apart}");
+        let exact = files::read(&sure.join(format!("{i:05}.exr"))).unwrap();
+        let mean = exact.rgba.chunks_exact(4).map(|p| f64::from(p[0])).sum::<f64>() / (172.0 * 164.0);
+        let expected = e["confidence"]["images"][i]["expected_error"].as_f64().unwrap();
+        assert!((mean - expected).abs() < 1e-4, "{mean}, {expected}");
+    }
+    let other = folder.path().join("other.safetensors");
+    engine::file::save(&other, &engine::scene::synthetic::random_scene(50, 1, 0)).unwrap();
+    let line =
+        bad_data(&[&["render", text(&other)][..], &cameras, &["--out", text(&folder.path().join("none"))]].concat());
+    assert!(line.contains("another model") && !folder.path().join("none").exists(), "{line}");
 }
 
 #[test]

@@ -2,10 +2,11 @@
 
 use std::time::Duration;
 
+use engine::confidence::Evidence;
 use engine::file;
 use engine::scene::synthetic;
 
-use crate::desktop::{Desktop, Window, spgs};
+use crate::desktop::{Desktop, Window, difference, spgs};
 use crate::window::moving_model;
 
 #[test]
@@ -69,4 +70,42 @@ fn a_window_without_a_model_and_one_with_a_network_end_after_their_frames() {
     let out = run(&[table, "--motion", "network"]);
     let text = String::from_utf8_lossy(&out.stderr);
     assert!(out.status.code() == Some(2) && text.contains("no network F"), "{text}");
+}
+
+#[test]
+fn expected_errors_are_shown_until_the_model_is_another() {
+    let folder = tempfile::tempdir().unwrap();
+    let desktop = Desktop::new(1100, 760);
+    let model = moving_model(folder.path(), 500);
+    let scene = file::load(&model).unwrap().scene;
+    let n = scene.gaussians.len();
+    // Expected are 0.2 where Gaussians are and 0.05 behind, 4 times as bright.
+    let evidence = Evidence { visibility: vec![1e9; n], error: vec![0.2e9; n], background: [1e9, 0.05e9] };
+    let file = folder.path().join("confidence.safetensors");
+    evidence.write(&file, &scene).unwrap();
+    let more = ["--size", "1000x700", "--pause", "--time", "0.3", "--confidence", file.to_str().unwrap()];
+    let mut window = Window::open(&desktop, &model, &folder.path().join("out"), &more);
+    let first = window.picture();
+    window.key("6");
+    let errors = window.picture();
+    desktop.capture().keep("expected_error");
+    assert!(errors.pixels().all(|p| p[0] == p[1] && p[1] == p[2]), "grey");
+    let [least, most] = [errors.as_raw().iter().min().unwrap(), errors.as_raw().iter().max().unwrap()];
+    assert!(least.abs_diff(51) <= 1 && (180..=205).contains(most), "{least} to {most}");
+    window.key("1");
+    assert_eq!(difference(&first, &window.picture()), 0.0);
+    // Of what is edited nothing is known.
+    window.key("6");
+    window.key("ctrl+e");
+    window.tool(&["mousemove", "370", "330", "click", "1"]);
+    window.key("Delete");
+    window.wait("colours", |w| w.picture().pixels().any(|p| p[0] != p[1]));
+    assert_eq!(window.quit()["validation_messages"], 0);
+
+    let other = folder.path().join("other.safetensors");
+    file::save(&other, &synthetic::moving_scene(500, 12, 9, 4, false)).unwrap();
+    let arguments = ["view", other.to_str().unwrap(), "--frames", "3", "--confidence", file.to_str().unwrap()];
+    let out = spgs(&arguments).env("DISPLAY", desktop.display()).output().unwrap();
+    let text = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.code() == Some(3) && text.contains("another model"), "{:?}: {text}", out.status);
 }

@@ -46,6 +46,9 @@ pub fn run(args: &EvalArgs, global: &Global) -> Result<()> {
     })?;
     let seconds = begin.elapsed().as_secs_f64();
     bar.finish_and_clear();
+    if let (Some(path), Some(foretold)) = (&args.save_confidence, &foretold) {
+        foretold.evidence.write(path, &loaded.scene)?;
+    }
     let confidence = foretold.map(Foretold::summary);
     let evaluation = Evaluation { confidence, ..summarise(views, flicker, &setting, &weights)? };
     let record = record(args, &gpu, &loaded.scene, &setting, &evaluation, seconds)?;

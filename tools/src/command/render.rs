@@ -3,9 +3,11 @@
 mod plan;
 mod video;
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use engine::confidence::Evidence;
 use engine::data::CameraSet;
 use engine::error::{Error, Result};
 use engine::image::Image;
@@ -17,6 +19,7 @@ use crate::cli::args::{Format, Global, PathArg, RenderArgs};
 use crate::cli::interrupt::{self, Interrupt};
 use crate::cli::{camera, gpu_session, model, output, progress};
 use crate::report::average::{Mean, reduced};
+use crate::report::error_image;
 use crate::report::files::create_folder;
 use plan::Picture;
 use video::Encoder;
@@ -71,7 +74,13 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
         quality: args.quality.chosen(),
         ..RenderOptions::default()
     };
-    let mut renderer = Renderer::new(&gpu, &loaded.scene, &options)?;
+    let mut renderer = match &args.confidence {
+        Some(path) => {
+            let (scene, options) = Evidence::read(path, &loaded.scene)?.scene(&loaded.scene, &options)?;
+            Renderer::new(&gpu, &scene, &options)?
+        }
+        None => Renderer::new(&gpu, &loaded.scene, &options)?,
+    };
     let places = places(args);
     if let Some(folder) = &places.folder {
         create_folder(folder)?;
@@ -94,7 +103,10 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
         let render_ms = begin.elapsed().as_secs_f64() * 1e3;
         let file = places.folder.as_ref().map(|f| f.join(format!("{:05}.{}", picture.index, args.format.extension())));
         if let Some(file) = &file {
-            args.format.write(file, &image)?;
+            match args.format {
+                Format::Exr => args.format.write(file, &image)?,
+                Format::Png => args.format.write(file, &in_8_bits(args, &image))?,
+            }
         }
         if interrupt.is_set() {
             break;
@@ -105,7 +117,7 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
                 Some(running) => running,
                 none => none.insert(Encoder::start(program, path, size, args.fps)?),
             };
-            match encoder.add(&image) {
+            match encoder.add(&in_8_bits(args, &image)) {
                 // The encoder hears of it as well.
                 Err(_) if interrupt.is_set() => break,
                 added => added?,
@@ -187,6 +199,15 @@ fn places(args: &RenderArgs) -> Places {
             Places { folder: Some(folder), video: None }
         }
     }
+}
+
+/// The image as 8 bits show it: expected errors are as bright as other errors are, and opaque, as the background has one too.
+fn in_8_bits<'a>(args: &RenderArgs, image: &'a Image) -> Cow<'a, Image> {
+    if args.confidence.is_none() {
+        return Cow::Borrowed(image);
+    }
+    let error: Vec<f32> = image.rgba.chunks_exact(4).map(|p| p[0]).collect();
+    Cow::Owned(error_image::gained(&error, [image.width, image.height]))
 }
 
 /// Draws a picture: the mean of its sub-frames, each the mean of its samples.

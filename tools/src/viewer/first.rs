@@ -47,6 +47,7 @@ pub(super) fn first_state(args: &ViewerArgs) -> Result<State> {
         selection: None,
         edit: EditMode::default(),
         extent: (glam::DVec3::ZERO, 1.0),
+        has_confidence: false,
         cameras,
         camera: None,
         requests: Vec::new(),

@@ -109,6 +109,8 @@ impl Gui {
         // The old one goes first: the peak is the larger of the two, not the sum.
         self.model = Model::new(&self.gpu, PathBuf::new(), Arc::default(), &state.settings)?;
         self.model = Model::new(&self.gpu, opened.path, opened.scene, &state.settings)?;
+        state.set_confidence(opened.expected.is_some());
+        self.model.expect(opened.expected);
         self.fresh = true;
         self.count();
         state.extent = (self.model.center, self.model.radius);
@@ -125,6 +127,8 @@ impl Gui {
         // The old one goes first: the peak is the larger of the two, not the sum.
         self.model = Model::new(&self.gpu, PathBuf::new(), Arc::default(), &state.settings)?;
         self.model = Model::new(&self.gpu, path, scene, &state.settings)?;
+        // Edited Gaussians are not those that training views were compared with.
+        state.set_confidence(false);
         self.fresh = true;
         self.count();
         let playing = state.timeline.playing;

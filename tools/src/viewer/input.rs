@@ -39,7 +39,7 @@ pub(super) const BINDINGS: [(&str, &[Binding]); 4] = [
     (
         "Show",
         &[
-            binding("1 2 3 4 5", "colour, depth, opacity, tiles, superpoints"),
+            binding("1 2 3 4 5 6", "colour, depth, opacity, tiles, superpoints, expected error"),
             binding("C  P  K", "superpoint centres, their paths, camera frusta"),
             binding("Click, Esc", "select a Gaussian's superpoint / nothing"),
             binding("B", "background"),
@@ -184,6 +184,7 @@ pub(super) fn press(key: Key, modifiers: Modifiers, state: &mut State) {
         Key::Num3 => settings.show = Show::Opacity,
         Key::Num4 => settings.show = Show::Tiles,
         Key::Num5 => settings.show = Show::Superpoints,
+        Key::Num6 => state.show_expected_error(),
         Key::C => settings.centers = !settings.centers,
         Key::P => settings.paths = !settings.paths,
         Key::K => settings.frusta = !settings.frusta,

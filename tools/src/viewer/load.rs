@@ -5,12 +5,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime};
 
+use engine::confidence::Evidence;
 use engine::error::{Error, Result};
 use engine::scene::Scene;
 use engine::train::checkpoint::Checkpoint;
 use winit::event_loop::EventLoopProxy;
 
+use super::model::Expected;
 use crate::cli::model;
+use crate::report::error_image::GAIN;
 
 /// How often a folder is looked at.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
@@ -22,12 +25,23 @@ pub(super) struct Opened {
     pub(super) path: PathBuf,
     /// A device that takes the place of a lost one gets the same.
     pub(super) scene: Arc<Scene>,
+    /// How far off its images may be, if that is known.
+    pub(super) expected: Option<Arc<Expected>>,
     /// What the user should know.
     pub(super) messages: Vec<String>,
     /// Colour that the run was trained on.
     pub(super) background: Option<[f32; 3]>,
     /// Read again because the folder changed.
     pub(super) again: bool,
+}
+
+/// What the command line says about its model.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Extras {
+    /// Level of detail.
+    pub(super) level: Option<u32>,
+    /// File of `spgs eval --save-confidence`.
+    pub(super) confidence: Option<PathBuf>,
 }
 
 /// What comes from another thread.
@@ -37,9 +51,9 @@ pub(super) enum News {
     Failed(PathBuf, Error),
 }
 
-/// Reads `path` in a thread of its own, at this level of detail; a folder of a training run is read again whenever it changes, until
+/// Reads `path` in a thread of its own; a folder of a training run is read again whenever it changes, until
 /// the flag is set.
-pub(super) fn start(path: PathBuf, level: Option<u32>, proxy: EventLoopProxy<News>) -> Arc<AtomicBool> {
+pub(super) fn start(path: PathBuf, mut extras: Extras, proxy: EventLoopProxy<News>) -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let stopped = Arc::clone(&stop);
     std::thread::spawn(move || {
@@ -48,7 +62,7 @@ pub(super) fn start(path: PathBuf, level: Option<u32>, proxy: EventLoopProxy<New
         while !stopped.load(Ordering::Relaxed) {
             let now = newest(&path);
             if now != seen || !again {
-                let news = match open(&path, now.as_ref().map(|(p, _)| p.as_path()), level) {
+                let news = match open(&path, now.as_ref().map(|(p, _)| p.as_path()), &extras) {
                     Ok(opened) => News::Opened(Box::new(Opened { again, ..opened })),
                     // A checkpoint may be replaced while it is read; the next look finds another.
                     Err(_) if again => {
@@ -62,6 +76,8 @@ pub(super) fn start(path: PathBuf, level: Option<u32>, proxy: EventLoopProxy<New
                     return;
                 }
                 (seen, again) = (now, true);
+                // It is about the model that was there first.
+                extras.confidence = None;
             }
             std::thread::sleep(WATCH_EVERY);
         }
@@ -84,7 +100,21 @@ fn newest(path: &Path) -> Option<(PathBuf, SystemTime)> {
     all.max_by_key(|(_, time)| *time)
 }
 
-fn open(path: &Path, of_folder: Option<&Path>, level: Option<u32>) -> Result<Opened> {
+fn open(path: &Path, of_folder: Option<&Path>, extras: &Extras) -> Result<Opened> {
+    let opened = open_scene(path, of_folder, extras.level)?;
+    let read = |file| Evidence::read(file, &opened.scene).map(|evidence| Arc::new(expected(&evidence)));
+    let expected = extras.confidence.as_deref().map(read).transpose()?;
+    Ok(Opened { expected, ..opened })
+}
+
+/// Errors as bright as other images of errors show them.
+fn expected(evidence: &Evidence) -> Expected {
+    let grey = |error: f64| [(GAIN * error) as f32; 3];
+    let (each, background) = evidence.expected();
+    Expected { each: each.into_iter().map(grey).collect(), background: grey(background) }
+}
+
+fn open_scene(path: &Path, of_folder: Option<&Path>, level: Option<u32>) -> Result<Opened> {
     let file = match of_folder {
         Some(file) if level.is_none() && file.starts_with(path.join("checkpoints")) => {
             return open_checkpoint(path, file);
@@ -102,6 +132,7 @@ fn open(path: &Path, of_folder: Option<&Path>, level: Option<u32>) -> Result<Ope
     Ok(Opened {
         path: path.to_owned(),
         scene: Arc::new(loaded.scene),
+        expected: None,
         messages: loaded.warnings,
         background: None,
         again: false,
@@ -117,6 +148,7 @@ fn open_checkpoint(folder: &Path, file: &Path) -> Result<Opened> {
     Ok(Opened {
         path: folder.to_owned(),
         scene: Arc::new(scene),
+        expected: None,
         messages: vec![format!("iteration {iteration}: {count} Gaussians")],
         background: Some(background),
         again: false,
@@ -132,14 +164,14 @@ mod tests {
     fn folders_without_a_model_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         assert_eq!(newest(folder.path()), None);
-        let error = open(folder.path(), None, None).unwrap_err();
+        let error = open(folder.path(), None, &Extras::default()).unwrap_err();
         assert_eq!(error.exit_code(), 2, "{error}");
-        assert_eq!(open(&folder.path().join("none.ply"), None, None).unwrap_err().exit_code(), 3);
+        assert_eq!(open(&folder.path().join("none.ply"), None, &Extras::default()).unwrap_err().exit_code(), 3);
         let scene = engine::scene::synthetic::random_scene(5, 1, 0);
         let cloud = folder.path().join("point_cloud/iteration_7");
         std::fs::create_dir_all(&cloud).unwrap();
         engine::file::ply::write(&cloud.join("point_cloud.ply"), &scene.gaussians).unwrap();
-        assert_eq!(open(folder.path(), None, None).unwrap().scene.gaussians.len(), 5);
+        assert_eq!(open(folder.path(), None, &Extras::default()).unwrap().scene.gaussians.len(), 5);
         let model = folder.path().join("model.safetensors");
         std::fs::write(&model, b"x").unwrap();
         assert_eq!(newest(folder.path()).unwrap().0, model);

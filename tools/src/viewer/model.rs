@@ -41,6 +41,8 @@ pub(super) struct Model {
     built: (Quality, MotionSource),
     plain: Renderer,
     tinted: Option<(Tint, Renderer)>,
+    /// How far off images may be, if that is known.
+    expected: Option<Arc<Expected>>,
     /// Which of the two drew last.
     tinted_last: bool,
     marks: Option<Marks>,
@@ -55,6 +57,14 @@ struct Marks {
     drawn: bool,
 }
 
+/// How far off images may be, as colours.
+#[derive(Debug)]
+pub(super) struct Expected {
+    /// `[N]`.
+    pub(super) each: Vec<[f32; 3]>,
+    pub(super) background: [f32; 3],
+}
+
 /// What the colours mean when they are not the scene's own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Tint {
@@ -62,6 +72,8 @@ enum Tint {
     Superpoints,
     /// One superpoint in full colour, the rest faded.
     Only(u32),
+    /// The error to expect.
+    ExpectedError,
 }
 
 impl Model {
@@ -80,12 +92,23 @@ impl Model {
             built: (built_quality(settings), motion),
             plain,
             tinted: None,
+            expected: None,
             tinted_last: false,
             marks: None,
             scene,
         };
         model.paths = model.sample_paths(motion)?;
         Ok(model)
+    }
+
+    /// Says how far off its images may be.
+    pub(super) fn expect(&mut self, expected: Option<Arc<Expected>>) {
+        self.expected = expected;
+    }
+
+    /// What [`Model::expect`] said.
+    pub(super) fn expected(&self) -> Option<Arc<Expected>> {
+        self.expected.clone()
     }
 
     pub(super) fn name(&self) -> String {
@@ -149,8 +172,10 @@ impl Model {
         }
         self.draw_marks()?;
         self.tinted_last = tint.is_some();
+        let behind = self.expected.as_ref().filter(|_| tint == Some(Tint::ExpectedError));
+        let background = behind.map_or(settings.background, |e| e.background);
         let renderer = self.current();
-        renderer.set_background(settings.background);
+        renderer.set_background(background);
         renderer.set_depth(settings.show == Show::Depth);
         renderer.set_resolution(settings.resolution * share);
         Ok(renderer)
@@ -199,6 +224,7 @@ impl Model {
     fn tint(&self, settings: &Settings, selection: Option<Selection>) -> Option<Tint> {
         let selected = selection.and_then(|s| s.superpoint).map(Tint::Only);
         let wanted = match settings.show {
+            Show::ExpectedError => return self.expected.as_ref().map(|_| Tint::ExpectedError),
             Show::Superpoints => selected.or(Some(Tint::Superpoints)),
             Show::Color => selected,
             _ => None,
@@ -208,6 +234,9 @@ impl Model {
 
     /// A colour for each Gaussian.
     fn colors(&self, tint: Tint, show: Show) -> Vec<[f32; 3]> {
+        if let (Tint::ExpectedError, Some(expected)) = (tint, &self.expected) {
+            return expected.each.clone();
+        }
         let groups = self.scene.deformation.superpoint_of_gaussian();
         let g = &self.scene.gaussians;
         let k3 = g.sh_coefficients() * 3;
@@ -216,7 +245,7 @@ impl Model {
             Tint::Superpoints => superpoint_color(*group),
             Tint::Only(selected) if selected == *group && show == Show::Superpoints => superpoint_color(*group),
             Tint::Only(selected) if selected == *group => own(i).map(|v| (0.25 + v).min(1.0)),
-            Tint::Only(_) => {
+            Tint::Only(_) | Tint::ExpectedError => {
                 let [r, g, b] = own(i);
                 [0.3 * (0.25 * r + 0.5 * g + 0.25 * b); 3]
             }

@@ -192,7 +192,8 @@ fn show_section(ui: &mut Ui, state: &mut State) {
     egui::ComboBox::from_id_salt("show").width(ui.available_width()).selected_text(settings.show.name()).show_ui(
         ui,
         |ui| {
-            for (i, show) in (1..).zip(Show::ALL) {
+            let is_known = |show: Show| show != Show::ExpectedError || state.has_confidence;
+            for (i, show) in (1..).zip(Show::ALL).filter(|(_, show)| is_known(*show)) {
                 ui.selectable_value(&mut settings.show, show, format!("{}   {i}", show.name()));
             }
         },

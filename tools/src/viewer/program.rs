@@ -17,7 +17,7 @@ use winit::window::{Window, WindowId};
 use super::editing::editor::Editor;
 use super::first::first_state;
 use super::gui::{Gui, Next};
-use super::load::{News, Opened};
+use super::load::{Extras, News, Opened};
 use super::losses::Losses;
 use super::navigator::Pose;
 use super::state::State;
@@ -97,8 +97,12 @@ impl Viewer {
         self.state.loading = Some(path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned());
         self.asked = Some(path.clone());
         // What is opened later has levels of its own.
-        let level = self.args.level.filter(|_| self.args.model.as_ref() == Some(&path));
-        self.watching = Some(load::start(path, level, self.proxy.clone()));
+        let is_first = self.args.model.as_ref() == Some(&path);
+        let extras = Extras {
+            level: self.args.level.filter(|_| is_first),
+            confidence: self.args.confidence.clone().filter(|_| is_first),
+        };
+        self.watching = Some(load::start(path, extras, self.proxy.clone()));
     }
 
     fn show(&mut self, opened: Opened) -> Result<()> {

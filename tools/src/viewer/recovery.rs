@@ -11,6 +11,7 @@ use winit::window::Window;
 use super::gui::Gui;
 use super::latency::Latency;
 use super::load::Opened;
+use super::model::Expected;
 use super::program::Viewer;
 use super::record::Recording;
 
@@ -23,6 +24,7 @@ struct Shown {
     /// Empty when the model was on its way to the device.
     path: PathBuf,
     scene: Arc<Scene>,
+    expected: Option<Arc<Expected>>,
 }
 
 /// What goes on from one device to the next.
@@ -57,7 +59,7 @@ impl Viewer {
         let Some(mut gui) = self.gui.take() else { return Err(error) };
         let window = Arc::clone(&gui.window);
         let path = std::mem::take(&mut gui.model.path);
-        let shown = Shown { path, scene: Arc::clone(&gui.model.scene) };
+        let shown = Shown { path, scene: Arc::clone(&gui.model.scene), expected: gui.model.expected() };
         let mut kept = self.let_go(gui);
         loop {
             if !self.losses.note(Instant::now()) {
@@ -112,7 +114,14 @@ impl Viewer {
         }
         let (selection, editor) = (self.state.selection, self.editor.take());
         let (path, scene) = (shown.path.clone(), Arc::clone(&shown.scene));
-        let opened = Opened { path, scene, messages: Vec::new(), background: None, again: true };
+        let opened = Opened {
+            path,
+            scene,
+            expected: shown.expected.clone(),
+            messages: Vec::new(),
+            background: None,
+            again: true,
+        };
         let done = gui.set_model(opened, &mut self.state);
         (self.state.selection, self.editor) = (selection, editor);
         done?;

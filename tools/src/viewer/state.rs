@@ -38,10 +38,13 @@ pub(super) enum Show {
     Tiles,
     /// Every Gaussian in the colour of its superpoint.
     Superpoints,
+    /// How far off each pixel may be, if that is known (`--confidence`).
+    ExpectedError,
 }
 
 impl Show {
-    pub(super) const ALL: [Self; 5] = [Self::Color, Self::Depth, Self::Opacity, Self::Tiles, Self::Superpoints];
+    pub(super) const ALL: [Self; 6] =
+        [Self::Color, Self::Depth, Self::Opacity, Self::Tiles, Self::Superpoints, Self::ExpectedError];
 
     pub(super) fn name(self) -> &'static str {
         match self {
@@ -50,12 +53,13 @@ impl Show {
             Self::Opacity => "Opacity",
             Self::Tiles => "Tile heat map",
             Self::Superpoints => "Superpoints",
+            Self::ExpectedError => "Expected error",
         }
     }
 
     pub(super) fn display(self) -> DisplayMode {
         match self {
-            Self::Color | Self::Superpoints => DisplayMode::Color,
+            Self::Color | Self::Superpoints | Self::ExpectedError => DisplayMode::Color,
             Self::Depth => DisplayMode::Depth,
             Self::Opacity => DisplayMode::Opacity,
             Self::Tiles => DisplayMode::Tiles,
@@ -125,6 +129,8 @@ pub(super) struct State {
     pub(super) edit: EditMode,
     /// Centre of the scene and the radius within which most of it lies.
     pub(super) extent: (DVec3, f64),
+    /// How far off the model's images may be is known.
+    pub(super) has_confidence: bool,
     pub(super) cameras: Vec<Camera>,
     /// Which camera of the data set was gone to last.
     pub(super) camera: Option<usize>,
@@ -198,6 +204,24 @@ impl State {
         self.timeline.playing = false;
         self.navigator.glide_to(pose);
         self.camera = Some(index);
+    }
+
+    /// Shows how far off pixels may be, or says what is missing.
+    pub(super) fn show_expected_error(&mut self) {
+        if self.has_confidence {
+            self.settings.show = Show::ExpectedError;
+        } else {
+            self.say("no expected errors: start with --confidence FILE", false);
+        }
+    }
+
+    /// Another scene is shown, of which that is known or not.
+    pub(super) fn set_confidence(&mut self, is_known: bool) {
+        self.has_confidence = is_known;
+        if !is_known && self.settings.show == Show::ExpectedError {
+            self.settings.show = Show::Color;
+            self.say("no expected errors of this scene", false);
+        }
     }
 
     /// The next background.

@@ -43,6 +43,9 @@ pub struct EvalArgs {
     /// the true error; with --out also NNNNN_expected.png, as bright as NNNNN_error.png
     #[arg(long)]
     pub confidence: bool,
+    /// Also keep what --confidence found of each Gaussian, for `spgs render --confidence` and `spgs view --confidence`
+    #[arg(long, value_name = "FILE", requires = "confidence")]
+    pub save_confidence: Option<PathBuf>,
     /// Where the results go
     #[command(flatten)]
     pub results: ResultArgs,

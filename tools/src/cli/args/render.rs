@@ -65,6 +65,10 @@ pub struct RenderArgs {
     /// png: 8 bit; exr: float R, G, B, A and depth Z
     #[arg(long, value_enum, default_value_t = Format::Png)]
     pub format: Format,
+    /// Instead of colours, draw how far off each pixel may be, from what `spgs eval --save-confidence` kept: grey, png: 4 times
+    /// as bright, exr: as it is
+    #[arg(long, value_name = "FILE")]
+    pub confidence: Option<PathBuf>,
     /// Draw nothing nearer to the camera than this, world units [default: 0.2; without cameras at most a tenth of the scene's radius]
     #[arg(long, value_name = "Z", value_parser = near)]
     pub near: Option<f32>,

@@ -21,6 +21,9 @@ pub struct ViewerArgs {
     /// Part of the data set
     #[arg(long, value_name = "NAME", requires = "data")]
     pub split: Option<String>,
+    /// How far off each pixel may be (key 6): the file of `spgs eval --save-confidence` for this model
+    #[arg(long, value_name = "FILE", requires = "model")]
+    pub confidence: Option<PathBuf>,
     /// Size of the window, pixels
     #[arg(long, value_name = "WxH", default_value = "1280x800", value_parser = size)]
     pub size: [u32; 2],

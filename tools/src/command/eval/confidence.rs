@@ -48,6 +48,7 @@ pub(super) struct Summary {
 
 /// Draws and compares.
 pub(super) struct Foretold {
+    pub(super) evidence: Evidence,
     drawn: Confidence,
     training_views: usize,
     images: Vec<OfView>,
@@ -59,7 +60,7 @@ impl Foretold {
         let loader = ImageLoader::new(setting.training.clone().into(), PHOTO_BYTES, workers())?;
         let evidence = Evidence::of_views(gpu, scene, &loader, &setting.options, || bar.inc(1))?;
         let drawn = Confidence::new(gpu, scene, &setting.options, &evidence)?;
-        Ok(Self { drawn, training_views: setting.training.len(), images: Vec::new() })
+        Ok(Self { evidence, drawn, training_views: setting.training.len(), images: Vec::new() })
     }
 
     /// Compares a view; what comes back is the expected error as an image, like the error's.
