@@ -129,6 +129,14 @@ pub enum Error {
         /// The kernel or check that failed, and the difference.
         why: String,
     },
+    /// An error of a step that a text asked for, with its place there.
+    #[error("{place}: {error}")]
+    At {
+        /// File, line and column, or what else names the step.
+        place: String,
+        /// What went wrong.
+        error: Box<Error>,
+    },
     /// A kernel's SPIR-V does not match its declaration, or what it computes not its twin.
     #[error("kernel `{kernel}`: {why}")]
     Kernel {
@@ -144,6 +152,7 @@ impl Error {
     /// 1 for anything else (no device, one that fails its self-test, a failing Vulkan call).
     pub fn exit_code(&self) -> u8 {
         match self {
+            Self::At { error, .. } => error.exit_code(),
             Self::Usage { .. } => 2,
             Self::Corrupt { .. } | Self::Io { .. } => 3,
             Self::Limit { .. } | Self::OutOfMemory { .. } => 4,

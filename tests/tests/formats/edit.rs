@@ -92,7 +92,7 @@ fn mistakes_leave_no_file_and_say_where_they_are() {
     rejected(&["-e", "select all; move 1,0,0; time reverse"], 2, &["-e: line 1, column 25", "nothing moves"]);
     rejected(&["-e", "delete"], 2, &["column 1 (`delete`)", "select"]);
     rejected(&["-e", "select click 3,3 view 0"], 2, &["without cameras", "--data"]);
-    rejected(&["-e", "merge nothing.ply"], 3, &["nothing.ply"]);
+    rejected(&["-e", "merge nothing.ply"], 3, &["-e: line 1, column 1", "`merge nothing.ply`", "nothing.ply: open"]);
     rejected(&["-e", "select all", "--data", text(&at("none"))], 3, &["none"]);
     let plain = edit(&[text(&input), text(&at("plain.ply")), "-e", "select all; scale 0.5 pivot origin"]).unwrap();
     assert!(plain.dropped.is_empty() && at("plain.ply").exists() && at("plain.edits.toml").exists());

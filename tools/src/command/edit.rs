@@ -156,11 +156,7 @@ fn read(path: &Path) -> Result<String> {
 fn at(error: Error, source: &str, command: &Command) -> Error {
     let Place { line, column } = command.place;
     let place = format!("{source}: line {line}, column {column} (`{}`)", command.text);
-    match error {
-        Error::Usage { what, found, expected } => Error::usage(format!("{place}: {what}"), found, expected),
-        Error::Limit { what, need, have } => Error::Limit { what: format!("{place}: {what}"), need, have },
-        other => other,
-    }
+    Error::At { place, error: Box::new(error) }
 }
 
 /// Gaussians, superpoints, key times.
