@@ -245,9 +245,14 @@ impl<'a> Window<'a> {
 
 impl Drop for Window<'_> {
     fn drop(&mut self) {
-        if let Some(child) = &mut self.child {
-            let _ = child.kill();
-            let _ = child.wait();
+        let Some(mut child) = self.child.take() else { return };
+        if std::thread::panicking() {
+            self.desktop.capture().keep(&format!("failed-{}", std::process::id()));
+        }
+        let _ = child.kill();
+        let Ok(out) = child.wait_with_output() else { return };
+        if std::thread::panicking() {
+            eprintln!("the window said: {}", String::from_utf8_lossy(&out.stderr));
         }
     }
 }

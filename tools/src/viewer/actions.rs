@@ -15,13 +15,18 @@ impl Viewer {
     /// Does everything that was asked for; true when the picture changes with it.
     pub(super) fn do_requests(&mut self) -> Result<bool> {
         let requests = std::mem::take(&mut self.state.requests);
-        let any = !requests.is_empty();
-        // What a click selects is first in the next frame, and so in a picture that is asked for after it.
-        let mut selected = false;
+        // What a click selects is first in the next frame, and so in a picture that is asked for after it. The window may
+        // have had no image for that frame.
+        let mut waits = self.gui.as_ref().is_some_and(|gui| !gui.drew);
+        let mut any = false;
         for request in requests {
-            selected |= matches!(request, Request::Pick(..) | Request::Edit(_));
+            waits |= matches!(request, Request::Pick(..) | Request::Edit(_));
+            if waits && request == Request::SavePng {
+                self.state.requests.push(request);
+                continue;
+            }
+            any = true;
             match request {
-                Request::SavePng if selected => self.state.requests.push(request),
                 Request::Open(path) => self.open(path),
                 Request::Quit => self.state.wants_to_quit = true,
                 Request::Edit(ask) => self.edit(ask)?,

@@ -41,6 +41,8 @@ pub(super) struct Gui {
     pending: Option<FrameId>,
     /// The latest finished frame had room; otherwise the window still shows an older one.
     pub(super) complete: bool,
+    /// The last call of [`Self::frame`] has drawn the scene.
+    pub(super) drew: bool,
     /// The model was never drawn.
     fresh: bool,
     pub(super) info: Info,
@@ -86,6 +88,7 @@ impl Gui {
             latency: Latency::default(),
             pending: None,
             complete: true,
+            drew: false,
             fresh: true,
             info,
             recording: None,
@@ -157,6 +160,7 @@ impl Gui {
 
     /// One frame. Nothing happens while the window is minimised.
     pub(super) fn frame(&mut self, state: &mut State) -> Result<Next> {
+        self.drew = false;
         // Asked for only when it may be another: the answer comes from the X server.
         if self.resized || self.presenter.is_stale() {
             self.window_size = self.window.inner_size().into();
@@ -183,6 +187,7 @@ impl Gui {
             self.interface.pass(state, &mut self.model, dt)?;
         }
         let picture = self.scene(state)?;
+        self.drew = true;
         let shown = self.interface.show(&mut self.presenter, &picture)?;
         self.latency.presented(Visible::of(state, self.interface.thrust()), shown);
         self.was_animated = state.is_animated();

@@ -4,10 +4,11 @@ use egui::{Align, Align2, Color32, Context, Layout, RichText, Sense, Ui, vec2};
 use engine::render::{FrameStatistics, MemoryUse, Quality};
 
 use super::input::{self, BINDINGS};
+use super::labels;
 use super::navigator::Navigation;
 use super::state::{Binding, Request, Selection, Settings, Show, State};
 use super::statistics::{HISTORY, STAGES};
-use super::theme::{self, ACCENT, BAD, FAINT, STAGE_COLORS};
+use super::theme::{self, ACCENT, FAINT, STAGE_COLORS};
 use super::timeline::Timeline;
 use super::widgets::{grouped, row, section};
 
@@ -70,8 +71,7 @@ pub(super) fn draw(context: &Context, state: &mut State, info: &Info) {
                 });
             });
     }
-    rate(context, state, info);
-    messages(context, state);
+    labels::draw(context, state, info);
     if state.settings.help {
         help(context, state);
     }
@@ -296,52 +296,6 @@ fn save_section(ui: &mut Ui, state: &mut State) {
 }
 
 /// The frame rate in the corner, and what goes on.
-fn rate(context: &Context, state: &State, info: &Info) {
-    egui::Area::new("rate".into()).anchor(Align2::LEFT_TOP, [10.0, 10.0]).interactable(false).show(context, |ui| {
-        theme::floating().show(ui, |ui| {
-            ui.horizontal(|ui| {
-                let number = |v: Option<f64>| v.map_or("–".to_owned(), |v| format!("{v:.0}"));
-                ui.label(RichText::new(number(state.statistics.fps())).size(20.0).strong());
-                ui.label(RichText::new("FPS").small().color(FAINT));
-                ui.label(RichText::new(format!("1 % low {}", number(state.statistics.low_fps()))).small().color(FAINT));
-            });
-            if let Some(frames) = state.recording {
-                ui.label(RichText::new(format!("⏺ recording, {frames} frames")).color(BAD));
-            }
-            if let Some(name) = &state.loading {
-                ui.horizontal(|ui| {
-                    ui.spinner();
-                    ui.label(format!("opening {name}"));
-                });
-            } else if info.model.is_empty() {
-                ui.label("drop a model here");
-            }
-            if state.settings.show != Show::Color {
-                ui.label(RichText::new(state.settings.show.name()).small().color(ACCENT));
-            }
-        });
-    });
-}
-
-fn messages(context: &Context, state: &State) {
-    if state.messages.is_empty() {
-        return;
-    }
-    egui::Area::new("messages".into()).anchor(Align2::LEFT_BOTTOM, [10.0, -56.0]).interactable(false).show(
-        context,
-        |ui| {
-            theme::floating().show(ui, |ui| {
-                // An area keeps the width of what it showed before, which may have been a word.
-                ui.set_max_width((context.content_rect().width() - 60.0).clamp(100.0, 640.0));
-                for message in &state.messages {
-                    let color = if message.is_error { BAD } else { ui.visuals().text_color() };
-                    ui.label(RichText::new(&message.text).color(color));
-                }
-            });
-        },
-    );
-}
-
 fn help(context: &Context, state: &mut State) {
     let mut open = true;
     let edits = if state.edit.on { super::editing::input::BINDINGS.as_slice() } else { &[] };

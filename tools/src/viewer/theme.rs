@@ -25,10 +25,8 @@ pub(super) fn panel_fill() -> Color32 {
     Color32::from_rgba_unmultiplied(22, 24, 29, 225)
 }
 
-/// A frame for things that float over the scene.
-pub(super) fn floating() -> egui::Frame {
-    egui::Frame::NONE.fill(panel_fill()).corner_radius(CornerRadius::same(6)).inner_margin(Margin::symmetric(10, 6))
-}
+/// Corners of what floats over the scene, points.
+pub(super) const ROUNDING: f32 = 6.0;
 
 /// A frame for things at an edge of the window.
 pub(super) fn edge() -> egui::Frame {
