@@ -13,6 +13,7 @@ use winit::window::Window;
 use super::editing::mode::Ask;
 use super::held;
 use super::input;
+use super::labels;
 use super::latency::{Latency, Visible};
 use super::model::Model;
 use super::navigator::Thrust;
@@ -139,6 +140,7 @@ impl Interface {
         let mut moved = Ok(());
         let output = context.run(input, |context| {
             panel::draw(context, state, info);
+            labels::draw(context, state, !info.model.is_empty());
             egui::CentralPanel::default().frame(egui::Frame::NONE).show(context, |ui| {
                 let area = ui.max_rect();
                 let response = ui.interact(area, ui.id().with("scene"), egui::Sense::click_and_drag());

@@ -1,10 +1,9 @@
-//! The interface: a panel of numbers and switches, the time line, the frame rate, messages, the list of keys.
+//! The interface: a panel of numbers and switches, the time line, the list of keys.
 
 use egui::{Align, Align2, Color32, Context, Layout, RichText, Sense, Ui, vec2};
 use engine::render::{FrameStatistics, MemoryUse, Quality};
 
 use super::input::{self, BINDINGS};
-use super::labels;
 use super::navigator::Navigation;
 use super::state::{Binding, Request, Selection, Settings, Show, State};
 use super::statistics::{HISTORY, STAGES};
@@ -52,7 +51,7 @@ impl Numbers {
     }
 }
 
-/// Draws everything but the scene.
+/// Draws what has buttons and numbers around the scene.
 pub(super) fn draw(context: &Context, state: &mut State, info: &Info) {
     egui::TopBottomPanel::bottom("time")
         .frame(theme::edge())
@@ -71,7 +70,6 @@ pub(super) fn draw(context: &Context, state: &mut State, info: &Info) {
                 });
             });
     }
-    labels::draw(context, state, info);
     if state.settings.help {
         help(context, state);
     }
