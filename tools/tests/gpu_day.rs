@@ -102,7 +102,7 @@ fn a_step_that_fails_does_not_stop_the_others() {
     data(&sets);
     std::fs::write(sets.join("bench_s50k/model.ply"), "no model").unwrap();
     let only = "sort,bench_s50k_frame,bench_s50k_train";
-    let run = gpu_day(&["--out", text(&out), "--data", text(&sets), "--only", only, "--budget", "60", "--quiet"]);
+    let run = gpu_day(&["--out", text(&out), "--data", text(&sets), "--only", only, "--budget", "15", "--quiet"]);
     let said = String::from_utf8(run.stderr).unwrap();
     assert_eq!(run.status.code(), Some(3), "{said}");
     assert!(run.stdout.is_empty() && said.contains("FAILED frame, bench_s50k"), "{said}");

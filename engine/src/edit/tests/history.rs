@@ -5,6 +5,7 @@ use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use super::replay::{CHANGES, SELECTIONS, bytes, cameras, edits};
 use super::*;
 use crate::edit::script::{Command, parse};
+use crate::scene::Gaussians;
 use crate::scene::synthetic::Random;
 
 fn commands(text: &str) -> Vec<Command> {
@@ -15,10 +16,16 @@ fn history(scene: Scene) -> History {
     History::new(Session::new(scene, cameras(), 2.0))
 }
 
-/// Everything that a session holds: each number prints as what reads back as the same bits.
+/// Everything that a session holds. Of the Gaussians the bits, which is fast; of the rest what it prints, where each number reads
+/// back as the same bits.
 fn hash(session: &Session) -> u64 {
     let mut hasher = DefaultHasher::new();
-    format!("{session:?}").hash(&mut hasher);
+    for (name, shape, values) in session.scene.gaussians.arrays() {
+        (name, shape, bytemuck::cast_slice::<f32, u32>(values)).hash(&mut hasher);
+    }
+    let mut rest = session.clone();
+    rest.scene.gaussians = Gaussians::default();
+    format!("{rest:?}").hash(&mut hasher);
     hasher.finish()
 }
 
