@@ -201,12 +201,12 @@ fn disturbed(scene: &Scene, poses: &[Pose], seed: u64) -> Vec<Pose> {
 fn disturbed_superpoints_come_back() {
     let gpu = tests_harness::gpu();
     let folder = tempfile::tempdir().unwrap();
-    let scene = textured(2000, 8, 11);
+    let scene = textured(4000, 8, 11);
     let time = 0.41;
     let truth = table_poses(scene.deformation.table().unwrap(), time);
     let start = disturbed(&scene, &truth, 5);
     for count in [1, 3] {
-        let cameras = cameras(count, [96, 96]);
+        let cameras = cameras(count, [128, 128]);
         let views = photos(&gpu, &scene, &cameras, time, folder.path());
         let options = Options { deterministic: true, ..Options::default() };
         let found = run(&gpu, &scene, &views, &options, Some(&start));
