@@ -1,4 +1,4 @@
-//! Test harness: one device per test, and a failed test when the validation layer said anything.
+//! Test harness: one device at a time per test, and a failed test when the validation layer said anything.
 
 pub mod compare;
 mod coverage;
@@ -11,56 +11,89 @@ pub mod procedural_lpips;
 pub mod render_case;
 pub mod widths;
 
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use engine::gpu::kernel::Kernel;
 use engine::gpu::{Gpu, GpuOptions};
 pub use kernel_case::{KernelCase, KernelResult};
 
-/// A device for tests, without a self-test. A missing device is a failure, never a skip.
+/// A device of its own for a test, without a self-test. A missing device is a failure, never a skip.
 ///
 /// # Panics
 /// When no usable Vulkan device is found.
 pub fn gpu() -> TestGpu {
+    TestGpu { gpu: open(), opened: Instant::now(), shared: false }
+}
+
+/// Devices that no test has at the moment, with the pipelines of the tests before.
+static IDLE: Mutex<Vec<Gpu>> = Mutex::new(Vec::new());
+
+/// A device that the tests of a program hand on to each other, one at a time: what is made once, as pipelines are, is most of
+/// the time of tests of kernels. A test that looks at the device itself takes [`gpu`].
+///
+/// # Panics
+/// When no usable Vulkan device is found.
+pub fn shared_gpu() -> TestGpu {
+    let idle = IDLE.lock().unwrap_or_else(PoisonError::into_inner).pop();
+    TestGpu { gpu: idle.unwrap_or_else(open), opened: Instant::now(), shared: true }
+}
+
+fn open() -> Gpu {
     let replace_spirv = planted::planted().to_vec();
     match Gpu::open(&GpuOptions { pipeline_cache: false, replace_spirv, ..GpuOptions::default() }) {
         Ok(gpu) => {
             assert_driver(&gpu);
-            TestGpu(gpu, Instant::now())
+            gpu
         }
         Err(error) => panic!("tests need a Vulkan device (run ci/setup --tests): {error}"),
     }
 }
 
-/// A device whose validation messages must be empty when it is dropped, and when it was opened.
+/// A device whose validation messages must be empty when a test is done with it, and when it was taken. Of a shared one no
+/// buffer may be left either.
 #[derive(Debug)]
-pub struct TestGpu(pub Gpu, Instant);
+pub struct TestGpu {
+    gpu: Gpu,
+    opened: Instant,
+    shared: bool,
+}
 
 impl TestGpu {
     /// Lanes of a subgroup: the device's, or those of the executable model when that runs the kernels.
     pub fn subgroup_size(&self) -> u32 {
-        model::options().map_or_else(|| self.0.subgroup_size(), |options| options.lanes)
+        model::options().map_or_else(|| self.gpu.subgroup_size(), |options| options.lanes)
     }
 
     /// The same for the pipelines of one kernel.
     pub fn subgroup_size_of(&self, kernel: &Kernel) -> u32 {
-        model::options().map_or_else(|| self.0.subgroup_size_of(kernel), |options| options.lanes)
+        model::options().map_or_else(|| self.gpu.subgroup_size_of(kernel), |options| options.lanes)
     }
 }
 
 impl std::ops::Deref for TestGpu {
     type Target = Gpu;
     fn deref(&self) -> &Gpu {
-        &self.0
+        &self.gpu
     }
 }
 
 impl Drop for TestGpu {
     fn drop(&mut self) {
-        coverage::write(&self.0, self.subgroup_size(), self.1);
-        let messages = self.0.take_validation_messages();
-        if !messages.is_empty() && !std::thread::panicking() {
-            panic!("the validation layer reported {} messages, first: {}", messages.len(), messages[0]);
+        coverage::write(&self.gpu, self.subgroup_size(), self.opened);
+        let messages = self.gpu.take_validation_messages();
+        if std::thread::panicking() {
+            return;
+        }
+        assert!(
+            messages.is_empty(),
+            "the validation layer reported {} messages, first: {}",
+            messages.len(),
+            messages.first().map_or("", |m| m)
+        );
+        if self.shared {
+            assert_eq!(self.gpu.buffer_count(), 0, "buffers that the test left behind");
+            IDLE.lock().unwrap_or_else(PoisonError::into_inner).push(self.gpu.clone());
         }
     }
 }

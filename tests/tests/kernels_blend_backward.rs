@@ -223,7 +223,7 @@ fn assert_rows_close(device: &[f32], twin: &[f32], context: &str) {
 
 #[test]
 fn gradients_match_the_twins() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     widths::assert_lanes(&gpu);
     for (n, size) in [(1, [1, 1]), (1, [64, 64]), (40, [17, 1]), (300, [33, 17]), (700, [61, 47]), (0, [33, 17])] {
         let input = RenderInput::random(n, 1, n as u64);
@@ -233,7 +233,7 @@ fn gradients_match_the_twins() {
 
 #[test]
 fn layers_and_opaque_splats() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     widths::assert_lanes(&gpu);
     for (layers, log2_opacity) in [(200, -5.0), (200, -1.0), (60, 0.0), (60, 3.0)] {
         let rows =
@@ -244,7 +244,7 @@ fn layers_and_opaque_splats() {
 
 #[test]
 fn clamped_alpha_has_no_gradient() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     // So opaque that alpha is clamped wherever it is drawn.
     let mut scene = Rendered::layers(1, 40.0, [16, 16]);
     scene.splats[2] = 0.01_f32.to_bits();
@@ -256,7 +256,7 @@ fn clamped_alpha_has_no_gradient() {
 
 #[test]
 fn poison_gives_finite_gradients() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let input = RenderInput::random(300, 1, 7);
     let clean = Rendered::of_input(&input, [33, 17]);
     let poisons = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e38, -1e38, 1e-42];
@@ -286,7 +286,7 @@ fn poison_gives_finite_gradients() {
 
 #[test]
 fn sums_stay_within_the_instances() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let scene = Rendered::layers(20, -1.0, [61, 47]);
     let rows: Vec<u32> = (0..12 * scene.gaussian_of_slot.len()).map(|i| (i as f32).to_bits()).collect();
     // A frame that failed has no gradients.

@@ -7,7 +7,7 @@ use tests_harness::{KernelCase, widths};
 
 #[test]
 fn what_is_not_finite_is_counted_and_the_first_is_named() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     widths::assert_lanes(&gpu);
     let mut r = Random(3);
     let nasty = [f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
@@ -36,7 +36,7 @@ fn what_is_not_finite_is_counted_and_the_first_is_named() {
 
 #[test]
 fn the_first_array_that_is_not_finite_is_the_error() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let good = gpu.buffer_with("good", bytemuck::cast_slice(&[1.0_f32, -2.0, f32::MAX, 0.0])).unwrap();
     let bad = gpu.buffer_with("bad", bytemuck::cast_slice(&[0.0_f32, 1.0, f32::NEG_INFINITY, f32::NAN])).unwrap();
     check_finite(&gpu, &[]).unwrap();

@@ -206,7 +206,7 @@ fn options() -> DensityOptions {
 
 #[test]
 fn passes_equal_the_model() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     widths::assert_lanes(&gpu);
     for (n, seed) in [(1, 1), (2, 2), (255, 3), (256, 4), (257, 5), (1000, 6), (3000, 7)] {
         let rows = random_rows(n, seed);
@@ -219,13 +219,13 @@ fn passes_equal_the_model() {
 #[test]
 fn more_than_one_round_of_the_scan() {
     // 70,000 Gaussians are 274 blocks, more than one round of 256.
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     check(&gpu, &random_rows(70_000, 8), &DensityOptions { gradient_threshold: 1e-2, ..options() });
 }
 
 #[test]
 fn nothing_everything_and_all_pruned() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let outcome = Density::new(&gpu).run(upload(&gpu, &[]), 0, &options()).unwrap();
     assert_eq!(outcome.new_count, 0);
     let mut rows = random_rows(600, 9);
@@ -248,7 +248,7 @@ fn nothing_everything_and_all_pruned() {
 
 #[test]
 fn the_budget_is_never_exceeded() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut rows = random_rows(900, 10);
     let free = check(&gpu, &rows, &options());
     let stay = check(&gpu, &rows, &DensityOptions { max_gaussians: 0, ..options() });
@@ -268,7 +268,7 @@ fn the_budget_is_never_exceeded() {
 
 #[test]
 fn a_static_scene_has_fewer_arrays() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let rows = random_rows(300, 11);
     let (expected, _) = model(&rows, &options());
     let mut buffers = upload(&gpu, &rows);
@@ -284,7 +284,7 @@ fn a_static_scene_has_fewer_arrays() {
 
 #[test]
 fn passes_are_reproducible_and_give_memory_back() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let rows = random_rows(2000, 12);
     let pass = |seed| {
         let outcome = Density::new(&gpu).run(upload(&gpu, &rows), 2000, &DensityOptions { seed, ..options() }).unwrap();
@@ -309,7 +309,7 @@ fn run<I: Interface<Constants = ()>>(
 
 #[test]
 fn kernels_equal_twins() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     for (n, seed) in [(1_u32, 20), (300, 21), (2049, 22)] {
         let [mean, log_scale, rotation, opacity_logit, density, max_radius, moments, ..] =
             arrays(&random_rows(n as usize, seed));
@@ -378,7 +378,7 @@ fn kernels_equal_twins() {
 
 #[test]
 fn the_opacity_reset_lowers_and_forgets() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let rows = random_rows(500, 30);
     let upload = |name: &str, words: &[u32]| gpu.buffer_with(name, bytemuck::cast_slice(words)).unwrap();
     let opacity = upload("opacity_logit", &planes(&rows, |r| [r.opacity_logit]));

@@ -57,7 +57,7 @@ fn case(source: [u32; 2], target: [u32; 2], mode: u32, failed: u32, seed: u64) -
 
 #[test]
 fn every_mode_agrees_with_the_twin() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let sizes =
         [([64, 48], [64, 48]), ([33, 17], [33, 17]), ([40, 30], [81, 61]), ([1, 1], [1, 1]), ([1, 1], [7, 300])];
     for (i, (source, target)) in (1..).zip(sizes) {
@@ -80,7 +80,7 @@ fn every_mode_agrees_with_the_twin() {
 
 #[test]
 fn a_frame_that_failed_leaves_the_picture() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let result = case([20, 20], [20, 20], 0, 1, 5).run(&gpu);
     assert!(result.gpu.screen.iter().all(|w| *w == tests_harness::kernel_case::POISON), "something was written");
     assert_eq!(result.gpu.screen, result.twin.screen);
@@ -107,7 +107,7 @@ fn qualities() -> impl Iterator<Item = Quality> {
 
 #[test]
 fn a_click_finds_what_is_seen_there() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let camera = Camera::look_at(DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::NEG_Y, 0.6, [200, 100]);
     for quality in qualities() {
         let options = RenderOptions { quality, ..RenderOptions::default() };
@@ -127,7 +127,7 @@ fn a_click_finds_what_is_seen_there() {
 
 #[test]
 fn base_colours_replace_those_of_the_scene() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let camera = Camera::look_at(DVec3::new(0.0, 0.0, -4.0), DVec3::ZERO, DVec3::NEG_Y, 0.6, [64, 32]);
     for quality in qualities() {
         let options = RenderOptions { quality, ..RenderOptions::default() };

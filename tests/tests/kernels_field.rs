@@ -31,7 +31,7 @@ fn input(count: usize) -> (RenderInput, Vec<u32>) {
 
 #[test]
 fn waves_match_their_twin() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(3);
     let [hidden, outputs] = FIELD_TIME_NETWORK;
     let network = random(&mut r, hidden * 14 + outputs * (hidden + 1), 0.2);
@@ -73,7 +73,7 @@ fn some_planes(r: &mut Random, channels: usize) -> FieldPlanes {
 
 #[test]
 fn planes_match_their_twin() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(5);
     for channels in [1, 3, 16] {
         let planes = some_planes(&mut r, channels);
@@ -105,7 +105,7 @@ fn planes_match_their_twin() {
 
 #[test]
 fn offsets_match_their_twin_under_every_rule() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(7);
     for count in COUNTS {
         let (input, frame) = input(count);
@@ -134,7 +134,7 @@ fn offsets_match_their_twin_under_every_rule() {
 
 #[test]
 fn nodes_match_their_twin() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(9);
     let (nodes, neighbors) = (11, 3);
     for count in COUNTS {
@@ -186,7 +186,7 @@ fn chunks_change_nothing() {
         println!("chunks are the host's: the device's own tests have them");
         return;
     }
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let g = random_gaussians(17_000, 5, 0);
     let scene = Scene { gaussians: g.clone(), deformation: field(2, 480).into(), ..Scene::default() };
     let all = FieldEvaluator::new(&gpu, &scene).unwrap().offsets(0.3).unwrap();
@@ -205,7 +205,7 @@ fn chunks_change_nothing() {
 
 #[test]
 fn every_layer_can_see_the_input_again() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let g = random_gaussians(70, 5, 0);
     for skip in [1, 4, 2, 3, 9].into_iter().take(if tests_harness::small() { 2 } else { 5 }) {
         let field = field(skip, 24);
@@ -222,7 +222,7 @@ fn every_layer_can_see_the_input_again() {
 
 #[test]
 fn a_field_of_a_scene_without_gaussians_is_nothing() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let nodes = ControlNodes { position: vec![[0.0; 3]; 3], neighbors: 3, ..ControlNodes::default() };
     for nodes in [None, Some(nodes)] {
         let field = DeformationField { nodes, ..field(2, 16) };

@@ -184,7 +184,7 @@ fn check_against_truth(gpu: &TestGpu, size: [u32; 2], lambda: f32, seed: u64) {
 
 #[test]
 fn loss_and_gradient_equal_twins_and_truth() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     widths::assert_lanes(&gpu);
     let sizes = [[1, 1], [1, 40], [3, 2], [16, 5], [31, 33], [32, 32], [33, 70], [97, 64], [130, 41]];
     for (i, size) in sizes.into_iter().enumerate().filter(|(i, _)| !tests_harness::small() || i % 3 != 0) {
@@ -196,7 +196,7 @@ fn loss_and_gradient_equal_twins_and_truth() {
 #[test]
 fn flat_bright_images_keep_their_digits() {
     // Variances far below C2 between moments near 1: the worst case of the cancellation.
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let (size, mut random) = ([70, 66], Random::new(5));
     let color: Vec<f32> = (0..4 * 70 * 66).map(|_| 0.98 + 0.01 * random.uniform() as f32).collect();
     let target = vec![0xfffd_fbfc; 70 * 66];
@@ -211,7 +211,7 @@ fn flat_bright_images_keep_their_digits() {
 
 #[test]
 fn float_targets() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let size = [37, 34];
     let (color, _) = images(size, 7);
     let (target, _) = images(size, 8);
@@ -223,11 +223,33 @@ fn float_targets() {
     assert!((f64::from(loss[0]) - truth.loss).abs() < 1e-6);
 }
 
+/// Images of usual sizes have more workgroups than the one that adds their sums has threads.
+#[test]
+fn sums_of_more_workgroups_than_threads() {
+    let gpu = tests_harness::shared_gpu();
+    let size = [800, 800];
+    let n = groups(size[0], size[1]);
+    assert!(n > 2 * IMAGE_LOSS_SUM.kernel.local_size);
+    let mut random = Random::new(17);
+    let sums: Vec<f32> = (0..3 * n).map(|_| random.uniform() as f32).collect();
+    for with_ssim in [0, 1] {
+        let buffers = ImageLossSumBuffers {
+            frame: words(&[frame(size)]),
+            step: words(&[step(0.2)]),
+            loss_partial: words(&sums),
+            loss: vec![0; 8],
+        };
+        let constants = ImageLossSumConstants { with_ssim };
+        let case = KernelCase { kernel: &IMAGE_LOSS_SUM, constants, push: (), buffers, groups: 1 };
+        case.check(&gpu, &format!("{n} workgroups, SSIM {with_ssim}"));
+    }
+}
+
 /// Whatever is in the images, gradient and loss are finite, bad pixels are reported, and pixels out of reach of a bad one
 /// keep their gradient.
 #[test]
 fn poison_stays_where_it_is() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let size = [50, 40];
     let (clean, target) = images(size, 11);
     for lambda in [0.0, 0.2] {
@@ -273,7 +295,7 @@ fn poison_stays_where_it_is() {
 
 #[test]
 fn runs_are_bit_identical_and_equal_the_parts() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let size = [101, 77];
     let (color, target) = images(size, 21);
     let first = device_loss(&gpu, size, 0.2, &words(&color), &target);
@@ -290,7 +312,7 @@ fn runs_are_bit_identical_and_equal_the_parts() {
 #[test]
 fn independent_automatic_differentiation_agrees() {
     let Some(path) = tests_harness::data("oracle/loss_61x47.npz") else { return };
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     assert!(tools::dev::oracle::loss::is_loss_file(&path).unwrap());
     let check = tools::dev::oracle::loss::check(&path, Some(&gpu)).unwrap();
     println!("{}", check.describe());

@@ -18,7 +18,7 @@ fn noise(size: [usize; 2], seed: u64) -> Planes {
 
 #[test]
 fn device_and_f64_agree_whatever_the_bands() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let cases: &[_] = if tests_harness::small() {
         &[(Network::Alex, [37, 33])]
     } else {
@@ -55,7 +55,7 @@ fn floats(r: &mut Random, count: u32, bound: f32) -> Vec<u32> {
 
 #[test]
 fn convolutions_match_their_twin() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(5);
     // inputs, outputs, window, stride, pad, width, height, first and end row of the output, first of its channels
     for [inputs, outputs, side, stride, pad, width, height, first, end, first_output] in [
@@ -102,7 +102,7 @@ fn convolutions_match_their_twin() {
 
 #[test]
 fn pools_and_differences_match_their_twins() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(6);
     for (kernel, width, rows) in [(2, 11, 6), (3, 11, 9)] {
         let (out_width, out_rows) = ((width - kernel) / 2 + 1, (rows - kernel) / 2 + 1);

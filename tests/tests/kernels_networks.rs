@@ -68,7 +68,7 @@ fn forward_case(
 
 #[test]
 fn a_layer_does_not_hide_what_is_no_number() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(21);
     let (rows, inputs, outputs) = (37, 40, 72_u32);
     for (stage, relu) in stages(1).flat_map(|s| [(s, 0), (s, 1)]) {
@@ -95,7 +95,7 @@ fn a_layer_does_not_hide_what_is_no_number() {
 
 #[test]
 fn forward_and_backward_input_match_their_twins() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(1);
     let shapes =
         [(1, 1, 0, 1), (16, 32, 0, 32), (33, 76, 256, 65), (33, 76, 64, 36), (7, 84, 0, 12), (130, 64, 0, 257)];
@@ -132,7 +132,7 @@ fn forward_and_backward_input_match_their_twins() {
 
 #[test]
 fn weight_gradients_match_their_twins() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(7);
     let shapes =
         [(1_u32, [1_u32, 0_u32], 1_u32, 1), (100, [76, 256], 33, 100), (300, [64, 20], 64, 70), (65, [84, 0], 12, 64)];
@@ -167,7 +167,7 @@ fn weight_gradients_match_their_twins() {
 
 #[test]
 fn update_and_gather_match_their_twins() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(9);
     for (weights, slices) in [(1_u32, 1_u32), (300, 7), (1025, 64)] {
         for (output, network) in [(Output::Gradient, 0), (Output::Adam, 0), (Output::Adam, 1)] {
@@ -213,7 +213,7 @@ fn update_and_gather_match_their_twins() {
 
 #[test]
 fn encoding_matches_its_twin() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(4);
     for rows in [1_u32, 20, 300] {
         let buffers = EncodeSuperpointsBuffers {
@@ -250,7 +250,7 @@ fn nonrigid() -> NonrigidNetwork {
 
 #[test]
 fn network_g_matches_its_twin() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let parameter: Vec<u32> =
         nonrigid_network::pack_parameters(&nonrigid()).unwrap().iter().map(|v| v.to_bits()).collect();
     for count in [1, 63, 64, 65, 500] {
@@ -288,7 +288,7 @@ fn network_g_matches_its_twin() {
 
 #[test]
 fn encoding_of_gaussians_matches_its_twin() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let (input, frame) = moving_input(300);
     for (first_row, rows) in [(0, 300_u32), (64, 100), (299, 1)] {
         for (motion, soft) in [(0, 0), (1, 0), (1, 2)] {

@@ -65,7 +65,7 @@ fn assert_deform_project(result: &KernelResult<DeformProject>, n: usize, context
 
 #[test]
 fn deform_project_of_random_gaussians() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     for (i, n) in SIZES.into_iter().enumerate() {
         // A degree is another three pipelines; `images_agree_with_the_reference` has all of them.
         let degree = if tests_harness::small() { 3 } else { i as u32 % 4 };
@@ -86,7 +86,7 @@ fn deform_project_of_random_gaussians() {
 
 #[test]
 fn deform_project_of_nasty_gaussians() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     for seed in 0..4 {
         let mut input = RenderInput::random(5000, 3, seed).moving(7, seed);
         input.spoil(seed);
@@ -162,7 +162,7 @@ fn assert_blend(result: &KernelResult<Blend>, context: &str) {
 
 #[test]
 fn blend_matches_its_twin() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let size = gpu.subgroup_size_of(&BLEND);
     let usual = blend::pixels_per_lane(size);
     for (n, width, height) in [(0, 33, 17), (1, 1, 1), (300, 64, 64), (3000, 150, 91), (2000, 17, 200)] {
@@ -202,7 +202,7 @@ fn blend_matches_its_twin() {
 
 #[test]
 fn blend_packed_stores_what_its_twin_stores() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let size = gpu.subgroup_size_of(&BLEND);
     let input = RenderInput::random(800, 1, 5);
     let frame = input.frame(&test_camera(75, 53));
@@ -306,7 +306,7 @@ fn assert_close_to_reference(gpu: Option<&TestGpu>, input: &RenderInput, camera:
 
 #[test]
 fn images_agree_with_the_reference() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     for gpu in [None, Some(&gpu)] {
         for degree in 0..4 {
             let input = RenderInput::random(800, degree, 40 + u64::from(degree));
@@ -366,7 +366,7 @@ fn network(seed: u64, size: DeformSize) -> DeformNetwork {
 
 #[test]
 fn deform_network_matches_twin_and_reference() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let small = |layers, width| DeformSize { layers, width };
     let narrow = [1, 2, 3, 5].into_iter().zip([32, 64, 128, 224]).map(|(layers, width)| (9, small(layers, width)));
     for (count, size) in [1_u32, 7, 8, 9, 33, 300].map(|count| (count, DeformSize::PAPER)).into_iter().chain(narrow) {
@@ -406,7 +406,7 @@ fn deform_network_matches_twin_and_reference() {
 
 #[test]
 fn the_rate_kernel_adds_up_what_its_twin_does() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     for (count, rounds) in [(0_u32, 4_u32), (1, 0), (255, 1), (300, 7), (513, 40)] {
         let push = ArithmeticRatePush { count, rounds };
         let groups = count.div_ceil(ARITHMETIC_RATE_THREADS).max(1);

@@ -87,7 +87,7 @@ fn sort_and_check_by(
 
 #[test]
 fn sort_every_count() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     widths::assert_lanes(&gpu);
     let mut rng = Rng(1);
     let counts: &[u32] = if tests_harness::small() { &[0, 1, 33, 257, 4097] } else { &COUNTS };
@@ -100,7 +100,7 @@ fn sort_every_count() {
 
 #[test]
 fn sort_every_distribution() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut rng = Rng(2);
     let n = if tests_harness::small() { 4500 } else { 9001 };
     let mut build = |f: &dyn Fn(u32, u32) -> u32| (0..n).map(|i| f(i, rng.next())).collect::<Vec<_>>();
@@ -119,7 +119,7 @@ fn sort_every_distribution() {
 
 #[test]
 fn sort_every_key_width() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut rng = Rng(3);
     for key_bits in (1..=32).filter(|bits| !tests_harness::small() || [1, 8, 9, 17, 24].contains(bits)) {
         let keys: Vec<u32> = (0..4500).map(|_| rng.next() >> (32 - key_bits)).collect();
@@ -130,7 +130,7 @@ fn sort_every_key_width() {
 #[test]
 fn spine_over_many_partitions() {
     // More partitions than sort_spine has chunks, and a number that the chunks do not divide.
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut rng = Rng(4);
     let partitions = if tests_harness::small() { 67 } else { 133 };
     let keys: Vec<u32> = (0..partitions * 4096 + 5).map(|_| rng.next() & 0xFFF).collect();

@@ -6,7 +6,7 @@ use tests_harness::KernelCase;
 
 #[test]
 fn subgroups_are_what_the_kernels_take_them_for() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     for groups in [1, 24] {
         let invocations = 256 * groups;
         let buffers = SubgroupOrderBuffers { probe: vec![0; 10 * invocations as usize], tally: vec![0; 35] };

@@ -210,7 +210,7 @@ fn sort(
 
 #[test]
 fn chain_equals_twins() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     widths::assert_lanes(&gpu);
     for (n, size) in [
         (1, [64, 64]),
@@ -233,7 +233,7 @@ fn chain_equals_twins() {
 
 #[test]
 fn nothing_visible() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut scene = Scene::random(300, [64, 64], 5);
     scene.tile_count.fill(0);
     let (counters, indirect, _) = scene.check(&gpu, 100);
@@ -243,7 +243,7 @@ fn nothing_visible() {
 
 #[test]
 fn capacity_is_exact() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let scene = Scene::random(600, [200, 200], 41);
     let total = scene.total() as u32;
     assert_eq!(scene.check(&gpu, total).0[3], 0);
@@ -254,7 +254,7 @@ fn capacity_is_exact() {
 
 #[test]
 fn a_failure_from_before_stops_the_chain() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let scene = Scene::random(600, [200, 200], 41);
     let (counters, indirect, _) = scene.check_from(&gpu, scene.total() as u32, 1);
     assert_eq!((counters[3], counters[5]), (1, 0));
@@ -263,7 +263,7 @@ fn a_failure_from_before_stops_the_chain() {
 
 #[test]
 fn counts_that_disagree() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     for error in [3_i32, -2] {
         let mut scene = Scene::random(600, [200, 200], 31);
         for count in scene.tile_count.iter_mut().filter(|c| **c != 0) {
@@ -275,7 +275,7 @@ fn counts_that_disagree() {
 
 #[test]
 fn splats_over_the_whole_screen() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut scene = Scene::random(300, [1920, 1080], 51);
     for i in 0..4 {
         scene.push([900.0, 500.0, 1e-5, 0.0], [1e-5, -0.1, 3.0 + i as f32, 0.0]);
@@ -287,7 +287,7 @@ fn splats_over_the_whole_screen() {
 #[test]
 fn more_than_one_super_block() {
     // 70,001 visible Gaussians: 274 blocks, two super sums; and every instance in one tile.
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut scene = Scene::random(0, [16, 16], 1);
     for i in 0..70_001_u32 {
         scene.push([8.0, 8.0, 0.5, 0.1], [0.4, -0.1, 1.0 + (i % 13) as f32, 0.0]);

@@ -131,7 +131,7 @@ fn pose_error(gpu: &Gpu, pose: &Slice, truth: &[Pose]) -> f64 {
 
 #[test]
 fn network_f_agrees_with_the_reference() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(12);
     let time = 0.37_f32;
     let sizes =
@@ -210,7 +210,7 @@ fn motion_upstream(case: &oracle::case::SuperpointCase, poses: &[Pose]) -> [Vec<
 #[test]
 fn network_f_agrees_with_the_oracle() {
     let Some(folder) = tests_harness::data("oracle") else { return };
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let case = oracle::case::load_superpoint(&folder.join("superpoint_400_20.npz")).unwrap();
     let scene = &case.scene.deformation;
     let (weights, position) = (scene.network().unwrap().clone(), scene.superpoints().unwrap().position.clone());
@@ -335,7 +335,7 @@ fn centres(input: &RenderInput, frame: &Frame) -> Vec<DVec3> {
 
 #[test]
 fn network_g_agrees_with_the_reference() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(2);
     let weights = weights_g();
     for count in [1, 130, 1500] {
@@ -376,7 +376,7 @@ fn network_g_agrees_with_the_reference() {
 
 #[test]
 fn passes_repeat_bit_for_bit_and_stop_with_the_frame() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(3);
     let (position, planes) = (positions(&mut r, 50), upstream(&mut r, 300));
     let (input, frame) = input_g(700);
@@ -408,7 +408,7 @@ fn passes_repeat_bit_for_bit_and_stop_with_the_frame() {
 
 #[test]
 fn poison_never_reaches_a_weight() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(8);
     let poison = [f32::NAN, f32::INFINITY, -f32::INFINITY, 1e38, -1e38, 1e-42];
     let finite = |network: &NetworkF| {
@@ -449,7 +449,7 @@ fn poison_never_reaches_a_weight() {
 
 #[test]
 fn what_does_not_fit_is_refused() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let network = NetworkF::new(&gpu, &DeformNetwork::init(1, DeformSize::PAPER, false), 5).unwrap();
     let dummy = |name: &str| -> Buffer { gpu.buffer(name, 1 << 16, Memory::Device).unwrap() };
     let [step, position, pose] = ["step", "superpoint_position", "pose"].map(|name| Slice::from(dummy(name)));
@@ -485,7 +485,7 @@ fn report(what: &str, mut run: impl FnMut() -> Vec<Timing>) {
 
 #[test]
 fn time_of_a_step() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut r = Random(5);
     let weights = DeformNetwork::init(1, DeformSize::PAPER, false);
     for count in [100, 300] {

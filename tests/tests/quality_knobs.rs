@@ -190,7 +190,7 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
 
 #[test]
 fn every_kernel_follows_the_knobs_as_its_twin_does() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     settings().iter().for_each(|q| check_kernels(&gpu, q));
 }
 
@@ -237,7 +237,7 @@ const BOUNDS: &[(&str, f64, f64)] = &[
 
 #[test]
 fn each_knob_stays_within_its_bound_of_the_f64_reference() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let scene = random_scene(3000, 4, 3);
     let truth = truth(&scene, 0.0);
     let mut failed = Vec::new();
@@ -253,7 +253,7 @@ fn each_knob_stays_within_its_bound_of_the_f64_reference() {
 
 #[test]
 fn knobs_that_cost_nothing_leave_every_bit() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let scene = moving_scene(2000, 9, 6, 2, false);
     let exact = image(&gpu, &scene, "", 0.37);
     assert_eq!(RenderOptions::default().quality, Quality::EXACT);
@@ -331,7 +331,7 @@ fn scenes_of_every_kind(seed: u64) -> Vec<(String, Scene, Camera, f64)> {
 /// The rule of the preset `high`: at most 0.01 % of the values off by more than 1/255.
 #[test]
 fn high_has_no_visible_error() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut scenes: Vec<(String, Scene, Camera, f64)> = vec![
         ("random".into(), random_scene(3000, 4, 3), camera(), 0.0),
         ("moving".into(), moving_scene(2000, 9, 6, 2, false), camera(), 0.37),
@@ -345,14 +345,14 @@ fn high_has_no_visible_error() {
 /// The rule of the preset `fast`: at most 1 % of the values off by more than 4/255.
 #[test]
 fn fast_is_off_by_a_few_levels_in_places() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let scenes: Vec<_> = [41, 42, 43].into_iter().flat_map(scenes_of_every_kind).collect();
     hold(&gpu, Quality::FAST, &scenes, (4.0, 1e-2));
 }
 
 #[test]
 fn fewer_bits_of_depth_mean_fewer_passes_and_packing_fewer_bytes() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let scene = random_scene(500, 4, 2);
     let of = |list: &str| {
         let mut quality = Quality::EXACT;

@@ -85,7 +85,7 @@ fn assert_blend_close(found: &SceneGradients, truth: &Gradients, scene: &Scene, 
 
 #[test]
 fn gradients_of_soft_superpoints_agree_with_the_reference() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let options = GradientOptions { near: 0.2, background: BACKGROUND };
     for neighbors in 2..=4 {
         let scene = RenderInput::random(250, 1, 70).moving(6, 3).soft(neighbors, 4).scene();
@@ -100,7 +100,7 @@ fn gradients_of_soft_superpoints_agree_with_the_reference() {
 
 #[test]
 fn gradients_agree_with_the_reference() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let options = GradientOptions { near: 0.2, background: BACKGROUND };
     for degree in 0..4 {
         let still = RenderInput::random(250, degree, 60 + u64::from(degree));
@@ -120,7 +120,7 @@ fn gradients_agree_with_the_reference() {
 /// What Gaussians make up of an image is dL/dcolour: that of the f64 reference, where no colour is clamped.
 #[test]
 fn contributions_are_those_of_the_reference() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let options = RenderOptions { background: BACKGROUND, ..RenderOptions::default() };
     let still = RenderInput::random(250, 0, 60);
     let moving = still.clone().moving(6, 3);
@@ -147,7 +147,7 @@ fn contributions_are_those_of_the_reference() {
 /// Where photos show something else the error is expected, in the amount that it has; what no photo shows is unknown.
 #[test]
 fn errors_are_expected_where_photos_differ() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let options = RenderOptions::default();
     let mut scene = random_scene(3, 5, 0);
     let g = &mut scene.gaussians;
@@ -191,7 +191,7 @@ fn scene_side(camera: &Camera, x: f64) -> f64 {
 
 #[test]
 fn a_view_that_needs_more_room_gets_it() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut input = RenderInput::random(40, 0, 5);
     input.log_scale.fill(0.0);
     let (scene, camera) = (input.scene(), test_camera(256, 192));
@@ -203,7 +203,7 @@ fn a_view_that_needs_more_room_gets_it() {
 
 #[test]
 fn an_image_gradient_of_another_size_is_refused() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let scene = RenderInput::random(5, 0, 5).scene();
     let options = GradientOptions { near: 0.2, background: BACKGROUND };
     let refused = scene_gradients(&gpu, &scene, &test_camera(8, 8), 0.0, &options, &[0.0; 12]);
@@ -244,7 +244,7 @@ fn of(g: &SceneGradients, kept: &[usize], sh_row: usize) -> SceneGradients {
 /// fourth all of them are NaN; the other Gaussians then get the gradients, bit for bit, that they get without the bad ones.
 #[test]
 fn a_thousand_poisoned_scenes_have_finite_gradients() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let options = GradientOptions { near: 0.2, background: BACKGROUND };
     let mut random = engine::scene::synthetic::Random::new(77);
     for round in 0..1000_u64 {

@@ -77,12 +77,31 @@ pub enum Term {
     None,
     /// A selection that was given this name.
     Named(String),
-    /// What is seen at a pixel.
-    Click([f64; 2]),
+    /// What is seen at a place of the image: x and y.
+    Click([Coordinate; 2]),
     /// What is seen in a rectangle of pixels.
     Rectangle([f64; 4]),
     /// What is seen within a line around pixels.
     Lasso(Vec<[f64; 2]>),
+}
+
+/// Where along a side of an image, from the left or the top.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Coordinate {
+    /// Pixels.
+    Pixels(f64),
+    /// A share of the side, in percent.
+    Percent(f64),
+}
+
+impl Coordinate {
+    /// In pixels, along a side of `size` pixels.
+    pub(crate) fn pixels(self, size: u32) -> f64 {
+        match self {
+            Self::Pixels(pixels) => pixels,
+            Self::Percent(percent) => 0.01 * percent * f64::from(size),
+        }
+    }
 }
 
 impl Term {

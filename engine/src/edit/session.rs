@@ -232,7 +232,8 @@ impl Session {
             }
             (Term::Named(name), _) => self.masks.named(name)?.to_vec(),
             (Term::Click(point), Some(camera)) => {
-                let mask = select::click(&self.view(camera, time), *point, depth)?;
+                let point = [point[0].pixels(camera.width), point[1].pixels(camera.height)];
+                let mask = select::click(&self.view(camera, time), point, depth)?;
                 select::whole_superpoints(scene, &mask)
             }
             (Term::Rectangle(corners), Some(camera)) => select::rectangle(&self.view(camera, time), *corners, depth)?,

@@ -9,11 +9,11 @@ use engine::train::farthest_point::*;
 use engine::train::property_loss::PropertyLoss;
 use engine::train::property_loss::property_total::{PROPERTY_TOTAL, PropertyTotalBuffers};
 use engine::train::step::bias_corrections;
-use tests_harness::{KernelCase, gpu};
+use tests_harness::{KernelCase, shared_gpu};
 
 #[test]
 fn every_kernel_agrees_with_its_twin() {
-    let gpu = gpu();
+    let gpu = shared_gpu();
     // Each shape is another set of pipelines, which is what this costs.
     let shapes = [(700, 40, 5, 8), (257, 3, 3, 16), (64, 1, 1, 1), (1, 1, 1, 4), (300, 300, 7, 7)];
     for (n, m, k, slots) in shapes.into_iter().take(if tests_harness::small() { 1 } else { 5 }) {
@@ -27,7 +27,7 @@ fn every_kernel_agrees_with_its_twin() {
 
 #[test]
 fn soft_superpoints_agree_with_their_twins() {
-    let gpu = gpu();
+    let gpu = shared_gpu();
     let shapes = [(700, 40, 4, 8), (257, 3, 3, 16), (64, 40, 2, 2), (1, 2, 2, 4)];
     for (n, m, k, slots) in shapes.into_iter().take(if tests_harness::small() { 2 } else { 4 }) {
         let case = Case::new(n, m, k, slots, n as u64);
@@ -39,13 +39,13 @@ fn soft_superpoints_agree_with_their_twins() {
 fn a_failed_forward_pass_changes_nothing() {
     let case = Case::new(300, 20, 5, 8, 3);
     for form in [PropertyLoss::Code, PropertyLoss::Paper] {
-        assert_eq!(case.chain(&gpu(), form, 1), case.rows(5)[1]);
+        assert_eq!(case.chain(&shared_gpu(), form, 1), case.rows(5)[1]);
     }
 }
 
 #[test]
 fn equal_distances_go_to_the_lowest_index() {
-    let gpu = gpu();
+    let gpu = shared_gpu();
     let mut case = Case::new(200, 24, 5, 8, 11);
     // Superpoints in groups of four at the same place; Gaussians on a lattice, many at equal distance.
     case.position = (0..24).map(|j| [(j / 4) as f32, 0.0, 0.0]).collect();
@@ -55,7 +55,7 @@ fn equal_distances_go_to_the_lowest_index() {
 
 #[test]
 fn poison_never_reaches_a_parameter() {
-    let gpu = gpu();
+    let gpu = shared_gpu();
     let poison = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e38, -1e38, 1e-42, 0.0];
     for (round, bad) in poison.into_iter().take(if tests_harness::small() { 3 } else { 7 }).enumerate() {
         let mut case = Case::new(300, 20, 5, 8, round as u64);
@@ -88,7 +88,7 @@ fn poison_never_reaches_a_parameter() {
 
 #[test]
 fn one_round_agrees_with_its_twin_even_on_poison() {
-    let gpu = gpu();
+    let gpu = shared_gpu();
     for n in [1_usize, 300, 2500] {
         let mut rng = Rng(n as u64);
         let mut mean: Vec<[f32; 3]> = (0..n).map(|_| rng.vector()).collect();
@@ -112,7 +112,7 @@ fn one_round_agrees_with_its_twin_even_on_poison() {
 
 #[test]
 fn totals_of_the_losses_agree_with_their_twin() {
-    let gpu = gpu();
+    let gpu = shared_gpu();
     for n in [1_usize, 256, 257, 70_000] {
         let mut rng = Rng(n as u64);
         let case = Case::new(n, 3, 3, 4, 1);
@@ -126,7 +126,7 @@ fn totals_of_the_losses_agree_with_their_twin() {
 
 #[test]
 fn first_assignments_agree_with_their_twin() {
-    let gpu = gpu();
+    let gpu = shared_gpu();
     for (n, m, k, slots) in [(700_usize, 40_u32, 5_u32, 8_u32), (257, 3, 3, 16), (1, 1, 1, 1)] {
         for (logit, paper) in [(1.0, 0), (0.9, 1)] {
             let case = Case::new(n, m as usize, k, slots, 9);
@@ -155,7 +155,7 @@ fn first_assignments_agree_with_their_twin() {
 
 #[test]
 fn the_step_is_bit_identical_each_time() {
-    let gpu = gpu();
+    let gpu = shared_gpu();
     for form in [PropertyLoss::Code, PropertyLoss::Paper] {
         let results: Vec<_> = (0..2)
             .map(|_| {

@@ -6,11 +6,11 @@ use engine::reference::gradient::association::nearest;
 use engine::train::association::*;
 use engine::train::farthest_point::*;
 use glam::DVec3;
-use tests_harness::gpu;
+use tests_harness::shared_gpu;
 
 #[test]
 fn farthest_points_are_the_ones_of_a_plain_loop() {
-    let gpu = gpu();
+    let gpu = shared_gpu();
     for (n, m, seed) in [(5000_usize, 70_u32, 1234_u64), (1, 1, 7), (40, 40, 3), (1024, 5, 1023)] {
         let mut rng = Rng(n as u64);
         // A coarse lattice: equal distances and equal points.
@@ -42,7 +42,7 @@ fn farthest_points_are_the_ones_of_a_plain_loop() {
 
 #[test]
 fn superpoints_start_where_the_gaussians_are() {
-    let gpu = gpu();
+    let gpu = shared_gpu();
     // More superpoints than Gaussians: one each.
     for (n, asked, init) in
         [(900, 50, AssociationInit::Code), (900, 50, AssociationInit::Paper), (7, 300, AssociationInit::Code)]
@@ -82,7 +82,7 @@ fn superpoints_start_where_the_gaussians_are() {
 
 #[test]
 fn wrong_shapes_are_refused() {
-    let gpu = gpu();
+    let gpu = shared_gpu();
     let mean = gpu.buffer_with("mean", &[0; 48]).unwrap();
     let own = Slice::from(&gpu.buffer("superpoint_of_gaussian", 16, Memory::Device).unwrap());
     let fails = |n: u32, options: AssociationOptions| {

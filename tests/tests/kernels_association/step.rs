@@ -10,11 +10,11 @@ use engine::train::property_loss::PropertyLoss;
 use engine::train::status;
 use engine::train::step::{Step, bias_corrections};
 use glam::DVec3;
-use tests_harness::{TestGpu, gpu};
+use tests_harness::{TestGpu, shared_gpu};
 
 #[test]
 fn a_step_agrees_with_the_f64_reference() {
-    let gpu = gpu();
+    let gpu = shared_gpu();
     for (form, seed) in [(PropertyLoss::Code, 1), (PropertyLoss::Paper, 2), (PropertyLoss::Off, 3)] {
         let (n, m, k, slots) = (3000, 60, 5, 8);
         let mut case = Case::new(n, m, k as u32, slots as u32, seed);
@@ -149,7 +149,7 @@ impl Dense {
 
 #[test]
 fn the_sparse_association_is_the_dense_one() {
-    let gpu = gpu();
+    let gpu = shared_gpu();
     // With a slot for every superpoint the two are the same; with few, until an entry that was forgotten comes back.
     let cases = [(5, PropertyLoss::Code), (12, PropertyLoss::Code), (12, PropertyLoss::Paper)];
     for (slots, form) in cases.into_iter().take(if tests_harness::small() { 1 } else { 3 }) {
@@ -241,7 +241,7 @@ fn outside_truth_of_superpoints_is_met() {
         return;
     }
     let Some(path) = tests_harness::data("oracle/superpoint_400_20.npz") else { return };
-    let gpu = gpu();
+    let gpu = shared_gpu();
     let check = tools::dev::oracle::superpoint::check(&path, Some(&gpu)).unwrap();
     for (name, e) in check.outputs.iter().chain(&check.losses).chain(&check.gradients) {
         println!(

@@ -89,7 +89,7 @@ fn variants(n: usize, degree: u32, seed: u64) -> [(&'static str, RenderInput); 7
 
 #[test]
 fn gradients_of_random_gaussians() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let counts: &[usize] = if tests_harness::small() { &[33, 1500] } else { &[1, 7, 8, 33, 127, 128, 129, 1500] };
     for (i, &n) in counts.iter().enumerate() {
         let all = variants(n, (i as u32 + 3) % 4, 100 + i as u64);
@@ -107,7 +107,7 @@ fn gradients_of_random_gaussians() {
 
 #[test]
 fn nothing_to_do_writes_nothing() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     case(&RenderInput::random(0, 1, 1), &test_camera(64, 48), OUTPUT_ADAM, 1).run(&gpu);
 }
 
@@ -142,7 +142,7 @@ fn hard(n: usize, seed: u64) -> RenderInput {
 
 #[test]
 fn hard_shapes_keep_their_accuracy_one_by_one() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let camera = Camera::look_at(DVec3::ZERO, DVec3::Z, DVec3::NEG_Y, 0.9, [300, 200]);
     for seed in 0..3 {
         let input = hard(3000, seed);
@@ -183,7 +183,7 @@ fn assert_gradients_of_kinds(result: &KernelResult<DeformProjectBackward>, input
 
 #[test]
 fn far_from_the_origin() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let shift = DVec3::new(1.0e5, -2.0e5, 5.0e4);
     let mut input = RenderInput::random(800, 3, 5);
     for (i, x) in input.mean.iter_mut().enumerate() {
@@ -224,7 +224,7 @@ fn parameter(b: &Buffers, present: Present, p: usize, n: usize, g: usize) -> f32
 
 #[test]
 fn adam_takes_the_step_of_the_gradient() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let cases = [(3, 600), (0, 33), (1, 129), (2, 257)];
     for (degree, n) in cases.into_iter().take(if tests_harness::small() { 1 } else { 4 }) {
         // Each is two pipelines, which take seconds to compile: all with all bands, and each with one of the others; in small,
@@ -284,7 +284,7 @@ fn adam_takes_the_step_of_the_gradient() {
 
 #[test]
 fn a_failed_forward_changes_nothing() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut input = RenderInput::random(200, 3, 8).moving(3, 4).nonrigid(5);
     if tests_harness::small() {
         // The pipelines of the test above.
@@ -306,7 +306,7 @@ fn a_failed_forward_changes_nothing() {
 
 #[test]
 fn inactive_bands_are_left_alone() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let input = RenderInput::random(300, 3, 8);
     for degree in (0..3_u32).filter(|degree| !tests_harness::small() || *degree == 1) {
         let mut part = case(&input, &test_camera(100, 80), OUTPUT_ADAM, 2);

@@ -126,7 +126,7 @@ fn run_poisoned(gpu: &Gpu, input: &RenderInput, value: f32, output: u32) {
 
 #[test]
 fn poison_never_spreads() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     // Half of the superpoints keep clean poses.
     let input = RenderInput::random(700, 3, 21).moving(12, 5).nonrigid(6).with_optional(7);
     for value in POISON {

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::reader::{Reader, color, commands, factors, linear, number, numbers, ranges, span};
+use super::reader::{Reader, color, commands, coordinates, factors, linear, number, numbers, ranges, span};
 use super::{Action, Change, Command, Frame, Mark, Mode, Pivot, Retime, ScriptError, Term};
 use crate::edit::select::{Criterion, Depth, Likeness};
 use crate::edit::{Recolor, Window};
@@ -127,7 +127,7 @@ fn term(reader: &mut Reader<'_>) -> Result<Term, ScriptError> {
             Criterion::Color(color, within)
         }
         "floaters" => Criterion::Floaters(positive(reader, "a distance from the cameras above 0")?),
-        "click" => return Ok(Term::Click(reader.value("a pixel x,y", numbers)?)),
+        "click" => return Ok(Term::Click(reader.value("a pixel x,y (or 50%,50%)", coordinates)?)),
         "rect" => return Ok(Term::Rectangle(reader.value("corners x0,y0,x1,y1, pixels", numbers)?)),
         "lasso" => return lasso(reader),
         "named" => return Ok(Term::Named(reader.word("a name")?.to_owned())),

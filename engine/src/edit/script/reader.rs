@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::{Place, ScriptError};
+use super::{Coordinate, Place, ScriptError};
 
 /// A word.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -130,6 +130,16 @@ pub(super) fn number(text: &str) -> Option<f64> {
 pub(super) fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let all: Vec<f64> = text.split(',').map(number).collect::<Option<_>>()?;
     all.try_into().ok()
+}
+
+/// `400,310` in pixels, `50%,40%` of the image.
+pub(super) fn coordinates(text: &str) -> Option<[Coordinate; 2]> {
+    let coordinate = |text: &str| match text.strip_suffix('%') {
+        Some(percent) => number(percent).map(Coordinate::Percent),
+        None => number(text).map(Coordinate::Pixels),
+    };
+    let (x, y) = text.split_once(',')?;
+    Some([coordinate(x)?, coordinate(y)?])
 }
 
 /// One number for all three axes, or three with commas.

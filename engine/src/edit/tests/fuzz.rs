@@ -44,9 +44,10 @@ const ODD: [&str; 34] = [
     ";",
     "\n",
 ];
-const OTHERS: [&str; 12] = [
+const OTHERS: [&str; 13] = [
     "camera eye 0,0,-4 target 0,0,0 up 0,1,0 fov 45 size 64,48",
     "select click 32,24",
+    "select click 50%,40%",
     "select rect 0,0,64,48 through",
     "scale 2,1,1",
     "scale 1.5 pivot origin",

@@ -9,7 +9,7 @@ use crate::edit::script::{EditList, ListedEdit, parse};
 use crate::file::model;
 use crate::scene::synthetic::Random;
 
-pub(super) const SELECTIONS: [&str; 14] = [
+pub(super) const SELECTIONS: [&str; 15] = [
     "select all",
     "select superpoints 1-3",
     "select gaussians 5,20-90",
@@ -18,6 +18,7 @@ pub(super) const SELECTIONS: [&str; 14] = [
     "subtract opacity below 0.4",
     "intersect size 0.001..0.2",
     "select click 48,36 view 0 similar 40px",
+    "select click 50%,50% view 0",
     "select rect 30,20,60,50 view 1 time 0.3 depth 0.4",
     "add color #aa5533 within 0.5",
     "select superpoints 0 similar 0.2",
@@ -75,6 +76,28 @@ pub(super) fn edits<'a>(steps: impl Iterator<Item = &'a Step>) -> Vec<String> {
     let text = EditList::new(2.0, steps.map(listed).collect(), &cameras()).to_text().unwrap();
     let list = EditList::parse(&text, Path::new("edits.toml")).unwrap();
     list.edits.into_iter().map(|edit| edit.command).collect()
+}
+
+/// A click at a share of the image takes what the pixel there takes.
+#[test]
+fn clicks_in_percent_are_clicks_at_pixels() {
+    let selected = |text: &str| {
+        let mut session = session(cameras());
+        session.apply(&parse(text).unwrap()[0]).map(|step| step.selected)
+    };
+    let [width, height] = [camera().width, camera().height].map(f64::from);
+    let mut found = Vec::new();
+    for percent in [[50.0, 50.0], [25.0, 50.0], [55.0, 40.0]] {
+        let [x, y] = [0.01 * percent[0] * width, 0.01 * percent[1] * height];
+        let pixels = selected(&format!("select click {x},{y} view 0"));
+        let share = selected(&format!("select click {}%,{}% view 0", percent[0], percent[1]));
+        assert_eq!(share.as_ref().ok(), pixels.as_ref().ok(), "{percent:?}");
+        found.extend(share.ok());
+    }
+    assert!(found.iter().any(|n| *n > 0), "{found:?}");
+    for wrong in ["50%", "50%,", "%,1", "50 %,50%", "1,2,3%"] {
+        assert!(parse(&format!("select click {wrong} view 0")).is_err(), "{wrong}");
+    }
 }
 
 /// Random edits, a few hundred altogether, and the same from the written list.
