@@ -342,14 +342,6 @@ fn high_has_no_visible_error() {
     hold(&gpu, Quality::HIGH, &scenes, (1.0, 1e-4));
 }
 
-/// The rule of the preset `fast`: at most 1 % of the values off by more than 4/255.
-#[test]
-fn fast_is_off_by_a_few_levels_in_places() {
-    let gpu = tests_harness::gpu();
-    let scenes: Vec<_> = [41, 42, 43].into_iter().flat_map(scenes_of_every_kind).collect();
-    hold(&gpu, Quality::FAST, &scenes, (4.0, 1e-2));
-}
-
 #[test]
 fn fewer_bits_of_depth_mean_fewer_passes_and_packing_fewer_bytes() {
     let gpu = tests_harness::gpu();
