@@ -112,7 +112,8 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
         next_histogram: vec![0; 256],
     };
     let constants = CompactConstants { depth_bits: bits, packing };
-    let push = CompactPush { block_capacity: blocks, digit_bits: 8 };
+    let push =
+        CompactPush { block_capacity: blocks, digit_bits: 8, depth_partition_shift: 12, tile_partition_shift: 12 };
     let result = KernelCase { kernel: &COMPACT, constants, push, buffers, groups: 1 }.run(gpu);
     result.assert_equal(&name);
     let compacted = result.twin;
@@ -146,7 +147,7 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
     };
     let constants =
         EmitTilesConstants { with_slots: 0, alpha_cut: q.alpha_cut_constant(), tile_cull: q.cull_constant(), packing };
-    let push = EmitTilesPush { block_capacity: blocks, digit_bits: 8 };
+    let push = EmitTilesPush { block_capacity: blocks, digit_bits: 8, partition_shift: 12 };
     let groups = count.div_ceil(256) as u32;
     let result = KernelCase { kernel: &EMIT_TILES, constants, push, buffers, groups }.run(gpu);
     result.assert_equal(&name);
