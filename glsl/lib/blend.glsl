@@ -17,16 +17,20 @@ float min_transmittance() {
 }
 
 // Alpha of the splat at the pixel, 0 when it is not drawn there. weight = alpha * transmittance; the transmittance becomes
-// what is left of it, and negative once the pixel is closed. Selects, not branches: with several pixels per lane some lane
-// nearly always needs the exponential, and lavapipe runs both sides anyway.
+// what is left of it, and negative once the pixel is closed. An open pixel has at least min_transmittance(), a closed one less
+// than 0, so one comparison finds both what closes now and what was closed before. Selects, not branches: with several pixels per
+// lane some lane nearly always needs the exponential, and lavapipe runs both sides anyway.
 float blend_alpha(float log2_alpha, inout float transmittance, out float weight) {
-    bool live = log2_alpha >= -log2_cut() && transmittance > 0.0;
-    float alpha = live ? min(MAX_ALPHA, exp2(log2_alpha)) : 0.0;
+    float least = min_transmittance();
+    float cut = -log2_cut();
+    float drawn = min(MAX_ALPHA, exp2(log2_alpha));
+    float alpha = log2_alpha >= cut ? drawn : 0.0;
     float full = alpha * transmittance;
     float after = transmittance - full;
-    bool stop = live && after < min_transmittance();
+    float closed = -abs(transmittance);
+    bool stop = after < least;
     weight = stop ? 0.0 : full;
-    transmittance = stop ? -transmittance : after;
+    transmittance = stop ? closed : after;
     return stop ? 0.0 : alpha;
 }
 

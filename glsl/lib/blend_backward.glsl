@@ -321,10 +321,11 @@ void main() {
     for (uint batch = 0u; batch < batches; batch++) {
         bool valid = open && base + lane < end;
         uint row = valid ? values[base + lane] : 0u;
-        uint index = row;
+        uint index = row & INSTANCE_GAUSSIAN;
         if (accumulate == 0u && valid) {
-            index = gaussian_of_slot[row];
+            index = gaussian_of_slot[row] & INSTANCE_GAUSSIAN;
         }
+        row = accumulate == 0u ? row : index;
         load(valid, index, row);
         // Written out, so that the subtile is a constant and the pixels stay in registers.
         walk(0u, corner[0], extent, valid, vec2(of_lane), row_step);

@@ -7,8 +7,8 @@
 //   pixels per lane  16     8      4      2      1      1    (PIXELS_PER_LANE; these give 8x8, 4x16 or 16x8 px)
 //
 // A lane's pixels lie below one another, (lane rows) apart, so that l11 dx is shared by all of them. The splats of a tile
-// come in batches of SUBGROUP_SIZE, one per lane: each lane tests its splat against the subtile's rectangle, and the
-// survivors are blended in order, with the parameters broadcast according to STAGE:
+// come in batches of SUBGROUP_SIZE, one per lane: each lane asks whether its splat reaches a quadrant that the subtile lies in,
+// and the survivors are blended in order, with the parameters broadcast according to STAGE:
 //   0 subgroupShuffle: best where it is one instruction on scalar or vector registers (lavapipe, AMD);
 //   1 through a slice of shared memory per subgroup: one 16-byte broadcast read replaces four shuffles, which have a
 //     quarter of the arithmetic rate on NVIDIA;
@@ -20,6 +20,8 @@
 
 // What becomes of a finished pixel: at = row * width + column; value: colour over the background, 1 - transmittance.
 void store_pixel(uvec2 pixel, uint at, vec4 value);
+
+const float NOWHERE = -1e30; // log2 of an opacity
 
 shared vec4 staged[3 * 128];
 
@@ -46,6 +48,13 @@ void blend(vec4 first, vec4 second, vec3 colour, vec2 pixel, float row_step) {
     }
 }
 
+// Bits of the quadrants (lib/ellipse.glsl) in which pixels of a subtile lie; low, high: its first and last pixel, from the
+// tile's corner.
+uint quadrants_of_subtile(uvec2 low, uvec2 high) {
+    uint across = (low.x < 8u ? 1u : 0u) | (high.x >= 8u ? 2u : 0u);
+    return (low.y < 8u ? across : 0u) | (high.y >= 8u ? across << 2u : 0u);
+}
+
 void main() {
     uint size = SUBGROUP_SIZE;
     uint stage = STAGE;
@@ -63,10 +72,9 @@ void main() {
     uint tiles = frame.tile_count;
     bool open = tile < tiles; // the subgroup has pixels that are not opaque
     uint inside = subtile - tile * subtiles;
-    uvec2 corner = TILE_SIZE * uvec2(tile % frame.tiles.x, tile / frame.tiles.x)
-        + uvec2(columns * (inside % across), rows * (inside / across));
-    vec2 low = vec2(corner) + 0.5;
-    vec2 high = low + vec2(columns - 1u, rows - 1u);
+    uvec2 low = uvec2(columns * (inside % across), rows * (inside / across));
+    uint quadrants = quadrants_of_subtile(low, low + uvec2(columns - 1u, rows - 1u)) << INSTANCE_QUADRANT_SHIFT;
+    uvec2 corner = TILE_SIZE * uvec2(tile % frame.tiles.x, tile / frame.tiles.x) + low;
     uint lane = gl_SubgroupInvocationID;
     uvec2 own = corner + uvec2(lane % columns, lane / columns);
     vec2 pixel = vec2(own) + 0.5;
@@ -83,34 +91,31 @@ void main() {
     uint end = open ? ranges[2u * tile + 1u] : 0u;
     uint batches = batches_to_walk(tile, subtiles, tiles, stage == 1u);
     for (uint batch = 0u; batch < batches; batch++) {
-        bool hit = false;
-        uint index = 0u;
+        uint at = base + lane;
+        bool present = open && at < end;
+        uint instance = present ? values[at] : 0u;
+        if (with_slots == 1u) {
+            instance = present ? gaussian_of_slot[instance] : 0u;
+        }
+        bool hit = (instance & quadrants) != 0u;
+        uvec4 survivors = subgroupBallot(hit);
+        uint index = instance & INSTANCE_GAUSSIAN;
         vec4 first = vec4(0.0);
         vec4 second = vec4(0.0);
-        uvec4 own_a = uvec4(0u);
-        uvec4 own_b = uvec4(0u);
-        if (open && base + lane < end) {
-            index = values[base + lane];
-            if (with_slots == 1u) {
-                index = gaussian_of_slot[index];
-            }
-            own_a = splats[stride * index];
-            own_b = splats[stride * index + 1u];
-            unpack_splat(own_a, own_b, first, second);
-            vec2 x = ellipse_row_interval(ellipse_of_splat(first, second), low.y, high.y);
-            hit = x.x <= high.x && x.y >= low.x && x.x <= x.y;
-        }
-        uvec4 survivors = subgroupBallot(hit);
         vec4 third = vec4(0.0);
         if (hit) {
+            uvec4 own_a = splats[stride * index];
+            uvec4 own_b = splats[stride * index + 1u];
             uvec4 own_c = uvec4(0u);
             if (stride == 3u) {
                 own_c = splats[stride * index + 2u];
             }
+            unpack_splat(own_a, own_b, first, second);
             third = vec4(unpack_colour(own_b, own_c), 0.0);
         }
         if (stage == 1u) {
-            // Compact the survivors into this subgroup's slice.
+            // Compact the survivors into this subgroup's slice. They are blended two at a time, which halves what the loop costs:
+            // an odd number gets one more, which is nowhere.
             uint slice = gl_SubgroupID * size;
             uint before = 0u;
             uint count = 0u;
@@ -125,10 +130,17 @@ void main() {
                 staged[128u + slice + before] = second;
                 staged[256u + slice + before] = third;
             }
+            bool odd = (count & 1u) != 0u;
+            if (odd && lane == 0u) {
+                staged[slice + count] = vec4(0.0);
+                staged[128u + slice + count] = vec4(0.0, NOWHERE, 0.0, 0.0);
+                staged[256u + slice + count] = vec4(0.0);
+            }
             subgroupMemoryBarrierShared();
             subgroupBarrier();
-            for (uint k = slice; k < slice + count; k++) {
+            for (uint k = slice; k < slice + count; k += 2u) {
                 blend(staged[k], staged[128u + k], staged[256u + k].xyz, pixel, row_step);
+                blend(staged[k + 1u], staged[129u + k], staged[257u + k].xyz, pixel, row_step);
             }
             subgroupMemoryBarrierShared();
             subgroupBarrier();
@@ -160,11 +172,11 @@ void main() {
                 }
             }
         }
-        bool pixel_open = false;
-        [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
-            pixel_open = pixel_open || transmittance[j] > 0.0;
+        float most = transmittance[0];
+        [[unroll]] for (uint j = 1u; j < PIXELS_PER_LANE; j++) {
+            most = max(most, transmittance[j]);
         }
-        open = subgroupAny(pixel_open);
+        open = subgroupAny(most > 0.0);
         base += size;
         if (stage != 1u && !open) {
             break;

@@ -1,5 +1,5 @@
 // Counting the digits of keys while they are written, for the next pass of the sort. Include after the declaration of
-// the buffer `next_histogram`, one row of SORT_DIGITS counts for each SORT_PARTITION keys. The includer enables
+// the buffer `next_histogram`, one row of SORT_DIGITS counts for each partition of keys. The includer enables
 // GL_KHR_shader_subgroup_{basic,vote,ballot,shuffle}.
 #ifndef SPGS_COUNT_DIGIT
 #define SPGS_COUNT_DIGIT
@@ -7,11 +7,11 @@
 #include "limits.glsl"
 #include "subgroup.glsl"
 
-// Counts digit `digit` of the key written at position `at`, for lanes with `valid`. Every lane of the subgroup must call
+// Counts digit `digit` of the key written at position `at`, for lanes with `valid`; a partition has 2^partition_shift keys. Every lane of the subgroup must call
 // it, in uniform flow. Where the lanes agree, as in a run of equal keys, one lane adds for all, so that they do not queue at one address;
 // small subgroups would gain less than the agreement costs.
-void count_digit(uint at, uint digit, bool valid) {
-    uint slot = at / SORT_PARTITION * SORT_DIGITS + digit;
+void count_digit(uint at, uint digit, bool valid, uint partition_shift) {
+    uint slot = (at >> partition_shift) * SORT_DIGITS + digit;
     uint size = SUBGROUP_SIZE;
     if (size < 16u) {
         if (valid) {

@@ -4,8 +4,8 @@
 
 const uint TILE_SIZE = 16u;           // pixels per tile edge
 const uint SORT_THREADS = 256u;       // threads of every workgroup of the sort and of the tile kernels
-const uint SORT_ROUNDS = 16u;         // keys per thread of sort_scatter and sort_histogram
-const uint SORT_PARTITION = 4096u;    // SORT_THREADS * SORT_ROUNDS: keys per workgroup
+const uint SORT_ROUNDS = 16u;         // most keys per thread of sort_scatter
+const uint SORT_PARTITION = 4096u;    // SORT_THREADS * SORT_ROUNDS: keys of the largest partition
 const uint SORT_DIGITS = 256u;        // columns of a histogram row, whatever the digit width
 const uint SCAN_BLOCK = 256u;         // elements per block sum
 const uint SCAN_SUPER = 256u;         // block sums per super sum

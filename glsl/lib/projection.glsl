@@ -19,11 +19,12 @@ bool is_finite(float x) {
 }
 
 bool is_finite(vec3 v) {
-    return is_finite(v.x) && is_finite(v.y) && is_finite(v.z);
+    return all(notEqual(floatBitsToUint(v) & 0x7f800000u, uvec3(0x7f800000u)));
 }
 
+// Whether each is at most `limit` from 0. The bits of a size grow with it, and those of infinity and NaN are the largest.
 bool within(vec3 v, float limit) {
-    return is_finite(v) && abs(v.x) <= limit && abs(v.y) <= limit && abs(v.z) <= limit;
+    return all(lessThanEqual(floatBitsToUint(v) & 0x7fffffffu, uvec3(floatBitsToUint(limit))));
 }
 
 // Sums of the projected covariance M M' + dilation, M = J W R S with columns m0, m1, m2, in units of 2^k px.

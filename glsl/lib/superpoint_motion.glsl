@@ -9,10 +9,9 @@
 
 const float MAX_ABS_POSE = 1e15;
 
+// As `within` of lib/projection.glsl.
 bool pose_within(vec3 v) {
-    uvec3 bits = floatBitsToUint(v) & 0x7f800000u;
-    return bits.x != 0x7f800000u && bits.y != 0x7f800000u && bits.z != 0x7f800000u && abs(v.x) <= MAX_ABS_POSE
-        && abs(v.y) <= MAX_ABS_POSE && abs(v.z) <= MAX_ABS_POSE;
+    return all(lessThanEqual(floatBitsToUint(v) & 0x7fffffffu, uvec3(floatBitsToUint(MAX_ABS_POSE))));
 }
 
 // Pose of a superpoint at the frame's time: r and tau interpolated between two keys; false when it is unusable.

@@ -34,6 +34,8 @@ layout(std430, set = 0, binding = 8) buffer NextHistogramBlock { uint next_histo
 layout(push_constant) uniform PushBlock {
     uint block_capacity; // where the super sums of visible_block start
     uint digit_bits;     // width of the first depth digit
+    uint depth_partition_shift; // log2 of the keys of a partition of the depth sort
+    uint tile_partition_shift;  // and of the tile sort
 } push;
 
 const uint ROUNDS = 4u;
@@ -68,7 +70,8 @@ uint visible_before(uint first_block) {
 // Group counts of dispatch d: depth sort, emit, tile sort, tile ranges; nothing runs in a failed frame.
 void write_arguments(uint d, uint visible, uint instances) {
     uint items = d < 2u ? visible : instances;
-    uint per_group = (d & 1u) == 0u ? SORT_PARTITION : SCAN_BLOCK;
+    uint partition_shift = d < 2u ? push.depth_partition_shift : push.tile_partition_shift;
+    uint per_group = 1u << ((d & 1u) == 0u ? partition_shift : 8u); // SCAN_BLOCK is 256
     uvec3 groups = folded_groups(items / per_group + (items % per_group == 0u ? 0u : 1u));
     indirect[4u * d] = groups.x;
     indirect[4u * d + 1u] = groups.y;
@@ -110,7 +113,7 @@ void main() {
             keys[to] = key;
             values[to] = i;
         }
-        count_digit(to, key & ((1u << push.digit_bits) - 1u), visible);
+        count_digit(to, key & ((1u << push.digit_bits) - 1u), visible, push.depth_partition_shift);
     }
 
     uint thread = thread_index();

@@ -192,7 +192,10 @@ bool project_shape(uint g, uint n, vec4 turn, vec3 p, inout Ellipse e, out float
         e.l12 = root.y;
         e.l22 = root.z;
         variance_x = root.w;
-        usable = is_finite(e.mean.x) && is_finite(e.mean.y) && is_finite(root.xyz) && root.x > 0.0 && root.z > 0.0;
+        bool finite_mean = is_finite(vec3(e.mean, 0.0));
+        bool finite_root = is_finite(root.xyz);
+        bool positive = all(greaterThan(root.xz, vec2(0.0)));
+        usable = finite_mean && finite_root && positive;
     }
     return usable;
 }

@@ -11,6 +11,9 @@
 // each; for the others the threads run over instances, not Gaussians, so that one that covers the whole image is spread
 // over all threads.
 //
+// Beside the Gaussian stand the quadrants of the tile that it reaches, so that whoever walks a tile list need not look at its
+// ellipse again.
+//
 // For training (WITH_SLOTS = 1) the sorted value is not the Gaussian but the slot: the position in this order, in which the
 // instances of a Gaussian follow one another. `gaussian_of_slot` leads back, `first_slot` says where a Gaussian's begin.
 
@@ -44,6 +47,7 @@ layout(std430, set = 0, binding = 10) writeonly buffer FirstSlotBlock { uint fir
 layout(push_constant) uniform PushBlock {
     uint block_capacity; // where the super sums of instance_block start
     uint digit_bits;     // width of the first tile digit
+    uint partition_shift; // log2 of the keys of a partition of the tile sort
 } push;
 
 const uint SERIAL_TILES = 16u; // most instances that one thread writes
@@ -85,18 +89,19 @@ uint owner(uint instance) {
     return low;
 }
 
-void emit(uint to, uint tile, uint gaussian, bool valid) {
+// instance: the Gaussian and the quadrants that it reaches.
+void emit(uint to, uint tile, uint instance, bool valid) {
     uint with_slots = WITH_SLOTS;
     if (valid) {
         keys[to] = tile;
         if (with_slots == 1u) {
             values[to] = to;
-            gaussian_of_slot[to] = gaussian;
+            gaussian_of_slot[to] = instance;
         } else {
-            values[to] = gaussian;
+            values[to] = instance;
         }
     }
-    count_digit(to, tile & ((1u << push.digit_bits) - 1u), valid);
+    count_digit(to, tile & ((1u << push.digit_bits) - 1u), valid, push.partition_shift);
 }
 
 // The `count` instances of one Gaussian for each thread, row by row and padded where the count promised more than there
@@ -104,16 +109,21 @@ void emit(uint to, uint tile, uint gaussian, bool valid) {
 // counted together.
 void emit_serially(uint to, uint gaussian, uint count, uint capacity) {
     Ellipse e = ellipse_of(gaussian);
+    Extent extent = extent_of(e);
     uvec2 rows = count == 0u ? uvec2(0u) : tile_row_range(e, frame.size);
     uint end = min(to + count, capacity);
     uint most_rows = subgroupMax(rows.y - rows.x);
     for (uint r = 0u; r < most_rows; r++) {
         uint row = rows.x + r;
-        uvec2 columns = row < rows.y ? tile_columns_of_row(e, row, frame.size) : uvec2(0u);
+        uvec2 columns = row < rows.y ? tile_columns_of_row(e, extent, row, frame.size) : uvec2(0u);
+        vec4 half_rows = half_rows_of_tile_row(e, extent, row);
         uint most_columns = subgroupMax(columns.y - columns.x);
         for (uint c = 0u; c < most_columns; c++) {
-            bool valid = columns.x + c < columns.y && to < end;
-            emit(to, row * frame.tiles.x + columns.x + c, gaussian, valid);
+            uint column = columns.x + c;
+            bool in_row = column < columns.y;
+            bool valid = in_row && to < end;
+            uint instance = gaussian | quadrants_of_tile(half_rows, column) << INSTANCE_QUADRANT_SHIFT;
+            emit(to, row * frame.tiles.x + column, instance, valid);
             to += valid ? 1u : 0u;
         }
     }
@@ -123,20 +133,25 @@ void emit_serially(uint to, uint gaussian, uint count, uint capacity) {
     }
 }
 
-// Tile number k of an ellipse in row-major order; one past the last tile when the count promised more than there are.
-uint tile_of(Ellipse e, uint k) {
-    uint tile = frame.tile_count;
+// Tile number k of an ellipse in row-major order, and its quadrants; one past the last tile when the count promised more than
+// there are.
+uint tile_of(Ellipse e, uint k, out uint quadrants) {
+    Extent extent = extent_of(e);
     uvec2 rows = tile_row_range(e, frame.size);
-    for (uint row = rows.x; row < rows.y; row++) {
-        uvec2 columns = tile_columns_of_row(e, row, frame.size);
+    uint row = rows.x;
+    uint column = 0u;
+    for (; row < rows.y; row++) {
+        uvec2 columns = tile_columns_of_row(e, extent, row, frame.size);
         uint n = columns.y - columns.x;
+        column = columns.x + k;
         if (k < n) {
-            tile = row * frame.tiles.x + columns.x + k;
             break;
         }
         k -= n;
     }
-    return tile;
+    bool found = row < rows.y;
+    quadrants = found ? quadrants_of_tile(half_rows_of_tile_row(e, extent, row), column) : 0u;
+    return found ? row * frame.tiles.x + column : frame.tile_count;
 }
 
 void main() {
@@ -170,10 +185,11 @@ void main() {
         to = first_instance[from] + local;
         bool valid = k < shared_total && to < capacity;
         uint tile = 0u;
+        uint quadrants = 0u;
         uint g = block_order[from];
         if (valid) {
-            tile = tile_of(ellipse_of(g), local);
+            tile = tile_of(ellipse_of(g), local, quadrants);
         }
-        emit(to, tile, g, valid);
+        emit(to, tile, g | quadrants << INSTANCE_QUADRANT_SHIFT, valid);
     }
 }

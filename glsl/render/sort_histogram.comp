@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 
-// Histogram of one digit for each partition of 4,096 keys: the first pass of a sort whose keys were not counted by the
+// Histogram of one digit for each partition of keys: the first pass of a sort whose keys were not counted by the
 // kernel that wrote them.
 
 #include "lib/limits.glsl"
@@ -19,6 +19,7 @@ layout(push_constant) uniform PushBlock {
     uint shift;
     uint digit_bits;
     uint count_word;
+    uint partition_shift; // log2 of the keys of a partition
 } push;
 
 shared uint bins[SORT_DIGITS];
@@ -27,13 +28,14 @@ void main() {
     uint group = workgroup_index();
     uint d = gl_LocalInvocationID.x;
     uint count = counters[push.count_word];
-    uint partitions = count / SORT_PARTITION + (count % SORT_PARTITION == 0u ? 0u : 1u);
-    uint present = group < partitions ? min(count - group * SORT_PARTITION, SORT_PARTITION) : 0u;
+    uint per_partition = 1u << push.partition_shift;
+    uint partitions = (count + per_partition - 1u) >> push.partition_shift;
+    uint present = group < partitions ? min(count - group * per_partition, per_partition) : 0u;
     uint mask = (1u << push.digit_bits) - 1u;
     atomicExchange(bins[d], 0u);
     barrier();
     for (uint i = d; i < present; i += SORT_THREADS) {
-        atomicAdd(bins[(keys[group * SORT_PARTITION + i] >> push.shift) & mask], 1u);
+        atomicAdd(bins[(keys[group * per_partition + i] >> push.shift) & mask], 1u);
     }
     barrier();
     if (group < partitions) {

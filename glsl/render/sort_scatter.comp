@@ -7,9 +7,9 @@
 #extension GL_KHR_shader_subgroup_shuffle : require
 #extension GL_EXT_control_flow_attributes : require
 
-// One stable pass of a least-significant-digit radix sort: 256 threads scatter 4,096 keys (and values) to their places
-// and count the next pass's digits. Needs the histogram of this digit for each partition of 4,096 keys; no workgroup
-// waits for another.
+// One stable pass of a least-significant-digit radix sort: 256 threads scatter the keys of a partition (and their values) to
+// their places and count the next pass's digits. Needs the histogram of this digit for each partition; no workgroup waits for
+// another. A small sort has small partitions, so that more processors have a part of it and each is done sooner.
 
 #include "lib/limits.glsl"
 #include "lib/dispatch.glsl"
@@ -18,11 +18,12 @@
 layout(constant_id = 1) const uint HAS_VALUES = 1u;
 layout(constant_id = 2) const uint HAS_NEXT = 1u;   // count the next digit
 layout(constant_id = 3) const uint RANK_BY_BALLOT = 1u; // else by comparing with each lane: at most 16 lanes
+layout(constant_id = 4) const uint ROUNDS = 16u;     // keys per thread, a power of two: at most SORT_ROUNDS
 
 layout(local_size_x = 256) in;
 
 layout(std430, set = 0, binding = 0) readonly buffer CountersBlock { uint counters[]; };
-layout(std430, set = 0, binding = 1) readonly buffer HistogramBlock { uint histogram[]; };
+layout(std430, set = 0, binding = 1) readonly buffer HistogramBlock { uvec4 histogram[]; }; // four digits at a time
 layout(std430, set = 0, binding = 2) readonly buffer KeysInBlock { uint keys_in[]; };
 layout(std430, set = 0, binding = 3) readonly buffer ValuesInBlock { uint values_in[]; };
 layout(std430, set = 0, binding = 4) writeonly buffer KeysOutBlock { uint keys_out[]; };
@@ -41,6 +42,8 @@ layout(push_constant) uniform PushBlock {
 } push;
 
 const uint NOT_PRESCANNED = 0xffffffffu;
+const uint QUADS = SORT_DIGITS / 4u;
+const uint ROWS_AT_ONCE = 8u; // that a thread reads before it waits for the first
 const uint MAX_ROWS = 16u; // 16 KiB of counters: subgroups of fewer than 16 lanes share a row, taking turns
 shared uint rank_rows[MAX_ROWS * SORT_DIGITS];
 
@@ -84,25 +87,52 @@ uvec3 find_peers_by_broadcast(uint digit, uint lane) {
     return found;
 }
 
-// First output position of digit d in partition `group`, for thread d: all smaller digits, then the same digit in
-// earlier partitions. Contains barriers.
-uint digit_base(uint group, uint partitions) {
+// Of the thread's digit: how many keys of earlier partitions have it, and how many of all (x, y). Summed by all threads: each takes four
+// digits of every fourth row, and several rows are on their way from memory at once. Uses rank_rows; contains a barrier.
+uvec2 sum_partitions(uint group, uint partitions) {
     uint d = thread_index();
-    uint before = 0u;
-    uint all = 0u;
-    // Not a specialisation constant: one pipeline serves small sorts and large ones.
-    if (push.totals_row != NOT_PRESCANNED) {
-        before = group < partitions ? histogram[group * SORT_DIGITS + d] : 0u;
-        all = histogram[push.totals_row * SORT_DIGITS + d];
-    } else {
-        for (uint p = 0u; p < partitions; p++) {
-            uint n = histogram[p * SORT_DIGITS + d];
-            before += p < group ? n : 0u;
-            all += n;
+    uint quad = d % QUADS;
+    uvec4 before = uvec4(0u);
+    uvec4 all = uvec4(0u);
+    uint earlier = min(group, partitions);
+    for (uint first = d / QUADS; first < partitions; first += 4u * ROWS_AT_ONCE) {
+        uvec4 n[ROWS_AT_ONCE];
+        [[unroll]] for (uint i = 0u; i < ROWS_AT_ONCE; i++) {
+            n[i] = histogram[min(first + 4u * i, partitions - 1u) * QUADS + quad];
+        }
+        [[unroll]] for (uint i = 0u; i < ROWS_AT_ONCE; i++) {
+            uint row = first + 4u * i;
+            all += row < partitions ? n[i] : uvec4(0u);
+            before += row < earlier ? n[i] : uvec4(0u);
         }
     }
+    uint at = d / QUADS * SORT_DIGITS + 4u * quad;
+    [[unroll]] for (uint c = 0u; c < 4u; c++) {
+        rank_rows[at + c] = before[c];
+        rank_rows[4u * SORT_DIGITS + at + c] = all[c];
+    }
+    barrier();
+    uvec2 sums = uvec2(0u);
+    [[unroll]] for (uint k = 0u; k < 4u; k++) {
+        sums += uvec2(rank_rows[k * SORT_DIGITS + d], rank_rows[(4u + k) * SORT_DIGITS + d]);
+    }
+    return sums;
+}
+
+// First output position of digit d in partition `group`, for thread d: all smaller digits, then the same digit in
+// earlier partitions. Uses rank_rows until its last barrier but one.
+uint digit_base(uint group, uint partitions) {
+    uint d = thread_index();
+    uvec2 sums = uvec2(0u);
+    // Not a specialisation constant: one pipeline serves small sorts and large ones.
+    if (push.totals_row != NOT_PRESCANNED) {
+        sums.x = group < partitions ? histogram[group * QUADS + d / 4u][d % 4u] : 0u;
+        sums.y = histogram[push.totals_row * QUADS + d / 4u][d % 4u];
+    } else {
+        sums = sum_partitions(group, partitions);
+    }
     uint total;
-    return workgroup_exclusive_add(all, total) + before;
+    return workgroup_exclusive_add(sums.y, total) + sums.x;
 }
 
 void main() {
@@ -113,7 +143,10 @@ void main() {
     uint has_values = HAS_VALUES;
     uint has_next = HAS_NEXT;
     uint count = counters[push.count_word];
-    uint partitions = count / SORT_PARTITION + (count % SORT_PARTITION == 0u ? 0u : 1u);
+    uint rounds = ROUNDS;
+    uint per_partition = SORT_THREADS * rounds;
+    uint partition_shift = uint(findMSB(per_partition));
+    uint partitions = (count + per_partition - 1u) >> partition_shift;
     uint mask = (1u << push.digit_bits) - 1u;
     uint next_mask = (1u << push.next_digit_bits) - 1u;
 
@@ -122,18 +155,19 @@ void main() {
     uint share = max(subgroups / MAX_ROWS, 1u);
     uint rows = subgroups / share;
     uint row = gl_SubgroupID / share * SORT_DIGITS;
+
+    // Each subgroup owns `rounds` times its size consecutive keys; the last partition may be partial, and a surplus
+    // workgroup of a folded grid has none.
+    uint first = gl_SubgroupID * (rounds * size) + lane;
+    uint present = group < partitions ? min(count - group * per_partition, per_partition) : 0u;
+    uint start = group * per_partition + first;
+    uint key[SORT_ROUNDS];
+    [[unroll]] for (uint r = 0u; r < ROUNDS; r++) {
+        key[r] = first + r * size < present ? keys_in[start + r * size] : 0u;
+    }
+    uint base = digit_base(group, partitions);
     for (uint i = 0u; i < rows; i++) {
         rank_rows[i * SORT_DIGITS + d] = 0u;
-    }
-
-    // Each subgroup owns SORT_ROUNDS * size consecutive keys; the last partition may be partial, and a surplus
-    // workgroup of a folded grid has none.
-    uint first = gl_SubgroupID * (SORT_ROUNDS * size) + lane;
-    uint present = group < partitions ? min(count - group * SORT_PARTITION, SORT_PARTITION) : 0u;
-    uint start = group * SORT_PARTITION + first;
-    uint key[SORT_ROUNDS];
-    [[unroll]] for (uint r = 0u; r < SORT_ROUNDS; r++) {
-        key[r] = first + r * size < present ? keys_in[start + r * size] : 0u;
     }
 
     uint by_ballot = RANK_BY_BALLOT;
@@ -144,7 +178,7 @@ void main() {
             // The lowest lane of each digit counts for its peers and hands them what was there: no barrier, because a round
             // cannot begin before the shuffle has its result. Only subgroups take turns here, and some drivers make a barrier
             // of the whole workgroup of a subgroup's.
-            [[unroll]] for (uint r = 0u; r < SORT_ROUNDS; r++) {
+            [[unroll]] for (uint r = 0u; r < ROUNDS; r++) {
                 bool valid = first + r * size < present;
                 uint digit = (key[r] >> push.shift) & mask;
                 uint own = valid ? digit : NO_DIGIT;
@@ -158,7 +192,7 @@ void main() {
         }
     }
 
-    uint base = digit_base(group, partitions); // its barriers also end the ranking
+    barrier();
     for (uint i = 0u; i < rows; i++) {
         uint n = rank_rows[i * SORT_DIGITS + d];
         rank_rows[i * SORT_DIGITS + d] = base;
@@ -166,7 +200,7 @@ void main() {
     }
     barrier();
 
-    [[unroll]] for (uint r = 0u; r < SORT_ROUNDS; r++) {
+    [[unroll]] for (uint r = 0u; r < ROUNDS; r++) {
         uint to = rank_rows[row + ((key[r] >> push.shift) & mask)] + rank[r];
         bool valid = first + r * size < present && to < count;
         if (valid) {
@@ -176,7 +210,7 @@ void main() {
             }
         }
         if (has_next != 0u) {
-            count_digit(to, (key[r] >> push.next_shift) & next_mask, valid);
+            count_digit(to, (key[r] >> push.next_shift) & next_mask, valid, partition_shift);
         }
     }
 }

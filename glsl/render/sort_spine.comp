@@ -18,6 +18,7 @@ layout(std430, set = 0, binding = 1) buffer HistogramBlock { uint histogram[]; }
 layout(push_constant) uniform PushBlock {
     uint count_word;
     uint totals_row;
+    uint partition_shift; // log2 of the keys of a partition
 } push;
 
 const uint DIGITS_PER_GROUP = 8u;
@@ -30,7 +31,7 @@ void main() {
     uint digit = workgroup_index() * DIGITS_PER_GROUP + t % DIGITS_PER_GROUP;
     uint chunk = t / DIGITS_PER_GROUP;
     uint count = counters[push.count_word];
-    uint partitions = count / SORT_PARTITION + (count % SORT_PARTITION == 0u ? 0u : 1u);
+    uint partitions = (count + (1u << push.partition_shift) - 1u) >> push.partition_shift;
     uint per_chunk = (partitions + CHUNKS - 1u) / CHUNKS;
     bool valid = digit < SORT_DIGITS;
     uint first = min(chunk * per_chunk, partitions);

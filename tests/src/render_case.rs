@@ -5,8 +5,9 @@ use engine::render::deform_project::{
     DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProject, DeformProjectBuffers, DeformProjectConstants,
     DeformProjectPush,
 };
-use engine::render::ellipse::Ellipse;
+use engine::render::ellipse::{Ellipse, quadrants_of_tile};
 use engine::render::frame::{Frame, FrameOptions};
+use engine::render::limits::INSTANCE_QUADRANT_SHIFT;
 use engine::render::superpoint_motion::PackedBlend;
 use engine::render::twin::vec4_at;
 use engine::scene::parameter::Optional;
@@ -282,7 +283,7 @@ pub fn test_camera(width: u32, height: u32) -> Camera {
     Camera::look_at(DVec3::new(1.2, -0.8, -3.7), DVec3::new(0.05, 0.02, 0.0), -DVec3::Y, 0.75, [width, height])
 }
 
-/// `ranges` and `values`: per tile the visible Gaussians by depth, ties by index.
+/// `ranges` and `values`: per tile the instances of visible Gaussians by depth, ties by index.
 pub fn tile_lists(frame: &Frame, splats: &[u32], tile_count: &[u32]) -> (Vec<u32>, Vec<u32>) {
     let size = frame.size;
     let mut visible: Vec<usize> = (0..tile_count.len()).filter(|&g| tile_count[g] > 0).collect();
@@ -293,7 +294,11 @@ pub fn tile_lists(frame: &Frame, splats: &[u32], tile_count: &[u32]) -> (Vec<u32
         let rows = e.tile_row_range(size);
         for row in rows[0]..rows[1] {
             let columns = e.tile_columns_of_row(row, size);
-            (columns[0]..columns[1]).for_each(|c| lists[(row * frame.tiles[0] + c) as usize].push(g as u32));
+            let half_rows = e.half_rows_of_tile_row(row);
+            for column in columns[0]..columns[1] {
+                let instance = g as u32 | quadrants_of_tile(half_rows, column) << INSTANCE_QUADRANT_SHIFT;
+                lists[(row * frame.tiles[0] + column) as usize].push(instance);
+            }
         }
     }
     let (mut ranges, mut values) = (Vec::new(), Vec::new());

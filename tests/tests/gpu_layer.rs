@@ -56,7 +56,7 @@ fn lost_at(gpu: &Gpu) -> String {
     let counters = gpu.buffer_with("counters", bytemuck::cast_slice(&[4096_u32; 4])).unwrap();
     let buffer = |name| gpu.buffer(name, 16_384, Memory::Device).unwrap();
     let (keys, histogram) = (buffer("keys"), buffer("histogram"));
-    let push = SortHistogramPush { shift: 0, digit_bits: 8, count_word: 0 };
+    let push = SortHistogramPush { shift: 0, digit_bits: 8, count_word: 0, partition_shift: 12 };
     let mut recorder = gpu.recorder("frame");
     recorder.fill(&keys, 1).unwrap();
     let [counters, keys, histogram] = [&counters, &keys, &histogram].map(Slice::from);

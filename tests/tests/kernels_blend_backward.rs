@@ -4,7 +4,7 @@ use engine::gpu::interface::{Interface, KernelOf};
 use engine::render::blend::{self, BLEND, BlendBuffers, BlendConstants, Stage};
 use engine::render::deform_project::DEFORM_PROJECT;
 use engine::render::frame::Frame;
-use engine::render::limits::COUNT_FAILED;
+use engine::render::limits::{COUNT_FAILED, INSTANCE_GAUSSIAN};
 use engine::train::blend_backward::blend_backward_native::BLEND_BACKWARD_NATIVE;
 use engine::train::blend_backward::sum_instance_gradients::*;
 use engine::train::blend_backward::{self, *};
@@ -70,9 +70,11 @@ impl Rendered {
         }
         let mut next = first_slot.clone();
         let mut slots = Vec::new();
-        for &g in &gaussians {
-            slots.push(next[g as usize]);
-            next[g as usize] += 1;
+        for &instance in &gaussians {
+            let g = (instance & INSTANCE_GAUSSIAN) as usize;
+            gaussian_of_slot[next[g] as usize] = instance;
+            slots.push(next[g]);
+            next[g] += 1;
         }
         let pixels = frame.pixels();
         let buffers = BlendBuffers {

@@ -102,7 +102,7 @@ fn three() -> Scene {
 
 /// Each has pipelines of its own, which take seconds to compile: in small, one.
 fn qualities() -> impl Iterator<Item = Quality> {
-    [Quality::EXACT, Quality::HIGH, Quality::FAST].into_iter().take(if tests_harness::small() { 1 } else { 3 })
+    [Quality::EXACT, Quality::HIGH].into_iter().take(if tests_harness::small() { 1 } else { 2 })
 }
 
 #[test]

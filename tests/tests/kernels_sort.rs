@@ -22,8 +22,8 @@ impl Rng {
 fn sort_and_check(gpu: &TestGpu, keys: &[u32], key_bits: u32, has_values: bool, prescanned: bool, context: &str) {
     // Both ways of ranking must give the same bits wherever both work.
     let fewest_lanes = rank_by_ballot(gpu.subgroup_size_of(&SORT_SCATTER));
-    for by_ballot in [true, fewest_lanes] {
-        sort_and_check_by(gpu, keys, key_bits, has_values, (prescanned, by_ballot), context);
+    for (by_ballot, rounds) in [(true, 16), (fewest_lanes, 16), (fewest_lanes, 4), (true, 8)] {
+        sort_and_check_by(gpu, keys, key_bits, has_values, (prescanned, by_ballot, rounds), context);
     }
 }
 
@@ -32,13 +32,13 @@ fn sort_and_check_by(
     keys: &[u32],
     key_bits: u32,
     has_values: bool,
-    (prescanned, by_ballot): (bool, bool),
+    (prescanned, by_ballot, rounds): (bool, bool, u32),
     context: &str,
 ) {
     let n = keys.len() as u32;
-    let context =
-        format!("n={n} bits={key_bits} values={has_values} prescanned={prescanned} ballot={by_ballot} {context}");
-    let mut plan = SortPlan::new(n.max(1), key_bits).unwrap();
+    let how = format!("values={has_values} prescanned={prescanned} ballot={by_ballot} rounds={rounds}");
+    let context = format!("n={n} bits={key_bits} {how} {context}");
+    let mut plan = SortPlan::with_rounds(n.max(1), key_bits, rounds).unwrap();
     plan.prescanned = prescanned;
     let rows = plan.histogram_rows() as usize * 256;
     let counters = vec![0, 0, n, 0, 0, 0, 0, 0];

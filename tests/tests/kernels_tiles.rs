@@ -4,6 +4,7 @@ use engine::render::compact::*;
 use engine::render::ellipse::Ellipse;
 use engine::render::emit_tiles::{EMIT_TILES, EmitTiles, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use engine::render::frame::Frame;
+use engine::render::limits::INSTANCE_GAUSSIAN;
 use engine::render::radix_sort::*;
 use engine::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
 use engine::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
@@ -97,7 +98,12 @@ impl Scene {
             values: out,
             next_histogram: vec![0; depth.histogram_rows() as usize * 256],
         };
-        let push = CompactPush { block_capacity, digit_bits: 8 };
+        let push = CompactPush {
+            block_capacity,
+            digit_bits: 8,
+            depth_partition_shift: depth.partition_shift(),
+            tile_partition_shift: tile.partition_shift(),
+        };
         let constants = CompactConstants::default();
         let case = KernelCase { kernel: &COMPACT, constants, push, buffers, groups: n.div_ceil(1024) + 1 };
         let CompactBuffers { counters, indirect, keys, values, next_histogram, .. } = case.check(gpu, "chain");
@@ -128,7 +134,8 @@ impl Scene {
             gaussian_of_slot: None,
             first_slot: None,
         };
-        let push = EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits };
+        let push =
+            EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits, partition_shift: tile.partition_shift() };
         let constants = EmitTilesConstants::default();
         let case = KernelCase { kernel: &EMIT_TILES, constants, push, buffers, groups: emit_groups };
         let emitted = case.clone().check(gpu, "chain");
@@ -163,7 +170,7 @@ impl Scene {
         assert_eq!(gaussian_of_slot[..instances], without.values[..instances]);
         for (g, first) in first_slot.iter().enumerate().filter(|_| counters[3] == 0) {
             let own = (0..self.tile_count[g]).map(|k| (first + k) as usize).filter(|&slot| slot < instances);
-            own.for_each(|slot| assert_eq!(gaussian_of_slot[slot], g as u32));
+            own.for_each(|slot| assert_eq!(gaussian_of_slot[slot] & INSTANCE_GAUSSIAN, g as u32));
         }
     }
 }

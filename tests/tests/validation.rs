@@ -5,7 +5,7 @@ use engine::gpu::{Buffer, Gpu, GpuOptions, Groups, Memory, Recorder, Slice};
 use engine::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers, SortHistogramPush};
 
 const BYTES: u64 = 64 * 1024;
-const PUSH: SortHistogramPush = SortHistogramPush { shift: 0, digit_bits: 8, count_word: 0 };
+const PUSH: SortHistogramPush = SortHistogramPush { shift: 0, digit_bits: 8, count_word: 0, partition_shift: 12 };
 
 struct Probe {
     gpu: Gpu,

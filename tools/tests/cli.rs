@@ -285,7 +285,7 @@ fn bench_measures_training_of_a_synthetic_scene_and_of_photos() {
         "a self-contained page"
     );
 
-    assert!(mistake(&["bench", "sweep", "--quality", "fast"], 2).contains("--quality"));
+    assert!(mistake(&["bench", "sweep", "--quality", "high"], 2).contains("--quality"));
     assert!(mistake(&["bench", "train", "model.ply"], 2).contains("--cameras"));
     assert!(mistake(&["bench", "train", "--check"], 2).contains("--check"));
 }

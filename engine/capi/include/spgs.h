@@ -145,7 +145,7 @@ typedef struct spgs_scene spgs_scene;
 typedef struct spgs_loading spgs_loading;
 
 enum { SPGS_MOTION_AUTO = 0, SPGS_MOTION_TABLE = 1, SPGS_MOTION_NETWORK = 2 };
-enum { SPGS_QUALITY_EXACT = 0, SPGS_QUALITY_HIGH = 1, SPGS_QUALITY_FAST = 2 };
+enum { SPGS_QUALITY_EXACT = 0, SPGS_QUALITY_HIGH = 1 };
 
 typedef struct spgs_scene_options {
     uint32_t struct_size;

@@ -42,19 +42,19 @@ pub struct spgs_loading(Loading);
 unsafe fn scene_options(given: *const spgs_scene_options) -> Result<SceneOptions> {
     // SAFETY: promised by the caller.
     let given = unsafe { options(given, "spgs_scene_options")? };
-    let unknown =
-        |what: &str, value: u32| Error::usage(format!("spgs_scene_options.{what}"), value.to_string(), "0 to 2");
+    let unknown = |what: &str, value: u32, expected: &str| {
+        Error::usage(format!("spgs_scene_options.{what}"), value.to_string(), expected)
+    };
     let motion = match given.motion {
         0 => MotionSource::Auto,
         1 => MotionSource::Table,
         2 => MotionSource::Network,
-        other => return Err(unknown("motion", other)),
+        other => return Err(unknown("motion", other, "0 to 2")),
     };
     let quality = match given.quality {
         0 => Quality::EXACT,
         1 => Quality::named("high")?,
-        2 => Quality::named("fast")?,
-        other => return Err(unknown("quality", other)),
+        other => return Err(unknown("quality", other, "0 or 1")),
     };
     Ok(SceneOptions { motion, quality })
 }

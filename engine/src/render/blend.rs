@@ -1,9 +1,9 @@
 //! Kernel `blend`: front-to-back blending of each tile's splats into the image.
 //!
-//! Reads `ranges uint[2·tiles]` (first and last + 1 instance of a tile), `values uint[instances]` (the Gaussian of each
-//! instance, in depth order within a tile) and `splats` (stored as [`super::splat`] says). Writes every pixel of `color vec4[H·W]` (Σ c α T + T·background,
+//! Reads `ranges uint[2·tiles]` (first and last + 1 instance of a tile), `values uint[instances]` (each
+//! instance's Gaussian and the quadrants that it reaches, in depth order within a tile) and `splats` (stored as [`super::splat`] says). Writes every pixel of `color vec4[H·W]` (Σ c α T + T·background,
 //! 1 − T) and, when `WITH_DEPTH` is 1, `depth float[H·W]` (Σ z α T). When `WITH_SLOTS` is 1,
-//! `values` are slots and `gaussian_of_slot` leads to the Gaussians (see [`SlotBuffers`](super::tiles::SlotBuffers)).
+//! `values` are slots and `gaussian_of_slot` leads to the instances (see [`SlotBuffers`](super::tiles::SlotBuffers)).
 //!
 //! Kernels `blend_packed`, `blend_rgba8`, `blend_rgba16f` and `blend_rgba32f` do the same and store pixels as host programs take
 //! them ([`PixelFormat`](super::PixelFormat)).

@@ -16,17 +16,21 @@ crate::gpu_struct! {
         pub block_capacity: u32,
         /// Width of the first depth digit.
         pub digit_bits: u32,
+        /// log2 of the keys of a partition of the depth sort.
+        pub depth_partition_shift: u32,
+        /// The same of the tile sort.
+        pub tile_partition_shift: u32,
     }
 }
 
 /// Gaussians per workgroup of `compact`.
 pub const COMPACT_GAUSSIANS: u32 = 1024;
 
-/// Word of `indirect` where the depth sort's group counts are: ceil(visible / 4096).
+/// Word of `indirect` where the depth sort's group counts are: one per partition of `visible`.
 pub const INDIRECT_DEPTH_SORT: u32 = 0;
 /// The same for `sum_tile_counts` and `emit_tiles`: ceil(visible / 256).
 pub const INDIRECT_EMIT: u32 = 4;
-/// The same for the tile sort: ceil(instances / 4096).
+/// The same for the tile sort: one per partition of the instances.
 pub const INDIRECT_TILE_SORT: u32 = 8;
 /// The same for `tile_ranges`: ceil(instances / 256).
 pub const INDIRECT_RANGES: u32 = 12;
@@ -96,12 +100,12 @@ fn compact_twin(call: Call<'_, Compact>) {
                 let key = depth_key(b.splats[words * i as usize + 6], constants.depth_bits, &frame);
                 b.keys[to as usize] = key;
                 b.values[to as usize] = i;
-                b.next_histogram[(to / SORT_PARTITION * SORT_DIGITS + (key & mask)) as usize] += 1;
+                b.next_histogram[((to >> push.depth_partition_shift) * SORT_DIGITS + (key & mask)) as usize] += 1;
                 to += 1;
             }
         }
         if group == 0 {
-            write_arguments(frame.instance_capacity, b.counters, b.indirect);
+            write_arguments(push, frame.instance_capacity, b.counters, b.indirect);
         }
     }
 }
@@ -115,16 +119,16 @@ fn depth_key(z: u32, depth_bits: u32, frame: &Frame) -> u32 {
     ((z - z.min(low)) >> frame.world_to_camera_1[3] as u32).min((1 << depth_bits) - 1)
 }
 
-fn write_arguments(capacity: u32, counters: &mut [u32], indirect: &mut [u32]) {
+fn write_arguments(push: CompactPush, capacity: u32, counters: &mut [u32], indirect: &mut [u32]) {
     let total = counters[COUNT_INSTANCES_LOW as usize];
     let before = counters[COUNT_FAILED as usize] != 0;
     let failed = before || counters[COUNT_INSTANCES_HIGH as usize] != 0 || total > capacity;
     let visible = if failed { 0 } else { counters[COUNT_VISIBLE as usize] };
     let instances = if failed { 0 } else { total };
     for (at, items, per_group) in [
-        (INDIRECT_DEPTH_SORT, visible, SORT_PARTITION),
+        (INDIRECT_DEPTH_SORT, visible, 1 << push.depth_partition_shift),
         (INDIRECT_EMIT, visible, SCAN_BLOCK),
-        (INDIRECT_TILE_SORT, instances, SORT_PARTITION),
+        (INDIRECT_TILE_SORT, instances, 1 << push.tile_partition_shift),
         (INDIRECT_RANGES, instances, SCAN_BLOCK),
     ] {
         let [x, y, z] = twin::folded_groups(items.div_ceil(per_group));

@@ -118,6 +118,12 @@ impl Ellipse {
         if columns[0] < columns[1] { [columns[0] / TILE_SIZE, (columns[1] - 1) / TILE_SIZE + 1] } else { [0, 0] }
     }
 
+    /// The ellipse in the upper and the lower eight rows of a tile row: the range of x of each, \[1, 0\] when it is empty.
+    pub fn half_rows_of_tile_row(&self, tile_row: u32) -> [[f32; 2]; 2] {
+        let y = (tile_row * TILE_SIZE) as f32 + 0.5;
+        [self.row_interval(y, y + 7.0), self.row_interval(y + 8.0, y + 15.0)]
+    }
+
     /// Number of tiles the ellipse reaches: the one definition of `tile_count`.
     pub fn tile_count(&self, size: [u32; 2]) -> u32 {
         let rows = self.tile_row_range(size);
@@ -128,6 +134,18 @@ impl Ellipse {
             })
             .sum()
     }
+}
+
+/// The quadrants of 8×8 pixels of a tile that an ellipse reaches, given [`Ellipse::half_rows_of_tile_row`] of the tile's row: bits
+/// 0 upper left, 1 upper right, 2 lower left, 3 lower right.
+pub fn quadrants_of_tile(half_rows: [[f32; 2]; 2], tile_column: u32) -> u32 {
+    let x = (tile_column * TILE_SIZE) as f32 + 0.5;
+    let reached = |half: usize, right: usize| {
+        let [low, high] = half_rows[half];
+        let first = x + [0.0, 8.0][right];
+        low <= first + 7.0 && high >= first
+    };
+    (0..4).map(|q| u32::from(reached(q / 2, q % 2)) << q).sum()
 }
 
 /// log2(1/cut) of specialisation constant `ALPHA_CUT`.

@@ -1,6 +1,6 @@
 //! Kernel `emit_tiles`: one (tile, Gaussian) pair for each tile that a visible Gaussian reaches.
 
-use super::ellipse::Ellipse;
+use super::ellipse::{Ellipse, quadrants_of_tile};
 use super::frame::Frame;
 use super::limits::*;
 use super::splat::unpack_splat;
@@ -16,6 +16,8 @@ crate::gpu_struct! {
         pub block_capacity: u32,
         /// Width of the first tile digit.
         pub digit_bits: u32,
+        /// log2 of the keys of a partition of the tile sort.
+        pub partition_shift: u32,
     }
 }
 
@@ -48,11 +50,11 @@ crate::gpu_buffers! {
         instance_block: Read U32,
         /// `[instances]`: tiles.
         keys: Write U32,
-        /// `[instances]`: Gaussians, or slots.
+        /// `[instances]`: instances ([`INSTANCE_GAUSSIAN`], [`INSTANCE_QUADRANT_SHIFT`]), or slots.
         values: Write U32,
         /// `[partition][256]` counts of the first tile digit; must be zero.
         next_histogram: Atomic U32,
-        /// `[instances]`; with slots only.
+        /// `[instances]`: instances; with slots only.
         gaussian_of_slot: optional Write U32,
         /// `[N]`; with slots only.
         first_slot: optional Write U32,
@@ -94,14 +96,15 @@ fn emit_tiles_twin(call: Call<'_, EmitTiles>) {
             if let Some(first_slot) = b.first_slot.as_mut().filter(|_| with_slots) {
                 first_slot[g] = to;
             }
-            for tile in tiles_of(&e, b.tile_count[g], &frame) {
+            for (tile, quadrants) in tiles_of(&e, b.tile_count[g], &frame) {
                 if to < capacity {
+                    let instance = gaussian | quadrants << INSTANCE_QUADRANT_SHIFT;
                     b.keys[to as usize] = tile;
-                    b.values[to as usize] = if with_slots { to } else { gaussian };
+                    b.values[to as usize] = if with_slots { to } else { instance };
                     if let Some(gaussian_of_slot) = b.gaussian_of_slot.as_mut().filter(|_| with_slots) {
-                        gaussian_of_slot[to as usize] = gaussian;
+                        gaussian_of_slot[to as usize] = instance;
                     }
-                    b.next_histogram[(to / SORT_PARTITION * SORT_DIGITS + (tile & mask)) as usize] += 1;
+                    b.next_histogram[((to >> push.partition_shift) * SORT_DIGITS + (tile & mask)) as usize] += 1;
                 }
                 to += 1;
             }
@@ -109,14 +112,16 @@ fn emit_tiles_twin(call: Call<'_, EmitTiles>) {
     }
 }
 
-/// Exactly `count` tiles of an ellipse, row-major; `sentinel` stands for those that do not exist.
-fn tiles_of(e: &Ellipse, count: u32, frame: &Frame) -> Vec<u32> {
+/// Exactly `count` tiles of an ellipse and their quadrants, row-major; one past the last tile stands for those that do not exist.
+fn tiles_of(e: &Ellipse, count: u32, frame: &Frame) -> Vec<(u32, u32)> {
     let mut tiles = Vec::new();
     let rows = e.tile_row_range(frame.size);
     for row in rows[0]..rows[1] {
         let columns = e.tile_columns_of_row(row, frame.size);
-        tiles.extend((columns[0]..columns[1]).map(|column| row * frame.tiles[0] + column));
+        let half_rows = e.half_rows_of_tile_row(row);
+        let tile = |column: u32| (row * frame.tiles[0] + column, quadrants_of_tile(half_rows, column));
+        tiles.extend((columns[0]..columns[1]).map(tile));
     }
-    tiles.resize(count as usize, frame.tile_count);
+    tiles.resize(count as usize, (frame.tile_count, 0));
     tiles
 }

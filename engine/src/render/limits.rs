@@ -4,9 +4,9 @@
 pub const TILE_SIZE: u32 = 16;
 /// Threads of every workgroup of the sort and tile kernels.
 pub const SORT_THREADS: u32 = 256;
-/// Keys per thread of `sort_scatter` and `sort_histogram`.
+/// Most keys per thread of `sort_scatter`.
 pub const SORT_ROUNDS: u32 = 16;
-/// Keys per workgroup of `sort_scatter`: one partition.
+/// Keys per workgroup of `sort_scatter`: the largest partition.
 pub const SORT_PARTITION: u32 = 4096;
 /// Columns of a histogram row, whatever the digit's width.
 pub const SORT_DIGITS: u32 = 256;
@@ -14,6 +14,15 @@ pub const SORT_DIGITS: u32 = 256;
 pub const SCAN_BLOCK: u32 = 256;
 /// Block sums per super sum.
 pub const SCAN_SUPER: u32 = 256;
+
+/// First bit of the quadrants in an instance of a tile list ([`Ellipse::quadrants_of_tile`](super::ellipse::Ellipse)); below
+/// it is the Gaussian.
+pub const INSTANCE_QUADRANT_SHIFT: u32 = 28;
+/// Bits of the Gaussian in an instance: 2^28 − 1. More than that many splats of 48 bytes fit into no binding, whose range is a
+/// 32-bit number of bytes.
+pub const INSTANCE_GAUSSIAN: u32 = (1 << INSTANCE_QUADRANT_SHIFT) - 1;
+/// All four quadrants of a tile.
+pub const ALL_QUADRANTS: u32 = 15;
 
 /// `counters[0]`: visible Gaussians.
 pub const COUNT_VISIBLE: u32 = 0;
@@ -38,12 +47,13 @@ mod tests {
 
     #[test]
     fn glsl_has_the_same_constants() {
-        let glsl = include_str!("../../../glsl/lib/limits.glsl");
+        let glsl =
+            concat!(include_str!("../../../glsl/lib/limits.glsl"), include_str!("../../../glsl/lib/ellipse.glsl"));
         let value = |name: &str| -> u32 {
             let line = glsl
                 .lines()
                 .find(|l| l.starts_with(&format!("const uint {name} =")))
-                .unwrap_or_else(|| panic!("limits.glsl has no {name}"));
+                .unwrap_or_else(|| panic!("neither limits.glsl nor ellipse.glsl has {name}"));
             line.split('=').nth(1).unwrap().split('u').next().unwrap().trim().parse().unwrap()
         };
         for (name, rust) in [
@@ -54,6 +64,8 @@ mod tests {
             ("SORT_DIGITS", SORT_DIGITS),
             ("SCAN_BLOCK", SCAN_BLOCK),
             ("SCAN_SUPER", SCAN_SUPER),
+            ("INSTANCE_QUADRANT_SHIFT", INSTANCE_QUADRANT_SHIFT),
+            ("INSTANCE_GAUSSIAN", INSTANCE_GAUSSIAN),
             ("COUNT_VISIBLE", COUNT_VISIBLE),
             ("COUNT_INSTANCES_LOW", COUNT_INSTANCES_LOW),
             ("COUNT_INSTANCES_HIGH", COUNT_INSTANCES_HIGH),

@@ -177,8 +177,12 @@ fn compact(
     frame: &FrameBuffers,
     quality: &Quality,
 ) -> Result<()> {
-    let first = &work.depth.plan.digits[0];
-    let push = CompactPush { block_capacity: work.block_capacity, digit_bits: first.bits };
+    let push = CompactPush {
+        block_capacity: work.block_capacity,
+        digit_bits: work.depth.plan.digits[0].bits,
+        depth_partition_shift: work.depth.plan.partition_shift(),
+        tile_partition_shift: work.tile.plan.partition_shift(),
+    };
     let buffers = CompactBuffers {
         frame: frame.frame.whole(),
         tile_count: work.tile_count.whole(),
@@ -229,7 +233,11 @@ fn emit(r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: &Shap
         instance_block: work.instance_block.clone(),
     };
     r.dispatch(&SUM_TILE_COUNTS, (), push, buffers, groups())?;
-    let push = EmitTilesPush { block_capacity: work.block_capacity, digit_bits: work.tile.plan.digits[0].bits };
+    let push = EmitTilesPush {
+        block_capacity: work.block_capacity,
+        digit_bits: work.tile.plan.digits[0].bits,
+        partition_shift: work.tile.plan.partition_shift(),
+    };
     let slots = shape.slots.as_ref();
     let buffers = EmitTilesBuffers {
         frame: frame.frame.whole(),

@@ -116,12 +116,8 @@ impl Quality {
     /// No visible error: 99.99 % of all values within 1/255 of the definition.
     pub const HIGH: Self = Self { depth_bits: 24, sh: Storage::F16, colour: Storage::F16, ..Self::EXACT };
 
-    /// Errors of a few levels of 255 in places: 99 % of all values within 4/255 of the definition. It keeps every splat: a
-    /// larger `alpha_cut` takes whole layers away where many faint ones lie behind each other.
-    pub const FAST: Self = Self { stop: 1e-3, depth_bits: 16, sh: Storage::Bits8, network: Storage::F16, ..Self::HIGH };
-
     /// Names of the presets, and what they are.
-    pub const PRESETS: [(&'static str, Self); 3] = [("exact", Self::EXACT), ("high", Self::HIGH), ("fast", Self::FAST)];
+    pub const PRESETS: [(&'static str, Self); 2] = [("exact", Self::EXACT), ("high", Self::HIGH)];
 
     /// These knobs for a scene: its colours decide whether half precision is enough. Where more than one Gaussian in 1,000 has
     /// an SH coefficient beyond ±4 (colours far outside an image's), `sh` and `colour` are f32. Network G and deformation
@@ -142,13 +138,16 @@ impl Quality {
     /// A preset by name.
     ///
     /// # Errors
-    /// `Usage` for an unknown name.
+    /// `Usage` for an unknown name, and for `fast`, a preset of earlier versions.
     pub fn named(name: &str) -> Result<Self> {
-        Self::PRESETS
-            .into_iter()
-            .find(|(n, _)| *n == name)
-            .map(|(_, q)| q)
-            .ok_or_else(|| Error::usage("quality", name, "exact, high or fast"))
+        let expected = match name {
+            "fast" => {
+                "exact or high; fast saved too little and is gone: turn its knobs with --set depth_bits=16,sh=u8,stop=0.001"
+            }
+            _ => "exact or high",
+        };
+        let preset = Self::PRESETS.into_iter().find(|(n, _)| *n == name);
+        preset.map(|(_, q)| q).ok_or_else(|| Error::usage("quality", name, expected))
     }
 
     /// Turns one knob.
@@ -271,7 +270,6 @@ mod tests {
         scene.gaussians.sh[4000] = 4.1;
         let kept = Quality::HIGH.for_scene(&scene);
         assert_eq!(kept, Quality { sh: Storage::F32, colour: Storage::F32, ..Quality::HIGH });
-        assert_eq!(Quality::FAST.for_scene(&scene).sh, Storage::F32);
         assert_eq!(Quality::HIGH.for_scene(&Scene::default()), Quality::HIGH);
     }
 
@@ -294,6 +292,11 @@ mod tests {
         }
         assert_eq!(q, Quality::EXACT);
         assert!(Quality::named("best").is_err());
+        // What replaces a preset that is gone must be accepted.
+        let gone = Quality::named("fast").unwrap_err().to_string();
+        let (_, list) = gone.split_once("--set ").unwrap();
+        q.set_all(list.split_whitespace().next().unwrap()).unwrap();
+        assert_eq!((q.depth_bits, q.sh), (16, Storage::Bits8));
     }
 
     #[test]
@@ -303,7 +306,7 @@ mod tests {
         q.set_all("alpha_cut = 1/64, depth_bits=16").unwrap();
         assert_eq!(q.describe(), "exact, depth_bits=16, alpha_cut=1/64");
         assert_eq!(q.alpha_cut_constant(), 6.0_f32.to_bits());
-        assert_eq!(Quality::FAST.describe(), "fast");
+        assert_eq!(Quality::HIGH.describe(), "high");
         assert_eq!(Quality::EXACT.alpha_cut_constant() + Quality::EXACT.stop_constant(), 0);
     }
 }

@@ -1,8 +1,8 @@
 //! Stable radix sort of u32 keys with optional u32 values, least significant digit first.
 //!
-//! Reduce-then-scan without a scan dispatch: each pass has one histogram row (256 counts) per partition of 4,096 keys;
-//! `sort_scatter` sums the rows of the earlier partitions itself and, while it scatters, counts the digits of the next
-//! pass. Past [`SPINE_PARTITIONS`] partitions `sort_spine` scans the rows first. No workgroup waits for another, and
+//! Reduce-then-scan without a scan dispatch: each pass has one histogram row (256 counts) per partition of 4,096 keys, or of
+//! fewer in a small sort ([`rounds_of`]); `sort_scatter` sums the rows of the earlier partitions itself and, while it scatters,
+//! counts the digits of the next pass. Past [`SPINE_PARTITIONS`] partitions `sort_spine` scans the rows first. No workgroup waits for another, and
 //! the result does not depend on the subgroup size.
 
 mod device_sort;
@@ -11,11 +11,12 @@ mod record;
 pub use device_sort::DeviceSort;
 pub(crate) use record::{SortSlices, record};
 
-use super::limits::{SORT_DIGITS, SORT_PARTITION};
+use super::limits::{SORT_DIGITS, SORT_ROUNDS, SORT_THREADS};
 use super::sort_histogram::SortHistogramPush;
 use super::sort_scatter::{NOT_PRESCANNED, SortScatterConstants, SortScatterPush};
 use super::sort_spine::SortSpinePush;
 use crate::error::{Error, Result};
+use crate::gpu::Gpu;
 
 /// Above this many partitions `sort_spine` scans the histogram before each `sort_scatter`.
 pub const SPINE_PARTITIONS: u32 = 128;
@@ -24,6 +25,17 @@ pub const SPINE_PARTITIONS: u32 = 128;
 /// each lane, which works up to 16 lanes and is faster on a CPU device, where a ballot is a loop over lanes.
 pub fn rank_by_ballot(subgroup_size: u32) -> bool {
     subgroup_size > 16
+}
+
+/// Fewest keys per thread of a partition.
+const FEWEST_ROUNDS: u32 = 4;
+
+/// Keys per thread of `sort_scatter` for sorts of up to `capacity` keys: the smallest partitions that need no spine. A pass takes at
+/// least as long as one of its workgroups, and a GPU has a processor for each; a CPU device has few and gains nothing.
+pub fn rounds_of(capacity: u32, is_cpu: bool) -> u32 {
+    let fits = |rounds: &u32| capacity.div_ceil(rounds * SORT_THREADS) <= SPINE_PARTITIONS;
+    let small = (0..).map(|i| FEWEST_ROUNDS << i).take_while(|rounds| !is_cpu && *rounds < SORT_ROUNDS).find(fits);
+    small.unwrap_or(SORT_ROUNDS)
 }
 
 /// One digit of a [`SortPlan`].
@@ -44,16 +56,34 @@ pub struct SortPlan {
     pub digits: Vec<Digit>,
     /// Partitions of `capacity` keys.
     pub partitions: u32,
+    /// Keys per thread of a partition.
+    pub rounds: u32,
     /// `sort_spine` runs before each `sort_scatter`.
     pub prescanned: bool,
 }
 
 impl SortPlan {
-    /// The fewest passes of at most 8 bits, as even as possible (wider first).
+    /// The fewest passes of at most 8 bits, as even as possible (wider first), in the largest partitions.
     ///
     /// # Errors
     /// `Usage` when `key_bits` is not 1..=32, `Limit` past 2^31 keys.
     pub fn new(capacity: u32, key_bits: u32) -> Result<Self> {
+        Self::with_rounds(capacity, key_bits, SORT_ROUNDS)
+    }
+
+    /// The same in partitions that suit a device ([`rounds_of`]).
+    ///
+    /// # Errors
+    /// As [`SortPlan::new`].
+    pub fn for_device(gpu: &Gpu, capacity: u32, key_bits: u32) -> Result<Self> {
+        Self::with_rounds(capacity, key_bits, rounds_of(capacity, gpu.info().is_cpu()))
+    }
+
+    /// The same with `rounds` keys per thread of a partition: a power of two, at most 16.
+    ///
+    /// # Errors
+    /// As [`SortPlan::new`].
+    pub fn with_rounds(capacity: u32, key_bits: u32, rounds: u32) -> Result<Self> {
         if !(1..=32).contains(&key_bits) {
             return Err(Error::usage("key bits of a sort", key_bits.to_string(), "1..=32"));
         }
@@ -69,8 +99,13 @@ impl SortPlan {
                 Digit { shift: shift - bits, bits }
             })
             .collect();
-        let partitions = capacity.div_ceil(SORT_PARTITION).max(1);
-        Ok(Self { capacity, digits, partitions, prescanned: partitions > SPINE_PARTITIONS })
+        let partitions = capacity.div_ceil(rounds * SORT_THREADS).max(1);
+        Ok(Self { capacity, digits, partitions, rounds, prescanned: partitions > SPINE_PARTITIONS })
+    }
+
+    /// log2 of the keys of a partition.
+    pub fn partition_shift(&self) -> u32 {
+        (self.rounds * SORT_THREADS).ilog2()
     }
 
     /// Rows of one pass's histogram: a row per partition and, for the spine, one of totals.
@@ -94,6 +129,7 @@ impl SortPlan {
             has_values: has_values.into(),
             has_next: (pass + 1 < self.digits.len()).into(),
             rank_by_ballot: by_ballot.into(),
+            rounds: self.rounds,
         }
     }
 
@@ -113,11 +149,12 @@ impl SortPlan {
 
     /// Push constants of `sort_histogram` for the first pass.
     pub fn histogram_push(&self, count_word: u32) -> SortHistogramPush {
-        SortHistogramPush { shift: self.digits[0].shift, digit_bits: self.digits[0].bits, count_word }
+        let Digit { shift, bits } = self.digits[0];
+        SortHistogramPush { shift, digit_bits: bits, count_word, partition_shift: self.partition_shift() }
     }
 
     /// Push constants of `sort_spine`.
     pub fn spine_push(&self, count_word: u32) -> SortSpinePush {
-        SortSpinePush { count_word, totals_row: self.partitions }
+        SortSpinePush { count_word, totals_row: self.partitions, partition_shift: self.partition_shift() }
     }
 }

@@ -1,7 +1,7 @@
 //! Kernel `sort_histogram`: the first count of the [radix sort](super::radix_sort), of keys that nobody counted while writing
 //! them.
 
-use super::limits::{SORT_DIGITS, SORT_PARTITION};
+use super::limits::SORT_DIGITS;
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 
@@ -14,6 +14,8 @@ crate::gpu_struct! {
         pub digit_bits: u32,
         /// `counters[count_word]` is the number of keys.
         pub count_word: u32,
+        /// log2 of the keys of a partition.
+        pub partition_shift: u32,
     }
 }
 
@@ -29,10 +31,10 @@ crate::gpu_buffers! {
 }
 
 crate::kernel! {
-    /// Dispatch ceil(keys / 4096) workgroups.
+    /// Dispatch a workgroup per partition.
     pub static SORT_HISTOGRAM: SortHistogram = {
         name: "sort_histogram",
-        doc: "counts one digit for each partition of 4,096 keys",
+        doc: "counts one digit for each partition of keys",
         local_size: 256,
         constants: (),
         push: SortHistogramPush,
@@ -48,10 +50,11 @@ fn sort_histogram_twin(call: Call<'_, SortHistogram>) {
     let Call { push, buffers: b, .. } = call;
     let count = b.counters[push.count_word as usize];
     let mask = (1u32 << push.digit_bits) - 1;
-    for group in 0..groups.min(count.div_ceil(SORT_PARTITION)) {
+    let partition = 1 << push.partition_shift;
+    for group in 0..groups.min(count.div_ceil(partition)) {
         let row = &mut b.histogram[(group * SORT_DIGITS) as usize..][..SORT_DIGITS as usize];
         row.fill(0);
-        for i in group * SORT_PARTITION..count.min((group + 1) * SORT_PARTITION) {
+        for i in group * partition..count.min((group + 1) * partition) {
             row[(b.keys[i as usize] >> push.shift & mask) as usize] += 1;
         }
     }

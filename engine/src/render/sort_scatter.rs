@@ -1,6 +1,6 @@
 //! Kernel `sort_scatter`: one pass of the [radix sort](super::radix_sort).
 
-use super::limits::{SORT_DIGITS, SORT_PARTITION};
+use super::limits::{SORT_DIGITS, SORT_THREADS};
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 
@@ -34,6 +34,8 @@ crate::gpu_constants! {
         has_next,
         /// 1: ranks within a subgroup by ballots, else by comparing with each lane ([`super::radix_sort::rank_by_ballot`]).
         rank_by_ballot,
+        /// Keys per thread of a partition: a power of two, at most [`SORT_ROUNDS`](super::limits::SORT_ROUNDS).
+        rounds,
     }
 }
 
@@ -54,10 +56,10 @@ crate::gpu_buffers! {
 }
 
 crate::kernel! {
-    /// One pass. Dispatch ceil(keys / 4096) workgroups.
+    /// One pass. Dispatch a workgroup per partition.
     pub static SORT_SCATTER: SortScatter = {
         name: "sort_scatter",
-        doc: "one stable pass of the radix sort: ranks 4,096 keys by one digit, moves them, counts the next digit",
+        doc: "one stable pass of the radix sort: ranks a partition's keys by one digit, moves them, counts the next digit",
         local_size: 256,
         constants: SortScatterConstants,
         push: SortScatterPush,
@@ -75,12 +77,13 @@ fn sort_scatter_twin(call: Call<'_, SortScatter>) {
     let Call { constants, push, buffers: mut b, .. } = call;
     let totals_row = (push.totals_row != NOT_PRESCANNED).then_some(push.totals_row);
     let count = b.counters[push.count_word as usize];
-    let partitions = count.div_ceil(SORT_PARTITION);
+    let partition = constants.rounds * SORT_THREADS;
+    let partitions = count.div_ceil(partition);
     let mask = (1u32 << push.digit_bits) - 1;
     let next_mask = (1u32 << push.next_digit_bits) - 1;
     for group in 0..groups.min(partitions) {
         let mut place = digit_base(b.histogram, group, partitions, totals_row);
-        for i in group * SORT_PARTITION..count.min((group + 1) * SORT_PARTITION) {
+        for i in group * partition..count.min((group + 1) * partition) {
             let key = b.keys_in[i as usize];
             let digit = (key >> push.shift & mask) as usize;
             let to = place[digit];
@@ -94,7 +97,7 @@ fn sort_scatter_twin(call: Call<'_, SortScatter>) {
             }
             if let Some(next_histogram) = b.next_histogram.as_mut().filter(|_| constants.has_next != 0) {
                 let next = key >> push.next_shift & next_mask;
-                next_histogram[(to / SORT_PARTITION * SORT_DIGITS + next) as usize] += 1;
+                next_histogram[(to / partition * SORT_DIGITS + next) as usize] += 1;
             }
         }
     }

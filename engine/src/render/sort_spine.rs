@@ -1,6 +1,6 @@
 //! Kernel `sort_spine`: scans the histogram of a [radix sort](super::radix_sort) with many partitions.
 
-use super::limits::{SORT_DIGITS, SORT_PARTITION};
+use super::limits::SORT_DIGITS;
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 
@@ -14,6 +14,8 @@ crate::gpu_struct! {
         pub count_word: u32,
         /// Row that receives the digit totals; past the last partition's.
         pub totals_row: u32,
+        /// log2 of the keys of a partition.
+        pub partition_shift: u32,
     }
 }
 
@@ -46,7 +48,7 @@ fn sort_spine_twin(call: Call<'_, SortSpine>) {
     let digits = (call.group_count() * 8).min(SORT_DIGITS) as usize;
     let Call { push, buffers: b, .. } = call;
     let row = SORT_DIGITS as usize;
-    let partitions = b.counters[push.count_word as usize].div_ceil(SORT_PARTITION) as usize;
+    let partitions = b.counters[push.count_word as usize].div_ceil(1 << push.partition_shift) as usize;
     for d in 0..digits {
         let mut before = 0;
         for p in 0..partitions {

@@ -136,6 +136,17 @@ fn plan_covers_the_bits_once() {
     assert!(SortPlan::new(128 * 4096 + 1, 32).unwrap().prescanned);
 }
 
+#[test]
+fn small_sorts_have_small_partitions_on_gpus() {
+    let of = |capacity| rounds_of(capacity, false);
+    assert_eq!([1, 1 << 17, (1 << 17) + 1, 1 << 18, (1 << 18) + 1, u32::MAX].map(of), [4, 4, 8, 8, 16, 16]);
+    assert_eq!(rounds_of(1, true), 16);
+    for rounds in [4, 8, 16] {
+        let plan = SortPlan::with_rounds(5000, 32, rounds).unwrap();
+        assert_eq!(5000_u32.div_ceil(1 << plan.partition_shift()), plan.partitions);
+    }
+}
+
 // ---- the kernel's algorithm, lane by lane, as in glsl/sort_scatter.comp and glsl/lib/subgroup.glsl ----
 
 const THREADS: u32 = SORT_THREADS;

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use super::compact::*;
-use super::ellipse::Ellipse;
+use super::ellipse::{Ellipse, quadrants_of_tile};
 use super::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use super::frame::Frame;
 use super::limits::*;
@@ -68,20 +68,39 @@ fn tiles_by_rows(e: &Ellipse, size: [u32; 2]) -> Vec<u32> {
     tiles
 }
 
-/// Checks cover and returns (tiles counted, tiles needed).
-fn check_cover(e: &Ellipse, size: [u32; 2]) -> (usize, usize) {
+/// Quadrants with a pixel that the ellipse reaches, and those in the image that the kernels find, of a tile.
+fn quadrants(e: &Ellipse, size: [u32; 2], tile: u32) -> [u32; 2] {
+    let columns = size[0].div_ceil(TILE_SIZE);
+    let (x, y) = (tile % columns * TILE_SIZE, tile / columns * TILE_SIZE);
+    let hit = |q: u32| {
+        let (x, y) = (x + q % 2 * 8, y + q / 2 * 8);
+        (y..size[1].min(y + 8)).any(|y| (x..size[0].min(x + 8)).any(|x| reaches(e, x, y)))
+    };
+    let of_tile = |has: &dyn Fn(u32) -> bool| (0..4).map(|q| u32::from(has(q)) << q).sum::<u32>();
+    let inside = of_tile(&|q| x + q % 2 * 8 < size[0] && y + q / 2 * 8 < size[1]);
+    let found = quadrants_of_tile(e.half_rows_of_tile_row(tile / columns), tile % columns);
+    [of_tile(&hit), found & inside]
+}
+
+/// Checks cover and returns tiles counted and needed, then quadrants of these tiles found and needed.
+fn check_cover(e: &Ellipse, size: [u32; 2]) -> [usize; 4] {
     let (counted, needed) = (tiles_by_rows(e, size), tiles_by_pixels(e, size));
-    for tile in &needed {
-        assert!(counted.contains(tile), "{e:?} in {size:?}: tile {tile} is not counted");
+    let mut sums = [counted.len(), needed.len(), 0, 0];
+    for tile in needed {
+        assert!(counted.contains(&tile), "{e:?} in {size:?}: tile {tile} is not counted");
+        let [needed, found] = quadrants(e, size, tile);
+        assert_eq!(found & needed, needed, "{e:?} in {size:?}: quadrants of tile {tile}");
+        sums[2] += found.count_ones() as usize;
+        sums[3] += needed.count_ones() as usize;
     }
-    (counted.len(), needed.len())
+    sums
 }
 
 #[test]
-fn every_reached_pixel_lies_in_a_counted_tile() {
+fn every_reached_pixel_lies_in_a_counted_tile_and_quadrant() {
     let mut rng = Rng(11);
     let mut over = |name: &str, n: usize, size: [u32; 2], range: [f64; 2], needle: bool, limit: f64| {
-        let (mut counted, mut needed) = (0, 0);
+        let mut sums = [0; 4];
         for _ in 0..n {
             let spread = 1.4;
             let mean = [0, 1].map(|i| (rng.unit() * spread - (spread - 1.0) / 2.0) * f64::from(size[i]));
@@ -90,12 +109,11 @@ fn every_reached_pixel_lies_in_a_counted_tile() {
             let short = if needle { 1e-3 } else { draw(rng.unit()) };
             let opacity = 10_f64.powf(-2.6 * rng.unit());
             let e = ellipse(mean, [long, short], rng.unit() * 7.0, opacity);
-            let (c, d) = check_cover(&e, size);
-            counted += c;
-            needed += d;
+            sums.iter_mut().zip(check_cover(&e, size)).for_each(|(sum, n)| *sum += n);
         }
-        let excess = counted as f64 / needed as f64 - 1.0;
-        assert!(excess < limit, "{name}: {excess} more tiles than needed");
+        let excess = [0, 2].map(|i| sums[i] as f64 / sums[i + 1] as f64 - 1.0);
+        // Smaller squares have more of a splat's rim.
+        assert!(excess[0] < limit && excess[1] < 3.0 * limit, "{name}: {excess:?} more tiles, quadrants than needed");
     };
     over("small", 3000, [200, 140], [0.01, 2.0], false, 0.03);
     over("medium", 500, [200, 140], [1.0, 40.0], false, 0.01);
@@ -208,7 +226,12 @@ impl Chain {
         let depth = SortPlan::new(n, 32).unwrap();
         let tile = SortPlan::new(capacity, tile_key_bits(tiles_x * tiles_y)).unwrap();
         let rows = |plan: &SortPlan| vec![0; plan.histogram_rows() as usize * 256];
-        let push = CompactPush { block_capacity, digit_bits: depth.digits[0].bits };
+        let push = CompactPush {
+            block_capacity,
+            digit_bits: depth.digits[0].bits,
+            depth_partition_shift: depth.partition_shift(),
+            tile_partition_shift: tile.partition_shift(),
+        };
         let keys = vec![POISON; n as usize];
         let buffers = CompactBuffers {
             frame: frame.clone(),
@@ -249,7 +272,8 @@ impl Chain {
             gaussian_of_slot: None,
             first_slot: None,
         };
-        let push = EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits };
+        let push =
+            EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits, partition_shift: tile.partition_shift() };
         let done = EMIT_TILES.run_twin(LANES, EmitTilesConstants::default(), push, buffers, emit_groups);
         let EmitTilesBuffers { counters, keys, values, next_histogram: histogram, .. } = done;
         let instances = counters[5] as usize;
@@ -261,7 +285,7 @@ impl Chain {
         for (t, list) in lists.tiles.iter_mut().enumerate() {
             let (first, end) = (ranges[2 * t] as usize, ranges[2 * t + 1] as usize);
             assert!(keys[first..end].iter().all(|k| *k == t as u32));
-            list.extend(&values[first..end]);
+            list.extend(values[first..end].iter().map(|v| v & INSTANCE_GAUSSIAN));
         }
         lists.sentinels = keys.iter().filter(|k| **k == tiles_x * tiles_y).count();
         lists

@@ -32,7 +32,8 @@ pub(super) fn visible_of(counters: &[u32]) -> u32 {
 /// another (`tile_count` of them from `first_slot` on). With slots, the tile lists hold slots instead of Gaussians.
 #[derive(Debug, Clone)]
 pub struct SlotBuffers {
-    /// `uint[instance capacity]`.
+    /// `uint[instance capacity]`: instances, that is Gaussians and the quadrants that they reach
+    /// ([`INSTANCE_GAUSSIAN`](super::limits::INSTANCE_GAUSSIAN)).
     pub gaussian_of_slot: Buffer,
     /// `uint[N]`; undefined for a Gaussian that is not visible.
     pub first_slot: Buffer,

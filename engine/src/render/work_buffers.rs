@@ -53,8 +53,8 @@ impl WorkBuffers {
         instances: u32,
         depth_bits: u32,
     ) -> Result<Self> {
-        let depth_plan = SortPlan::new(gaussians.max(1), depth_bits)?;
-        let tile_plan = SortPlan::new(instances.max(1), tile_key_bits(tiles))?;
+        let depth_plan = SortPlan::for_device(gpu, gaussians.max(1), depth_bits)?;
+        let tile_plan = SortPlan::for_device(gpu, instances.max(1), tile_key_bits(tiles))?;
         let (words, block_capacity) = block_words(gaussians);
         let block_bytes = u64::from(words) * 4;
         let mut sizes = vec![COUNTER_WORDS * 4, block_bytes, block_bytes, u64::from(tiles) * 8];

@@ -107,7 +107,15 @@ fn lists(options: &Options, input: &RenderInput, frame: &Frame, capacity: u32) -
         values: out,
         next_histogram: vec![0; depth.histogram_rows() as usize * 256],
     };
-    let (constants, push) = (CompactConstants::default(), CompactPush { block_capacity, digit_bits: 8 });
+    let (constants, push) = (
+        CompactConstants::default(),
+        CompactPush {
+            block_capacity,
+            digit_bits: 8,
+            depth_partition_shift: depth.partition_shift(),
+            tile_partition_shift: tile.partition_shift(),
+        },
+    );
     let groups = n.div_ceil(COMPACT_GAUSSIANS).max(1);
     let compacted = check(options, KernelCase { kernel: &COMPACT, constants, push, buffers, groups });
     let CompactBuffers { counters, indirect, keys, values, next_histogram, .. } = compacted;
@@ -140,7 +148,8 @@ fn lists(options: &Options, input: &RenderInput, frame: &Frame, capacity: u32) -
         first_slot: None,
     };
     let constants = EmitTilesConstants::default();
-    let push = EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits };
+    let push =
+        EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits, partition_shift: tile.partition_shift() };
     let case = KernelCase { kernel: &EMIT_TILES, constants, push, buffers, groups: emit_groups };
     let EmitTilesBuffers { keys, values, next_histogram, .. } = check(options, case);
     let sort_groups = groups(INDIRECT_TILE_SORT);

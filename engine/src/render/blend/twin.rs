@@ -1,8 +1,8 @@
 //! Twins of the kernels that blend.
 
-use super::super::ellipse::{Ellipse, log2_cut};
+use super::super::ellipse::log2_cut;
 use super::super::frame::Frame;
-use super::super::limits::TILE_SIZE;
+use super::super::limits::{INSTANCE_GAUSSIAN, INSTANCE_QUADRANT_SHIFT, TILE_SIZE};
 use super::super::pixel_format::PixelFormat;
 use super::super::splat::{Splat, unpack_splat};
 use super::super::twin::{set_f32, set_vec4, struct_at};
@@ -21,13 +21,14 @@ pub(in super::super) struct Inputs<'a> {
 }
 
 impl Inputs<'_> {
-    /// Gaussian of instance `at`.
-    fn gaussian(&self, at: usize) -> usize {
-        let value = self.values[at] as usize;
-        match self.gaussian_of_slot {
-            Some(gaussian_of_slot) if self.constants.with_slots == 1 => gaussian_of_slot[value] as usize,
+    /// Instance `at`: its Gaussian and the quadrants that it reaches.
+    fn instance(&self, at: usize) -> (usize, u32) {
+        let value = self.values[at];
+        let instance = match self.gaussian_of_slot {
+            Some(gaussian_of_slot) if self.constants.with_slots == 1 => gaussian_of_slot[value as usize],
             _ => value,
-        }
+        };
+        ((instance & INSTANCE_GAUSSIAN) as usize, instance >> INSTANCE_QUADRANT_SHIFT)
     }
 }
 
@@ -89,6 +90,13 @@ pub(in super::super) fn blend_into(
     });
 }
 
+/// Bits of the quadrants ([`quadrants_of_tile`](super::super::ellipse::quadrants_of_tile)) in which pixels of a subtile lie; its
+/// first pixel from the tile's corner, and its size.
+fn quadrants_of_subtile([x, y]: [u32; 2], [columns, rows]: [u32; 2]) -> u32 {
+    let across = u32::from(x < 8) | u32::from(x + columns > 8) << 1;
+    (if y < 8 { across } else { 0 }) | (if y + rows > 8 { across << 2 } else { 0 })
+}
+
 fn blend_tiles(input: &Inputs<'_>, depth: Option<&mut [u32]>, mut store_pixel: impl FnMut(usize, [f32; 4])) {
     let BlendConstants { with_depth, pixels_per_lane, alpha_cut, transmittance_stop, packing, .. } = input.constants;
     let frame: Frame = struct_at(input.frame, 0);
@@ -105,14 +113,13 @@ fn blend_tiles(input: &Inputs<'_>, depth: Option<&mut [u32]>, mut store_pixel: i
             let x0 = tile_x + columns * (inside % (TILE_SIZE / columns));
             let y0 = tile_y + rows * (inside / (TILE_SIZE / columns));
             let [x_low, y_low] = [x0 as f32 + 0.5, y0 as f32 + 0.5];
-            let [x_high, y_high] = [x_low + (columns - 1) as f32, y_low + (rows - 1) as f32];
+            let own_quadrants = quadrants_of_subtile([x0 - tile_x, y0 - tile_y], [columns, rows]);
             let mut pixels =
                 vec![Pixel { transmittance: 1.0, colour: [0.0; 3], depth: 0.0 }; (columns * rows) as usize];
             for at in range.clone() {
-                let splat = unpack_splat(packing, input.splats, input.gaussian(at));
-                let e = Ellipse::of_splat(splat[0], splat[1]).with_constants(alpha_cut, 0);
-                let x = e.row_interval(y_low, y_high);
-                if x[0] <= x_high && x[1] >= x_low && x[0] <= x[1] {
+                let (gaussian, quadrants) = input.instance(at);
+                if quadrants & own_quadrants != 0 {
+                    let splat = unpack_splat(packing, input.splats, gaussian);
                     for (i, pixel) in (0..).zip(&mut pixels) {
                         blend_splat(pixel, splat, &limits, x_low + (i % columns) as f32, y_low + (i / columns) as f32);
                     }

@@ -23,7 +23,7 @@ impl DeviceSort {
     /// `Usage`, `Limit` (see [`SortPlan::new`]), `OutOfMemory`, `DeviceLost`.
     pub fn new(gpu: &Gpu, keys: &[u32], key_bits: u32) -> Result<Self> {
         let count = keys.len() as u32;
-        let plan = SortPlan::new(count, key_bits)?;
+        let plan = SortPlan::for_device(gpu, count, key_bits)?;
         let positions: Vec<u32> = (0..count).collect();
         let unsorted = [
             gpu.buffer_with("keys", bytemuck::cast_slice(keys))?,

@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Slice};
 use crate::render::blend::{MAX_ALPHA, MIN_TRANSMITTANCE};
 use crate::render::ellipse::log2_cut;
-use crate::render::limits::TILE_SIZE;
+use crate::render::limits::{INSTANCE_GAUSSIAN, TILE_SIZE};
 use crate::render::sh_storage;
 use crate::render::splat::{Splat, splat_words, unpack_splat};
 use crate::scene::parameter;
@@ -139,8 +139,8 @@ impl Renderer {
         let quality = &self.options.quality;
         let packing = quality.packing_constant();
         let known = splats.len() / splat_words(packing);
-        let of_tile = values.into_iter().filter(|v| (*v as usize) < known);
-        let splats = of_tile.map(|v| (v, unpack_splat(packing, &splats, v as usize)));
+        let of_tile = values.into_iter().map(|v| v & INSTANCE_GAUSSIAN).filter(|g| (*g as usize) < known);
+        let splats = of_tile.map(|g| (g, unpack_splat(packing, &splats, g as usize)));
         Ok(heaviest(splats, [x as f32 + 0.5, y as f32 + 0.5], log2_cut(quality.alpha_cut_constant())))
     }
 }

@@ -8,6 +8,7 @@ use crate::gpu::kernel::TwinCall;
 use crate::gpu::{Commands, GpuOptions, Memory};
 use crate::render::blend::BLEND;
 use crate::render::frame::FrameOptions;
+use crate::render::limits::{ALL_QUADRANTS, INSTANCE_QUADRANT_SHIFT};
 use crate::render::pipeline::{FrameBuffers, Shape, record_forward};
 use crate::render::quality::Quality;
 use crate::render::scene_buffers::SceneBuffers;
@@ -196,7 +197,7 @@ fn twin_rows(frame: &Frame, splats: &[Splat], gradient: &[[f32; 4]]) -> Vec<f32>
     let n = splats.len() as u32;
     let splats: Vec<u32> = splats.iter().flat_map(words).collect();
     let frame = bytemuck::cast_slice(&[*frame]).to_vec();
-    let (ranges, values) = (vec![0, n], (0..n).collect());
+    let (ranges, values) = (vec![0, n], (0..n).map(|g| g | ALL_QUADRANTS << INSTANCE_QUADRANT_SHIFT).collect());
     // Depth, which is not asked for, and slots.
     let mut forward = [frame, ranges, values, splats, vec![0; 4 * 256], vec![0; 4], vec![0; 4]];
     let (spec, buffers) = (&[8, 0, 0, 8, 0, 0, 0, 0], &mut forward);

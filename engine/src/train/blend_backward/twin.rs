@@ -4,7 +4,7 @@ use super::{Accumulation, BlendBackwardBuffers, BlendBackwardConstants, FAR_PROD
 use crate::render::blend::{MAX_ALPHA, MIN_TRANSMITTANCE};
 use crate::render::ellipse::LOG2_255;
 use crate::render::frame::Frame;
-use crate::render::limits::TILE_SIZE;
+use crate::render::limits::{INSTANCE_GAUSSIAN, TILE_SIZE};
 use crate::render::twin::{f32_at, set_f32, struct_at, vec4_at};
 
 /// Sums of a splat over the pixels of a tile.
@@ -59,7 +59,10 @@ impl Pixel {
 pub(super) fn blend_backward_twin(constants: BlendBackwardConstants, b: BlendBackwardBuffers<&mut [u32]>) {
     let frame: Frame = struct_at(b.frame, 0);
     let gaussian_of_slot = b.gaussian_of_slot.filter(|_| constants.accumulate == Accumulation::Instances as u32);
-    let gaussian = |value: u32| gaussian_of_slot.as_ref().map_or(value, |slots| slots[value as usize]) as usize;
+    let instance = |value: u32| gaussian_of_slot.as_ref().map_or(value, |slots| slots[value as usize]);
+    let gaussian = |value: u32| (instance(value) & INSTANCE_GAUSSIAN) as usize;
+    // Of the slot, or of the Gaussian.
+    let row = |value: u32| if gaussian_of_slot.is_some() { value } else { value & INSTANCE_GAUSSIAN };
     let ([width, height], tiles_x) = (frame.size, frame.tiles[0]);
     let mut target: Vec<f64> = (0..b.gradient_rows.len()).map(|i| f64::from(f32_at(b.gradient_rows, i))).collect();
     for tile in 0..frame.tile_count {
@@ -77,7 +80,7 @@ pub(super) fn blend_backward_twin(constants: BlendBackwardConstants, b: BlendBac
             }
         }
         for (value, sums) in b.values[range].iter().zip(&sums) {
-            let row = (ROW_WORDS * value) as usize;
+            let row = (ROW_WORDS * row(*value)) as usize;
             sums.iter().enumerate().for_each(|(c, sum)| target[row + c] += sum);
         }
     }

@@ -10,9 +10,10 @@ use crate::report::measure::Recorded;
 
 /// Round trips to memory of every kernel: one for counts or indices, one for the data that they lead to. Assumption.
 const ROUND_TRIPS: f64 = 2.0;
-/// Keys of a partition of a sort, and elements of a block of a scan: what indirect dispatches are sized by.
-const PARTITION: u64 = 4096;
+/// Elements of a block of a scan: what indirect dispatches are sized by.
 const SCAN_BLOCK: u64 = 256;
+/// Specialisation constant of `sort_scatter` (without the subgroup size): keys per thread.
+const SORT_ROUNDS_CONSTANT: usize = 3;
 /// Threads of the workgroups that blend, and that sum over superpoints.
 const BLEND_THREADS: f64 = 128.0;
 const SUM_THREADS: u64 = 256;
@@ -55,8 +56,9 @@ pub(super) struct DispatchDemand {
     pub(super) issued: f64,
     /// Instructions of the subgroup that has most.
     pub(super) longest: f64,
-    /// Round trips to memory, one after the other, of the subgroup that has most.
+    /// Round trips to memory, one after the other, of the subgroup that has most, and of the mean one.
     pub(super) round_trips: f64,
+    pub(super) mean_round_trips: f64,
     /// 32-bit atomics.
     pub(super) atomics: f64,
     /// It has a loop whose rounds nobody counted: the instructions are a lower bound.
@@ -107,8 +109,12 @@ fn demand(r: &Recorded, table: Table, subtile_share: f64) -> Option<Demand> {
             demand.label = demand.label.replace("blend_backward", name).replace("native_native", "native");
             let lanes = table.subgroup_size(name);
             let workgroups = workgroups(r, name, *groups, lanes) as f64;
+            let mut constants = constants.clone();
+            if let Some(rounds) = constants.get_mut(SORT_ROUNDS_CONSTANT).filter(|_| name == "sort_scatter") {
+                *rounds = loops::sort_rounds(&r.work);
+            }
             let uncounted = loops::of_kernel(name).next().is_none() && has_loop(kernel.spirv);
-            demand.dispatch = dispatch(r, (name, constants), table, (workgroups, kernel.local_size), subtile_share)
+            demand.dispatch = dispatch(r, (name, &constants), table, (workgroups, kernel.local_size), subtile_share)
                 .map(|d| DispatchDemand { uncounted_loop: uncounted, ..d });
             Some(demand)
         }
@@ -127,8 +133,8 @@ fn dispatch(
     let subgroups = workgroups * (f64::from(local_size) / lanes).ceil();
     let compiled = table.compiled(name, constants)?;
     let known = Known { work: &r.work, subgroups, lanes, subtile_share };
-    let (mut total, mut longest, mut round_trips) =
-        (subgroups * compiled.instructions, compiled.instructions, ROUND_TRIPS);
+    let (mut total, mut longest) = (subgroups * compiled.instructions, compiled.instructions);
+    let (mut round_trips, mut mean_round_trips) = (ROUND_TRIPS, ROUND_TRIPS);
     for l in loops::of_kernel(name) {
         let body = match l.body {
             Body::Of(instructions) => instructions,
@@ -139,6 +145,7 @@ fn dispatch(
         total += body * (trips.total - subgroups).max(0.0);
         longest += body * (trips.longest - 1.0).max(0.0);
         round_trips += l.loads * trips.longest;
+        mean_round_trips += l.loads * (trips.total / subgroups.max(1.0)).min(trips.longest);
     }
     Some(DispatchDemand {
         workgroups,
@@ -150,6 +157,7 @@ fn dispatch(
         issued: total * lanes / 32.0,
         longest: longest * lanes / 32.0,
         round_trips,
+        mean_round_trips,
         atomics: loops::atomics(name, constants, &known),
         uncounted_loop: false,
     })
@@ -161,7 +169,7 @@ fn workgroups(r: &Recorded, name: &str, recorded: Option<u64>, lanes: u32) -> u6
     let of = |what: &str| r.work.get(what);
     let tiles = |rows: u64, columns: u64| rows.div_ceil(PRODUCT_TILE) * columns.div_ceil(PRODUCT_TILE);
     match name {
-        "sort_scatter" => of("keys").div_ceil(PARTITION).max(1),
+        "sort_scatter" => loops::sort_partitions(&r.work) as u64,
         "sum_tile_counts" | "emit_tiles" => of("visible").div_ceil(SCAN_BLOCK).max(1),
         "tile_ranges" => of("instances").div_ceil(SCAN_BLOCK).max(1),
         _ if name.starts_with("blend") => {
@@ -239,7 +247,8 @@ mod tests {
         let groups = |name, recorded| of(&[dispatch(name, recorded)])[0].dispatch.as_ref().unwrap().workgroups;
         // Four subgroups of 32 lanes in a workgroup: a tile each.
         assert_eq!(groups("blend", Some(25)), 100.0);
-        assert_eq!(groups("sort_scatter", None), 3.0);
+        // 9,000 keys in partitions of 1,024.
+        assert_eq!(groups("sort_scatter", None), 9.0);
         assert_eq!(groups("emit_tiles", None), 4.0);
         assert_eq!(groups("tile_ranges", None), 20.0);
         assert_eq!(groups("compact", Some(8)), 8.0);

@@ -1,9 +1,12 @@
 //! What the compilers' tables do not say: how often loops run, and the atomics. A table counts a loop's body once.
 //!
-//! Trips follow from the frame's counted work (instances, visible Gaussians, keys …). Instructions per trip and the spread
-//! between lanes are assumptions, read off the GLSL; they are printed with every prediction.
+//! Trips follow from the frame's counted work (instances, visible Gaussians, keys …). Instructions per trip are counted in NAK's
+//! assembly for Turing where that is said, with both sides of branches that lanes take differently; the others, and the spread
+//! between lanes, are assumptions, read off the GLSL. They are printed with every prediction.
 
 use engine::gpu::kernel::Workload;
+use engine::render::limits::SORT_THREADS;
+use engine::render::radix_sort::rounds_of;
 
 /// How much longer the longest list of a tile is than the mean one: assumption.
 const LONGEST_TILE: f64 = 3.0;
@@ -11,14 +14,24 @@ const LONGEST_TILE: f64 = 3.0;
 const BUSIEST_LANE: f64 = 3.0;
 /// Subtiles of 8×8 pixels, one per subgroup of 32 lanes with two pixels each, in a tile.
 pub(super) const SUBTILES: f64 = 4.0;
-/// Keys of a partition of the radix sort.
-const PARTITION: f64 = 4096.0;
+/// Rows of a histogram that a workgroup of `sort_scatter` adds up in a round.
+const ROWS_OF_ROUND: f64 = 32.0;
 /// The push constant `totals_row` of a sort without `sort_spine`.
 const NOT_PRESCANNED: u64 = u32::MAX as u64;
 /// Most tiles of a splat that one thread emits.
 const SERIAL_TILES: f64 = 16.0;
 /// Depth of one round of a matrix product.
 const PRODUCT_DEPTH: f64 = 64.0;
+
+/// Keys per thread that a sort of this work has on a GPU.
+pub(super) fn sort_rounds(work: &Workload) -> u32 {
+    rounds_of(u32::try_from(work.get("keys")).unwrap_or(u32::MAX), false)
+}
+
+/// Its partitions.
+pub(super) fn sort_partitions(work: &Workload) -> f64 {
+    work.get("keys").div_ceil((sort_rounds(work) * SORT_THREADS).into()).max(1) as f64
+}
 
 /// What is known of a dispatch.
 #[derive(Debug, Clone, Copy)]
@@ -125,15 +138,15 @@ fn pairs(k: &Known<'_>) -> Trips {
 pub(super) const LOOPS: &[Loop] = &[
     Loop {
         kernels: BLEND,
-        round: "a batch of splats tested against a subtile",
-        body: Body::Of(70.0),
+        round: "a batch of splats chosen for a subtile (counted)",
+        body: Body::Of(120.0),
         loads: 2.0,
         trips: batches,
     },
     Loop {
         kernels: BLEND,
-        round: "a splat blended into a subtile's pixels, none left out for being hidden",
-        body: Body::Of(44.0),
+        round: "a splat blended into a subtile's pixels, none left out for being hidden (counted: 104 for two)",
+        body: Body::Of(54.0),
         loads: 0.0,
         trips: hits,
     },
@@ -167,17 +180,19 @@ pub(super) const LOOPS: &[Loop] = &[
     },
     Loop {
         kernels: &["sort_scatter"],
-        round: "a partition's digit counts added up, four loads at a time",
-        body: Body::Of(7.0),
-        loads: 0.25,
-        trips: |k| each(k.subgroups, if k.is_prescanned() { 0.0 } else { (k.of("keys") / PARTITION).ceil() }),
+        round: "the digit counts of 32 partitions added up, eight loads of a thread at a time",
+        body: Body::Of(180.0),
+        loads: 1.0,
+        trips: |k| {
+            each(k.subgroups, if k.is_prescanned() { 0.0 } else { (sort_partitions(k.work) / ROWS_OF_ROUND).ceil() })
+        },
     },
     Loop {
         kernels: &["sort_histogram"],
         round: "a key counted",
         body: Body::Of(12.0),
         loads: 0.25,
-        trips: |k| each(k.subgroups, PARTITION / 256.0),
+        trips: |k| each(k.subgroups, f64::from(sort_rounds(k.work))),
     },
     Loop {
         kernels: &["nearest_superpoints"],
@@ -283,6 +298,7 @@ mod tests {
         assert_eq!(atomics("sort_scatter", &[1, 0, 1], &known), 0.0);
         assert_eq!(atomics("blend_backward_native", &[], &known), 10.0 * 12800.0);
         let partitions = of_kernel("sort_scatter").next().unwrap();
-        assert_eq!((partitions.trips)(&known).longest, 2.0);
+        // 5,000 keys are five partitions of 1,024: one round.
+        assert_eq!((partitions.trips)(&known).longest, 1.0);
     }
 }

@@ -48,10 +48,11 @@ fn issue_us(profile: &Profile, d: &DispatchDemand) -> f64 {
 fn latency_us(profile: &Profile, d: &DispatchDemand) -> f64 {
     let rounds = (d.subgroups / (profile.all_schedulers() * d.resident)).max(1.0);
     let typical = d.issued / d.subgroups.max(1.0);
-    let round_us =
-        |instructions: f64| instructions * profile.cycles_alone / profile.clock_ghz / 1e3 + d.round_trips * MEMORY_US;
-    // The longest subgroup is in the last round at worst.
-    round_us(d.longest) + (rounds - 1.0) * round_us(typical.min(d.longest))
+    let round_us = |instructions: f64, round_trips: f64| {
+        instructions * profile.cycles_alone / profile.clock_ghz / 1e3 + round_trips * MEMORY_US
+    };
+    // The longest subgroup is in the last round at worst; those before it are mean ones.
+    round_us(d.longest, d.round_trips) + (rounds - 1.0) * round_us(typical.min(d.longest), d.mean_round_trips)
 }
 
 impl Cost {
@@ -114,6 +115,7 @@ mod tests {
             issued: 8.0 * workgroups * instructions,
             longest: instructions,
             round_trips: 2.0,
+            mean_round_trips: 2.0,
             atomics: 0.0,
             uncounted_loop: false,
         };

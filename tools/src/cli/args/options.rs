@@ -71,8 +71,8 @@ impl SizeArgs {
 /// What may be given up for speed.
 #[derive(Debug, Clone, Args)]
 pub struct QualityArgs {
-    /// Error allowed for speed: exact: none; high: none that is visible; fast: a few levels of 255 in places
-    #[arg(long, value_name = "exact|high|fast", default_value = "high", value_parser = preset)]
+    /// Error allowed for speed: exact: none; high: none that is visible
+    #[arg(long, value_name = "exact|high", default_value = "high", value_parser = preset)]
     pub quality: Quality,
     /// Override single knobs of --quality (see `spgs help quality`): cull, alpha_cut, stop, depth_bits, position, sh_degree, sh, colour,
     /// table_step, interpolation, network, nonrigid, resolution
