@@ -75,7 +75,7 @@ pub fn transform_during(
     let knots: Vec<f64> =
         [from - ease, from, to, to + ease].into_iter().filter(|t| (first..=last).contains(t)).collect();
     let turning = s.turn.to_scaled_axis().length();
-    let error_px = Some(remake(table, &own, &exact, &knots, turning, &corners, bound)?);
+    let error_px = Some(remake(table, &own, &exact, &knots, turning, [from - ease, to + ease], &corners, bound)?);
     let keys_added = table.times.len() as i64 - old.times.len() as i64;
     let notes = vec!["colours that depend on the view are as before, seen from the same directions".into()];
     Ok(Touched { gaussians, superpoints: own.len(), keys_added, error_px, notes })

@@ -1,9 +1,10 @@
 //! What an edit touched, and how far a point may be from where it should be, in pixels.
 
 use glam::{DMat3, DVec3};
+use rayon::prelude::*;
 use serde::Serialize;
 
-use super::centers::centers;
+use super::centers::centers_of;
 use crate::error::Result;
 use crate::scene::{Camera, Scene};
 use crate::train::bake::Views;
@@ -62,9 +63,10 @@ impl Bound {
 /// Cameras around the scene as it is in the middle of its time.
 fn around(scene: &Scene) -> Result<Vec<Camera>> {
     let [start, end] = scene.time_range();
-    let all = centers(scene, 0.5 * (start + end))?;
-    let step = all.len().div_ceil(SAMPLES).max(1);
-    let points: Vec<DVec3> = all.into_iter().step_by(step).filter(|p| p.is_finite()).collect();
+    let count = scene.gaussians.len();
+    let some = (0..count).into_par_iter().step_by(count.div_ceil(SAMPLES).max(1));
+    let mut points = centers_of(scene, some, 0.5 * (start + end))?;
+    points.retain(|p| p.is_finite());
     let quantile = |mut values: Vec<f64>, q: f64| {
         values.sort_unstable_by(f64::total_cmp);
         values.get((values.len().saturating_sub(1) as f64 * q) as usize).copied().unwrap_or_default()

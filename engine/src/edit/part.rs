@@ -79,7 +79,8 @@ pub fn transform_in_part(
         // The part turns there and back around the change.
         let turning = 4.0 * s.turn.to_scaled_axis().length() + 2.0 * largest_turn(&old, part);
         if let Some(table) = scene.deformation.table_mut() {
-            error_px = Some(remake(table, &remade, &exact, &[], turning, &corners, bound)?);
+            let always = [f64::NEG_INFINITY, f64::INFINITY];
+            error_px = Some(remake(table, &remade, &exact, &[], turning, always, &corners, bound)?);
             keys_added = table.times.len() as i64 - old.times.len() as i64;
         }
     }

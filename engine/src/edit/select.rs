@@ -8,7 +8,7 @@ mod pick;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::centers::centers;
+use super::centers::{centers, centers_of};
 use super::color::mean_color;
 use crate::error::{Error, Result};
 use crate::file::codec::sigmoid;
@@ -100,10 +100,9 @@ fn numbered(count: usize, ranges: &[[u64; 2]], what: &str) -> Result<Vec<bool>> 
 /// # Errors
 /// Those of placing Gaussians.
 pub fn center(scene: &Scene, mask: &[bool], time: f64) -> Result<Option<DVec3>> {
-    let all = centers(scene, time)?;
-    let (sum, count) =
-        all.iter().zip(mask).filter(|(_, m)| **m).fold((DVec3::ZERO, 0), |(s, n), (x, _)| (s + *x, n + 1));
-    Ok((count > 0).then(|| sum / f64::from(count)))
+    let selected: Vec<usize> = (0..mask.len()).filter(|&i| mask[i]).collect();
+    let placed = centers_of(scene, selected, time)?;
+    Ok((!placed.is_empty()).then(|| placed.iter().sum::<DVec3>() / placed.len() as f64))
 }
 
 /// The superpoint with which most Gaussians of `mask` move, the first of equals; `None` without superpoints.

@@ -1,5 +1,7 @@
 //! Superpoints of a selection by itself: where others move with one too, the selection gets a copy of it.
 
+use rayon::prelude::*;
+
 use crate::error::{Error, Result};
 use crate::scene::gaussians::retain_chunks;
 use crate::scene::{Deformation, Motion, Scene, SuperpointDeformation, Superpoints};
@@ -47,11 +49,17 @@ pub(crate) fn movable(scene: &mut Scene, what: &str) -> Result<Moves> {
 pub(crate) fn split(scene: &mut Scene, mask: &[bool]) -> Vec<usize> {
     let Deformation::Superpoints(s) = &mut scene.deformation else { return Vec::new() };
     let m = s.superpoints.position.len();
-    let (mut inside, mut outside) = (vec![false; m], vec![false; m]);
-    for (i, &is_selected) in mask.iter().enumerate() {
-        let used = if is_selected { &mut inside } else { &mut outside };
-        s.slots(i).for_each(|(j, _)| used[j] = true);
-    }
+    let nothing = || [vec![false; m], vec![false; m]];
+    let with = |mut used: [Vec<bool>; 2], i: usize| {
+        s.slots(i).for_each(|(j, _)| used[usize::from(mask[i])][j] = true);
+        used
+    };
+    let both = |mut a: [Vec<bool>; 2], b: [Vec<bool>; 2]| {
+        a.iter_mut().flatten().zip(b.iter().flatten()).for_each(|(a, b)| *a |= b);
+        a
+    };
+    let all = (0..mask.len()).into_par_iter().with_min_len(4096);
+    let [outside, inside] = all.fold(nothing, with).reduce(nothing, both);
     let mut own: Vec<usize> = (0..m).collect();
     let mut copied = Vec::new();
     for j in (0..m).filter(|&j| inside[j] && outside[j]) {

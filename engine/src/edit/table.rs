@@ -17,6 +17,8 @@ pub(crate) const MOST_KEYS: usize = 65_536;
 const ROUNDS: usize = 12;
 /// Where between two keys the error is measured.
 const PROBES: [f64; 3] = [0.21, 0.5, 0.79];
+/// Rotation vectors that differ by less are the same but for rounding, radians.
+const SAME: f64 = 1e-5;
 /// Largest turn between two samples along which rotations are followed, radians.
 const STEP: f64 = 0.4;
 /// Rotation vectors are not followed beyond this length, radians: near 2π, where no turn at all has every axis, a path of
@@ -86,7 +88,8 @@ pub(crate) fn corners(scene: &Scene, part: &[usize]) -> Vec<Vec<DVec3>> {
 
 /// Gives the superpoints `part` of `motion` the rigid poses that `exact` says for any time, at its key times, those of
 /// `knots` and as many more as it takes for points (`corners` of each) to stay within the bound between keys. `turning` is the
-/// largest turn in radians that `exact` adds within a key interval. Returns the largest error, pixels.
+/// largest turn in radians that `exact` adds within a key interval; before and after `changed` it adds nothing. Returns the largest
+/// error, pixels.
 ///
 /// # Errors
 /// [`Error::Limit`] for more keys than a table may have.
@@ -96,6 +99,7 @@ pub(crate) fn remake(
     exact: &(dyn Fn(f64) -> Vec<Similarity> + Sync),
     knots: &[f64],
     turning: f64,
+    changed: [f64; 2],
     corners: &[Vec<DVec3>],
     bound: &Bound,
 ) -> Result<f64> {
@@ -106,7 +110,8 @@ pub(crate) fn remake(
     let mut round = 0;
     loop {
         check_keys(times.len(), "edit")?;
-        *motion = resampled(&old, &times);
+        let plain = resampled(&old, &times);
+        motion.clone_from(&plain);
         let mut jumps = follow(motion, &old, part, exact, turning);
         jumps.retain(|&t| times.binary_search_by(|key| key.total_cmp(&(t as f32))).is_err());
         round += 1;
@@ -115,7 +120,8 @@ pub(crate) fn remake(
             times = sorted(times.iter().map(|&t| f64::from(t)).chain(jumps));
             continue;
         }
-        let errors = interval_errors(motion, part, exact, corners, bound, &mut known);
+        let stays = unchanged(motion, &plain, part, changed);
+        let errors = interval_errors(motion, part, exact, &stays, corners, bound, &mut known);
         let worst = errors.iter().copied().fold(0.0, f64::max);
         let is_wide = |k: &usize| errors[*k] > bound.pixels;
         let wide: Vec<f64> = (0..errors.len()).filter(is_wide).map(|k| middle(&times, k)).collect();
@@ -183,18 +189,32 @@ fn takes_over(times: &[f32], k: usize) -> bool {
     k > 0 && k < times.len() && times[k] == times[k - 1].next_up()
 }
 
-/// Largest displacement in each key interval, pixels.
+/// Key intervals before and after `changed` in which the motion is the same, but for rounding: interpolation takes the same way there,
+/// unless vectors have gone on by whole turns.
+fn unchanged(motion: &Motion, old: &Motion, part: &[usize], changed: [f64; 2]) -> Vec<bool> {
+    let m = motion.superpoint_count();
+    let same = |k: usize| {
+        let vector = |of: &Motion, i: usize| DVec3::from_array(of.rotation[i].map(f64::from));
+        part.iter().map(|j| k * m + j).all(|i| vector(motion, i).distance(vector(old, i)) < SAME)
+    };
+    let same: Vec<bool> = (0..motion.times.len()).map(same).collect();
+    let outside = |k: usize| f64::from(motion.times[k + 1]) <= changed[0] || f64::from(motion.times[k]) >= changed[1];
+    (0..motion.times.len().saturating_sub(1)).map(|k| outside(k) && same[k] && same[k + 1]).collect()
+}
+
+/// Largest displacement in each key interval, pixels; 0 where the motion `stays`.
 fn interval_errors(
     motion: &Motion,
     part: &[usize],
     exact: &(dyn Fn(f64) -> Vec<Similarity> + Sync),
+    stays: &[bool],
     corners: &[Vec<DVec3>],
     bound: &Bound,
     known: &mut HashMap<[u32; 2], f64>,
 ) -> Vec<f64> {
     let name = |k: usize| [motion.times[k].to_bits(), motion.times[k + 1].to_bits()];
     let error = |k: usize| {
-        if takes_over(&motion.times, k + 1) {
+        if stays[k] || takes_over(&motion.times, k + 1) {
             return 0.0;
         }
         if let Some(error) = known.get(&name(k)) {
@@ -203,17 +223,34 @@ fn interval_errors(
         let [from, to] = [k, k + 1].map(|k| f64::from(motion.times[k]));
         let at = |share: f64| {
             let time = from + (to - from) * share;
-            let (found, wanted) = (table_poses(motion, time), exact(time));
-            let of_part = |k: usize| {
-                let found = Similarity::from(found[part[k]]);
-                let apart = |x: &DVec3| bound.views.displacement(found.apply(*x), wanted[k].apply(*x));
-                corners[k].iter().map(apart).fold(0.0, f64::max)
-            };
-            (0..part.len()).map(of_part).fold(0.0, f64::max)
+            let found = table_poses(motion, time);
+            let found: Vec<Similarity> = part.iter().map(|&j| Similarity::from(found[j])).collect();
+            largest(&found, &exact(time), corners, bound)
         };
         PROBES.into_iter().map(at).fold(0.0, f64::max)
     };
     let errors: Vec<f64> = (0..motion.times.len().saturating_sub(1)).into_par_iter().map(error).collect();
     known.extend(errors.iter().enumerate().map(|(k, error)| (name(k), *error)));
     errors
+}
+
+/// Largest displacement of corners between two poses of each superpoint, pixels. What may be off most is looked at first; the rest
+/// cannot be off by more.
+fn largest(found: &[Similarity], wanted: &[Similarity], corners: &[Vec<DVec3>], bound: &Bound) -> f64 {
+    let placed = |k: usize| corners[k].iter().map(move |x| (found[k].apply(*x), wanted[k].apply(*x)));
+    let most = |k: usize| {
+        let [Some(low), Some(high)] = [corners[k].first(), corners[k].last()] else { return 0.0 };
+        let distance = placed(k).map(|(a, b)| a.distance(b)).fold(0.0, f64::max);
+        bound.views.most(wanted[k].apply(0.5 * (*low + *high)), 0.5 * low.distance(*high), distance)
+    };
+    let mut order: Vec<(f64, usize)> = (0..corners.len()).map(|k| (most(k), k)).collect();
+    order.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
+    let mut worst = 0.0;
+    for (most, k) in order {
+        if most <= worst {
+            break;
+        }
+        worst = placed(k).map(|(a, b)| bound.views.displacement(a, b)).fold(worst, f64::max);
+    }
+    worst
 }

@@ -103,7 +103,8 @@ fn carrier(scene: &Scene, solve: Solve) -> Result<Cow<'_, Scene>> {
     let d = &scene.deformation;
     if d.field().is_some() || d.nonrigid().is_some() {
         let found = if d.field().is_some() { "a deformation field" } else { "network G" };
-        return Err(Error::usage("motion of the model", found, "superpoints with a key-time table alone"));
+        let expected = "superpoints with a key-time table alone (`spgs distill` makes them of any motion)";
+        return Err(Error::usage("motion of the model", found, expected));
     }
     match (d.table(), d.moves(), solve) {
         (Some(_), _, _) => Ok(Cow::Borrowed(scene)),
@@ -198,7 +199,8 @@ impl Follower<'_> {
         });
         let photos = reports.collect();
         let moved_px = (self.options.solve != Solve::Camera).then(|| self.way(&state)).flatten();
-        Ok(Some(Moment { time, is_new_key, is_better, photos, superpoints, moved_px }))
+        let direction = state.sights.first().map_or([0.0; 3], |sight| sight.camera.rotation.row(2).to_array());
+        Ok(Some(Moment { time, is_new_key, is_better, photos, direction, superpoints, moved_px }))
     }
 
     /// Where the superpoints go on to at a time after the last key, as they went between the last two; `None` within the table.

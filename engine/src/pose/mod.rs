@@ -60,7 +60,7 @@ pub struct Options {
     pub init: Option<f64>,
     /// Iterations per time, over all sizes of its photos.
     pub iterations: u32,
-    /// λ_A at the end; it is larger while photos are small.
+    /// λ_A. It is 30 times as large while photos are small, and less at the end where they fit well.
     pub coupling: f64,
     /// λ_v.
     pub smoothness: f64,
@@ -131,6 +131,8 @@ pub struct Moment {
     pub is_better: bool,
     /// Its photos.
     pub photos: Vec<PhotoReport>,
+    /// Where the first of them was looking, world space.
+    pub direction: [f64; 3],
     /// `[M]` how well they fix each superpoint; empty where only cameras were searched for.
     pub superpoints: Vec<Uncertainty>,
     /// Root mean square way of the superpoints' centres from where the search began, pixels of the first photo.

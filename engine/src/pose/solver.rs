@@ -21,8 +21,11 @@ const FINAL_RATE: f64 = 0.004;
 /// Largest turn of a superpoint in one step, radians; largest shift, pixels.
 const LARGEST_TURN: f64 = 0.1;
 const LARGEST_SHIFT: f64 = 2.0;
-/// λ_A at the smallest size, in units of that at the end.
-const FIRM: f64 = 10.0;
+/// λ_A in parts of a size, in units of the usual: neighbours hold on to each other firmly while photos are small, and while full
+/// ones begin. At the end, where photos differ by less than `WELL` (their loss), what they say counts more.
+const SMALL: &[f64] = &[30.0, 30.0];
+const FULL: &[f64] = &[30.0, 10.0, 3.0, 1.0, 0.3];
+const WELL: f64 = 0.01;
 /// Random images per photo for the metric of steps.
 const METRIC_PROBES: u32 = 16;
 /// What is known least of a superpoint counts as this share of what is known best.
@@ -107,11 +110,14 @@ impl Solver<'_, '_> {
             let iterations = (all * if size == 0 { 2 } else { 1 } / (coarsest as u32 + 2)).max(1);
             let from = if size == coarsest && size > 0 { FIRST_RATE } else { NEXT_RATE };
             let to = if size == 0 { FINAL_RATE } else { LAST_RATE };
-            let mut metric = Vec::new();
-            let strengths = self.strengths(size, coarsest);
+            let stages = if size == 0 { FULL } else { SMALL };
+            let (mut metric, mut stage) = (Vec::new(), None);
             for iteration in 0..iterations {
-                if self.options.solve != Solve::Camera && (iteration == 0 || iteration == iterations / 2) {
-                    self.strength = strengths[usize::from(iteration > 0)];
+                let now = iteration as usize * stages.len() / iterations as usize;
+                if self.options.solve != Solve::Camera && stage != Some(now) {
+                    stage = Some(now);
+                    let least = (progress.loss / state.sights.len() as f64 / WELL).min(1.0);
+                    self.strength = self.options.coupling * stages[now].max(least);
                     metric = self.metric(state, size, progress.loss)?;
                 }
                 let share = f64::from(iteration) / f64::from(iterations.max(2) - 1);
@@ -126,14 +132,6 @@ impl Solver<'_, '_> {
             }
         }
         Ok(true)
-    }
-
-    /// λ_A in the first and second half of a size: neighbours hold on to each other firmly while photos are small, and where they are
-    /// full at first.
-    fn strengths(&self, size: usize, coarsest: usize) -> [f64; 2] {
-        let at = |share: f64| self.options.coupling * FIRM.powf(share);
-        let share = (size as f64 + 1.0) / (coarsest as f64 + 1.0);
-        if size == 0 { [at(share), self.options.coupling] } else { [at(share), at(share)] }
     }
 
     /// Every photo at full size, where things stand.

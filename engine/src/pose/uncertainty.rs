@@ -4,7 +4,7 @@
 //! its covariance with the others held is s² (JᵀJ)⁻¹ ([`super::information`]). Differences of neighbouring pixels are taken as
 //! independent.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::bodies::{Bodies, Stand};
 use super::information::{Block, information, inverse_diagonal};
@@ -18,12 +18,14 @@ use crate::train::photo_loss::PhotoLoss;
 const LEAST_CHANGE: f64 = 1.0 / 255.0;
 
 /// What photos say of one superpoint.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Uncertainty {
     /// Whether any pixel changes with it. Where none does it has followed its neighbours.
     pub seen: bool,
     /// Standard deviation of its centre across the direction of view of the first photo, the larger of two, pixels.
     pub across_px: Option<f64>,
+    /// The same in world units.
+    pub across: Option<f64>,
     /// Along that direction, world units.
     pub along: Option<f64>,
     /// Of its turn, the largest of three axes, degrees.
@@ -62,9 +64,11 @@ fn of(information: &Block, variance: f64, [turn, pixel]: [f64; 2]) -> Uncertaint
     }
     let Some(inverse) = inverse_diagonal(information) else { return Uncertainty { seen: true, ..Default::default() } };
     let deviation = |k: usize| (variance * inverse[k]).sqrt();
+    let across = deviation(3).max(deviation(4));
     Uncertainty {
         seen: true,
-        across_px: Some(deviation(3).max(deviation(4))),
+        across_px: Some(across),
+        across: Some(across * pixel),
         along: Some(deviation(5) * pixel),
         degrees: Some([0, 1, 2].map(deviation).into_iter().fold(0.0, f64::max) * turn.to_degrees()),
     }

@@ -14,7 +14,7 @@ fn scene(path: &Path) -> Scene {
 }
 
 /// Saves with the window's key, and gives back the model once the list beside it is there too.
-fn save(window: &mut Window<'_>, model: &Path) -> (PathBuf, PathBuf) {
+pub fn save(window: &mut Window<'_>, model: &Path) -> (PathBuf, PathBuf) {
     let folder = model.parent().unwrap();
     let files = (folder.join("scene.edited.safetensors"), folder.join("scene.edited.edits.toml"));
     for path in [&files.0, &files.1] {
@@ -26,7 +26,7 @@ fn save(window: &mut Window<'_>, model: &Path) -> (PathBuf, PathBuf) {
 }
 
 /// The list makes the model again, bit for bit.
-fn check_list(model: &Path, (edited, list): &(PathBuf, PathBuf)) {
+pub fn check_list(model: &Path, (edited, list): &(PathBuf, PathBuf)) {
     let again = edited.with_file_name("again.safetensors");
     let text = |path: &Path| path.to_str().unwrap().to_owned();
     let arguments = ["edit".into(), text(model), text(&again), "--script".into(), text(list), "--quiet".into()];
@@ -35,7 +35,7 @@ fn check_list(model: &Path, (edited, list): &(PathBuf, PathBuf)) {
     assert!(std::fs::read(edited).unwrap() == std::fs::read(again).unwrap(), "the list makes another model");
 }
 
-fn type_keys(window: &Window<'_>, keys: &[&str]) {
+pub fn type_keys(window: &Window<'_>, keys: &[&str]) {
     keys.iter().for_each(|key| window.key(key));
 }
 
@@ -110,7 +110,6 @@ fn rectangles_lassos_handles_and_names_work() {
     let boxed = window.picture();
     assert!(difference(&first, &boxed) > 0.1, "a rectangle selects");
     desktop.capture().keep("edit_rectangle");
-    // An arrow is dragged: the world's x axis, from the selection's centre.
     window.key("l");
     window.tool(&["keydown", "ctrl", "mousemove", "300", "250", "mousedown", "1"]);
     for at in [["420", "250"], ["420", "300"], ["360", "320"], ["300", "300"]] {
@@ -130,7 +129,7 @@ fn rectangles_lassos_handles_and_names_work() {
     let all = window.picture();
     desktop.capture().keep("edit_handles");
     // The handles are on the screen: the blue one is taken and dragged.
-    let handle = handle(&desktop);
+    let [handle, _] = handle(&desktop);
     window.drag("1", handle, [0, -60]);
     assert!(difference(&all, &window.picture()) > 0.2, "a handle moves everything");
     let files = save(&mut window, &model);
@@ -156,10 +155,10 @@ fn the_panel_selects_colours_and_freezes() {
         window.tool(&["mousemove", &x.to_string(), &y.to_string(), "click", "1"]);
         window.picture()
     };
-    assert!(difference(&first, &press(770, 180)) > 0.5, "`all`: everything stands out");
-    press(870, 404);
-    press(904, 379);
-    press(808, 180);
+    assert!(difference(&first, &press(770, 205)) > 0.5, "`all`: everything stands out");
+    press(870, 454);
+    press(904, 429);
+    press(808, 205);
     desktop.capture().keep("edit_panel");
     let tinted = press(600, 50);
     assert!(difference(&first, &tinted) > 1.0, "`tint` has coloured it");
@@ -173,12 +172,14 @@ fn the_panel_selects_colours_and_freezes() {
     assert_eq!(window.quit()["validation_messages"], 0);
 }
 
-/// Middle of what is drawn in the colour of the second axis.
-fn handle(desktop: &Desktop) -> [i32; 2] {
+/// Middle of what is drawn in the colour of the second axis, and the point of it farthest from there.
+pub fn handle(desktop: &Desktop) -> [[i32; 2]; 2] {
     let screen = desktop.capture();
     let is_handle = |p: &[u8; 3]| p.iter().zip([120_u8, 205, 90]).all(|(a, b)| a.abs_diff(b) < 4);
-    let found: Vec<usize> = (0..screen.rgb.len()).filter(|&i| is_handle(&screen.rgb[i])).collect();
+    let found = (0..screen.rgb.len()).filter(|&i| is_handle(&screen.rgb[i]));
+    let found: Vec<[i32; 2]> = found.map(|i| [i % screen.width, i / screen.width].map(|v| v as i32)).collect();
     assert!(found.len() > 20, "{} pixels of a handle", found.len());
-    let mean = |of: &dyn Fn(usize) -> usize| (found.iter().map(|&i| of(i)).sum::<usize>() / found.len()) as i32;
-    [mean(&|i| i % screen.width), mean(&|i| i / screen.width)]
+    let middle = [0, 1].map(|k| found.iter().map(|p| p[k]).sum::<i32>() / found.len() as i32);
+    let apart = |p: &&[i32; 2]| (p[0] - middle[0]).pow(2) + (p[1] - middle[1]).pow(2);
+    [middle, *found.iter().max_by_key(apart).unwrap()]
 }

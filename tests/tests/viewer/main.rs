@@ -10,6 +10,7 @@ mod details;
 mod drop;
 mod editing;
 mod input;
+mod tools;
 mod window;
 
 /// Counts what the program allocates; that of drivers and layers is theirs.

@@ -114,6 +114,7 @@ impl Gui {
         self.model = Model::new(&self.gpu, opened.path, opened.scene, &state.settings)?;
         state.set_confidence(opened.expected.is_some());
         self.model.expect(opened.expected);
+        state.know_poses(opened.poses);
         self.fresh = true;
         self.count();
         state.extent = (self.model.center, self.model.radius);
@@ -132,6 +133,7 @@ impl Gui {
         self.model = Model::new(&self.gpu, path, scene, &state.settings)?;
         // Edited Gaussians are not those that training views were compared with.
         state.set_confidence(false);
+        state.know_poses(None);
         self.fresh = true;
         self.count();
         let playing = state.timeline.playing;

@@ -83,7 +83,10 @@ pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut 
     }
     // The time line, or a slider, counts as well.
     state.interacting |= response.dragged() || ui.ctx().is_using_pointer();
-    if ui.ctx().wants_keyboard_input() { Thrust::default() } else { keys(ui.ctx(), state) }
+    // A slow frame may have what was typed into a field, and the Enter that ended it: neither is for the scene.
+    let typing = ui.ctx().wants_keyboard_input();
+    let was_typing = std::mem::replace(&mut state.typing, typing);
+    if typing || was_typing { Thrust::default() } else { keys(ui.ctx(), state) }
 }
 
 fn move_camera(response: &egui::Response, state: &mut State, delta: [f64; 2], height: f64, modifiers: Modifiers) {

@@ -11,6 +11,7 @@ use engine::scene::Scene;
 use engine::train::checkpoint::Checkpoint;
 use winit::event_loop::EventLoopProxy;
 
+use super::known::KnownPoses;
 use super::model::Expected;
 use crate::cli::model;
 use crate::report::error_image::GAIN;
@@ -27,6 +28,8 @@ pub(super) struct Opened {
     pub(super) scene: Arc<Scene>,
     /// How far off its images may be, if that is known.
     pub(super) expected: Option<Arc<Expected>>,
+    /// How well the poses of its superpoints are known, if that is.
+    pub(super) poses: Option<Arc<KnownPoses>>,
     /// What the user should know.
     pub(super) messages: Vec<String>,
     /// Colour that the run was trained on.
@@ -42,6 +45,8 @@ pub(super) struct Extras {
     pub(super) level: Option<u32>,
     /// File of `spgs eval --save-confidence`.
     pub(super) confidence: Option<PathBuf>,
+    /// File of `spgs pose`.
+    pub(super) poses: Option<PathBuf>,
 }
 
 /// What comes from another thread.
@@ -76,8 +81,8 @@ pub(super) fn start(path: PathBuf, mut extras: Extras, proxy: EventLoopProxy<New
                     return;
                 }
                 (seen, again) = (now, true);
-                // It is about the model that was there first.
-                extras.confidence = None;
+                // They are about the model that was there first.
+                (extras.confidence, extras.poses) = (None, None);
             }
             std::thread::sleep(WATCH_EVERY);
         }
@@ -104,7 +109,9 @@ fn open(path: &Path, of_folder: Option<&Path>, extras: &Extras) -> Result<Opened
     let opened = open_scene(path, of_folder, extras.level)?;
     let read = |file| Evidence::read(file, &opened.scene).map(|evidence| Arc::new(expected(&evidence)));
     let expected = extras.confidence.as_deref().map(read).transpose()?;
-    Ok(Opened { expected, ..opened })
+    let superpoints = opened.scene.deformation.superpoint_count();
+    let poses = extras.poses.as_deref().map(|file| KnownPoses::read(file, superpoints).map(Arc::new)).transpose()?;
+    Ok(Opened { expected, poses, ..opened })
 }
 
 /// Errors as bright as other images of errors show them.
@@ -133,6 +140,7 @@ fn open_scene(path: &Path, of_folder: Option<&Path>, level: Option<u32>) -> Resu
         path: path.to_owned(),
         scene: Arc::new(loaded.scene),
         expected: None,
+        poses: None,
         messages: loaded.warnings,
         background: None,
         again: false,
@@ -149,6 +157,7 @@ fn open_checkpoint(folder: &Path, file: &Path) -> Result<Opened> {
         path: folder.to_owned(),
         scene: Arc::new(scene),
         expected: None,
+        poses: None,
         messages: vec![format!("iteration {iteration}: {count} Gaussians")],
         background: Some(background),
         again: false,

@@ -20,6 +20,7 @@ mod gui;
 mod held;
 mod input;
 mod interface;
+mod known;
 mod labels;
 mod latency;
 mod load;

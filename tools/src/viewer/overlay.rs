@@ -4,6 +4,7 @@ use egui::{Color32, Painter, Pos2, Shape, Stroke, pos2};
 use engine::scene::Camera;
 use glam::DVec3;
 
+use super::known;
 use super::model::{Model, superpoint_color};
 use super::state::State;
 
@@ -69,7 +70,11 @@ pub(super) fn draw(painter: &Painter, projection: &Projection, state: &State, mo
     if state.settings.paths {
         paths(painter, projection, model);
     }
-    if state.settings.centers {
+    if state.settings.centers
+        && let Some(poses) = &state.poses
+    {
+        known::draw(painter, projection, model, poses, state.timeline.time);
+    } else if state.settings.centers {
         for (i, center) in (0..).zip(&model.centers) {
             if let Some(at) = projection.point(*center) {
                 painter.circle(at, 3.0, color(i), Stroke::new(1.0, Color32::from_black_alpha(160)));

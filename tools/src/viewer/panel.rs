@@ -98,13 +98,28 @@ fn time_bar(ui: &mut Ui, time: &mut Timeline) {
                 let [start, end] = time.range;
                 let mut t = time.time;
                 let slider = egui::Slider::new(&mut t, start..=end.max(start + 1e-9)).show_value(false);
-                if ui.add(slider).changed() {
+                let slider = ui.add(slider);
+                // A slow frame may have the whole of a click, which a slider does not see.
+                let clicked = clicked_at(ui, slider.rect);
+                if let Some(share) = clicked {
+                    t = start + (end - start) * share;
+                }
+                if slider.changed() || clicked.is_some() {
                     time.playing = false;
                     time.seek(t);
                 }
             });
         });
     });
+}
+
+/// Where along a slider the pointer was pressed and let go within this frame, 0 to 1.
+fn clicked_at(ui: &Ui, slider: egui::Rect) -> Option<f64> {
+    let is_click = ui.input(|i| i.pointer.primary_pressed() && i.pointer.primary_released());
+    let at = ui.input(|i| i.pointer.interact_pos()).filter(|at| is_click && slider.contains(*at))?;
+    // As egui lays sliders out: the handle stays within.
+    let inner = slider.x_range().shrink(slider.height() / 2.5);
+    Some(f64::from(egui::remap_clamp(at.x, inner, 0.0..=1.0)))
 }
 
 fn side_panel(ui: &mut Ui, state: &mut State, info: &Info) {

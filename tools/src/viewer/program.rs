@@ -101,6 +101,7 @@ impl Viewer {
         let extras = Extras {
             level: self.args.level.filter(|_| is_first),
             confidence: self.args.confidence.clone().filter(|_| is_first),
+            poses: self.args.poses.clone().filter(|_| is_first),
         };
         self.watching = Some(load::start(path, extras, self.proxy.clone()));
     }

@@ -118,6 +118,7 @@ impl Viewer {
             path,
             scene,
             expected: shown.expected.clone(),
+            poses: self.state.poses.clone(),
             messages: Vec::new(),
             background: None,
             again: true,

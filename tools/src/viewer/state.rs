@@ -1,6 +1,7 @@
 //! What the window shows and what its user asked for: plain data between input, interface and drawing.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Instant;
 
 use engine::render::display::DisplayMode;
@@ -9,6 +10,7 @@ use engine::scene::{Camera, MotionSource};
 use glam::DVec3;
 
 use super::editing::mode::{Ask, EditMode};
+use super::known::KnownPoses;
 use super::navigator::Navigator;
 use super::statistics::Statistics;
 use super::timeline::Timeline;
@@ -131,12 +133,16 @@ pub(super) struct State {
     pub(super) extent: (DVec3, f64),
     /// How far off the model's images may be is known.
     pub(super) has_confidence: bool,
+    /// How well the poses of superpoints are known, if that is.
+    pub(super) poses: Option<Arc<KnownPoses>>,
     pub(super) cameras: Vec<Camera>,
     /// Which camera of the data set was gone to last.
     pub(super) camera: Option<usize>,
     pub(super) requests: Vec<Request>,
     /// Keys that were pressed with Ctrl and are still down: they do not fly when Ctrl is let go first.
     pub(super) shortcuts: Vec<egui::Key>,
+    /// A field of the interface had the keyboard at the end of the last frame.
+    pub(super) typing: bool,
     pub(super) messages: Vec<Message>,
     /// Frames recorded so far, while a path is recorded.
     pub(super) recording: Option<usize>,
@@ -222,6 +228,12 @@ impl State {
             self.settings.show = Show::Color;
             self.say("no expected errors of this scene", false);
         }
+    }
+
+    /// Another scene is shown, with poses that are known so well. What is new of them is shown.
+    pub(super) fn know_poses(&mut self, poses: Option<Arc<KnownPoses>>) {
+        self.settings.centers |= self.poses.is_none() && poses.is_some();
+        self.poses = poses;
     }
 
     /// The next background.

@@ -3,7 +3,7 @@
 use bytemuck::Pod;
 use rayon::prelude::*;
 
-use super::before::Before;
+use super::before::{Before, Kept};
 use super::columns::{Columns, SH};
 use super::splices::Splices;
 use crate::edit::masks::{Mask, Masks};
@@ -26,6 +26,7 @@ impl Change {
     pub(super) fn since(before: Before, session: &mut Session) -> Self {
         let mut change = Self { masks: masks_between(&session.masks, &before.masks), ..Self::nothing(before.seen) };
         if let Some(mut scene) = before.scene {
+            let kept = before.keeps_gaussians.then(|| Kept::take(&mut session.scene.gaussians));
             let (mut now, mut then) = (Columns::take(&mut session.scene), Columns::take(&mut scene));
             let sh = before.colors.is_some().then(|| (now.numbers.remove(SH), then.numbers.remove(SH)).0).flatten();
             change.numbers = differences(&now.numbers, &then.numbers);
@@ -38,6 +39,9 @@ impl Change {
             change.indices = differences(&now.indices, &then.indices);
             change.rest = (scene != session.scene).then(|| Box::new(scene));
             now.put(&mut session.scene);
+            if let Some(kept) = kept {
+                kept.put(&mut session.scene.gaussians);
+            }
         }
         change
     }

@@ -9,6 +9,11 @@ use crate::scene::Camera;
 /// A point counts on a camera when it falls within this share of the image's size around it.
 const IMAGE_MARGIN: f64 = 0.1;
 
+/// A move is short, and its two ends are seen alike, when a camera is so many times as far away.
+const FAR: f64 = 20.0;
+/// By how much they are not.
+const SLACK: f64 = 1.5;
+
 /// Cameras through which a motion is measured.
 #[derive(Debug, Clone)]
 pub struct Views<C> {
@@ -51,9 +56,33 @@ impl<C: Borrow<Camera>> Views<C> {
         seen.unwrap_or_else(|| if self.everywhere { unseen() } else { 0.0 })
     }
 
+    /// Pixels that [`Self::displacement`] cannot be above for points of a ball that move by up to `distance`; infinite where that is
+    /// not told so cheaply.
+    pub fn most(&self, center: DVec3, radius: f64, distance: f64) -> f64 {
+        let of = |c: &C| {
+            let c = c.borrow();
+            let nearest = center.distance(c.position) - radius - distance;
+            if nearest < self.near.max(FAR * distance) {
+                return f64::INFINITY;
+            }
+            // f/z·√(1 + tan²) with z no less than nearest/√(1 + tan²).
+            c.fx.max(c.fy) * (1.0 + widest(c)) * distance / nearest * SLACK
+        };
+        self.cameras.iter().map(of).fold(0.0, f64::max)
+    }
+
     fn in_images(&self, one: DVec3, two: DVec3) -> Option<f64> {
         self.cameras.iter().filter_map(|c| image_distance(c.borrow(), one, two, self.near)).reduce(f64::max)
     }
+}
+
+/// Largest tan² of the angle between the optical axis and a point that falls into an image.
+fn widest(c: &Camera) -> f64 {
+    let reach = |size: u32, center: f64, focal: f64| {
+        let size = f64::from(size);
+        ((center.max(size - center) + IMAGE_MARGIN * size) / focal).powi(2)
+    };
+    reach(c.width, c.cx, c.fx) + reach(c.height, c.cy, c.fy)
 }
 
 /// Where a point in front of the near plane is in the image's plane, pixels.
@@ -95,4 +124,35 @@ fn image_reach(c: &Camera, point: DVec3, near: f64) -> Option<f64> {
 /// The same in the middle of the image of a camera turned to the point.
 fn turned_reach(c: &Camera, point: DVec3, near: f64) -> f64 {
     c.fx.max(c.fy) / point.distance(c.position).max(near)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::synthetic::Random;
+
+    #[test]
+    fn no_displacement_is_above_the_most() {
+        let mut random = Random::new(9);
+        let camera = |random: &mut Random| {
+            let eye = 3.0 * random.direction();
+            Camera::look_at(eye, 0.3 * random.normal3(), DVec3::Z, random.range(0.4, 1.4), [300, 200])
+        };
+        let cameras = (0..12).map(|_| camera(&mut random)).collect();
+        let views = Views { cameras, near: 0.2, everywhere: true };
+        let (mut told, mut closest) = (0, 0.0);
+        for _ in 0..5000 {
+            let (center, radius) = (random.normal3(), random.range(0.0, 0.5));
+            let one = center + random.range(0.0, radius) * random.direction();
+            let distance = 10f64.powf(random.range(-4.0, -0.5));
+            let two = one + random.range(0.0, distance) * random.direction();
+            let (most, found) = (views.most(center, radius, distance), views.displacement(one, two));
+            assert!(found <= most, "{found} {most}");
+            if most.is_finite() {
+                told += 1;
+                closest = f64::max(closest, found / most);
+            }
+        }
+        assert!(told > 2000 && closest > 0.1, "{told} {closest}");
+    }
 }

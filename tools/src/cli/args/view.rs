@@ -24,6 +24,9 @@ pub struct ViewerArgs {
     /// How far off each pixel may be (key 6): the file of `spgs eval --save-confidence` for this model
     #[arg(long, value_name = "FILE", requires = "model")]
     pub confidence: Option<PathBuf>,
+    /// How well the poses of superpoints are known (key C): NEW.pose.json of `spgs pose` for this model
+    #[arg(long, value_name = "FILE", requires = "model")]
+    pub poses: Option<PathBuf>,
     /// Size of the window, pixels
     #[arg(long, value_name = "WxH", default_value = "1280x800", value_parser = size)]
     pub size: [u32; 2],

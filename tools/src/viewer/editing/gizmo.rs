@@ -10,6 +10,8 @@ use crate::viewer::overlay::Projection;
 const LENGTH: f64 = 84.0;
 /// How near to a handle the pointer may be, points.
 const NEAR: f32 = 7.0;
+/// Length of an arrow's head beyond the line, and width of a bar's end, points.
+const HEAD: f32 = 9.0;
 /// Of an arrow, the part next to the centre that is not taken: there all axes are near.
 const INNER: f64 = 0.25;
 /// Points of a ring.
@@ -41,7 +43,10 @@ fn line(projection: &Projection, kind: Kind, center: DVec3, axis: usize) -> Vec<
 /// The axis of the handle under a point of the window.
 pub(crate) fn hit(projection: &Projection, kind: Kind, center: DVec3, at: Pos2) -> Option<usize> {
     let distance = |axis: usize| {
-        let line = line(projection, kind, center, axis);
+        let mut line = line(projection, kind, center, axis);
+        if let [start, end] = line[..] {
+            line[1] = end + (end - start).normalized() * if kind == Kind::Move { HEAD } else { 0.5 * HEAD };
+        }
         line.windows(2).map(|s| to_segment(at, s[0], s[1])).fold(f32::INFINITY, f32::min)
     };
     let near = (0..3).map(|axis| (axis, distance(axis))).filter(|(_, d)| *d <= NEAR);
@@ -62,9 +67,9 @@ pub(crate) fn draw(painter: &Painter, projection: &Projection, kind: Kind, cente
         painter.line(line.clone(), Stroke::new(4.0, Color32::from_black_alpha(110)));
         painter.line(line.clone(), Stroke::new(2.0, color));
         match kind {
-            Kind::Move => painter.arrow(end, (end - line[0]).normalized() * 9.0, Stroke::new(3.0, color)),
+            Kind::Move => painter.arrow(end, (end - line[0]).normalized() * HEAD, Stroke::new(3.0, color)),
             Kind::Scale => {
-                painter.rect_filled(egui::Rect::from_center_size(end, egui::vec2(9.0, 9.0)), 1.0, color);
+                painter.rect_filled(egui::Rect::from_center_size(end, egui::Vec2::splat(HEAD)), 1.0, color);
             }
             Kind::Turn => {}
         }
@@ -89,6 +94,11 @@ mod tests {
                 assert_eq!(hit(&projection, kind, DVec3::ZERO, at), Some(axis), "{kind:?} {axis}");
             }
             assert_eq!(hit(&projection, kind, DVec3::ZERO, egui::pos2(5.0, 5.0)), None);
+            if kind == Kind::Move {
+                let [start, end] = line(&projection, kind, DVec3::ZERO, 2)[..] else { continue };
+                let tip = end + (end - start).normalized() * (HEAD + 0.9 * NEAR);
+                assert_eq!(hit(&projection, kind, DVec3::ZERO, tip), Some(2), "the head of an arrow");
+            }
         }
         let center = projection.point(DVec3::ZERO).unwrap();
         let tip = line(&projection, Kind::Move, DVec3::ZERO, 2)[1];

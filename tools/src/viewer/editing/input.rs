@@ -60,8 +60,10 @@ pub(crate) fn pointer(ui: &egui::Ui, response: &egui::Response, state: &mut Stat
     {
         if let Some((kind, axis)) = handle(state, origin) {
             start(state, kind, pixel(origin));
+            // What turns cannot be scaled along one axis: there a bar scales along all.
+            let axis = (kind != Kind::Scale || !state.timeline.moves()).then_some(axis);
             if let Some(gesture) = &mut state.edit.gesture {
-                (gesture.axis, gesture.held, gesture.to) = (Some(axis), true, pixel(at));
+                (gesture.axis, gesture.held, gesture.to) = (axis, true, pixel(at));
             }
             return true;
         }
@@ -87,7 +89,7 @@ pub(crate) fn pointer(ui: &egui::Ui, response: &egui::Response, state: &mut Stat
 }
 
 /// Keys that were held when a button was pressed or let go; by the end of a slow frame they may be up.
-fn modifiers(ui: &egui::Ui) -> Modifiers {
+pub(super) fn modifiers(ui: &egui::Ui) -> Modifiers {
     let of_button = |event: &egui::Event| match event {
         egui::Event::PointerButton { modifiers, .. } => Some(*modifiers),
         _ => None,

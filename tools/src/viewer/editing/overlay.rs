@@ -12,6 +12,9 @@ use crate::viewer::state::State;
 /// What is selected.
 pub(crate) const SELECTED: Color32 = Color32::from_rgb(255, 160, 40);
 
+/// Radius of the circle around a Gaussian that is selected by itself, points.
+const LONE: f32 = 7.0;
+
 /// Draws what the edit mode shows over the scene.
 pub(crate) fn draw(painter: &Painter, projection: &Projection, state: &State) {
     let edit = &state.edit;
@@ -22,6 +25,12 @@ pub(crate) fn draw(painter: &Painter, projection: &Projection, state: &State) {
     let Some(center) = edit.center() else { return };
     let outline = hull(edit.placed.iter().filter_map(|x| projection.point(*x)).collect());
     closed(painter, &outline, Stroke::new(1.5, SELECTED));
+    if outline.len() < 3 {
+        // One Gaussian, or two, have no outline.
+        for at in &outline {
+            painter.circle_stroke(*at, LONE, Stroke::new(1.5, SELECTED));
+        }
+    }
     match &edit.gesture {
         None => gizmo::draw(painter, projection, edit.handles, center),
         Some(gesture) => {

@@ -2,7 +2,8 @@
 
 use egui::{DragValue, RichText, TextEdit, Ui};
 
-use super::input::run;
+use super::gesture::Kind;
+use super::input::{modifiers, run};
 use super::mode::{Ask, Holds, Reach, Tool};
 use super::words::{self, quoted};
 use crate::viewer::state::{Request, State};
@@ -21,9 +22,8 @@ pub(crate) fn draw(ui: &mut Ui, state: &mut State, gaussians: usize) {
         }
     });
     row(ui, "selected", format!("{} of {}", grouped(state.edit.selected as u64), grouped(gaussians as u64)));
-    if state.edit.hidden + state.edit.locked > 0 {
-        row(ui, "hidden, locked", format!("{}, {}", state.edit.hidden, state.edit.locked));
-    }
+    // Always: what is below would move under the pointer otherwise.
+    row(ui, "hidden, locked", format!("{}, {}", state.edit.hidden, state.edit.locked));
     section(ui, "Select", |ui| tools(ui, state));
     egui::CollapsingHeader::new("select by …").id_salt("by").show(ui, |ui| properties(ui, state));
     section(ui, "Selections", |ui| names(ui, state));
@@ -81,7 +81,7 @@ fn tools(ui: &mut Ui, state: &mut State) {
 
 /// Ways to select without the pointer. Shift adds, Ctrl takes away.
 fn properties(ui: &mut Ui, state: &mut State) {
-    let modifiers = ui.input(|i| i.modifiers);
+    let modifiers = modifiers(ui);
     let verb = words::verb(modifiers.shift, modifiers.command);
     let time = state.timeline.time;
     let form = &mut state.edit.form;
@@ -136,7 +136,7 @@ fn names(ui: &mut Ui, state: &mut State) {
             button(ui, state, eye, seen, &format!("{seen} named {word}"));
             let held = if name.locked { "unlock" } else { "lock" };
             button(ui, state, lock, held, &format!("{held} named {word}"));
-            let modifiers = ui.input(|i| i.modifiers);
+            let modifiers = modifiers(ui);
             let verb = words::verb(modifiers.shift, modifiers.command);
             let label = ui.selectable_label(false, &name.name);
             if label.on_hover_text("select; Shift adds, Ctrl takes away").clicked() {
@@ -158,6 +158,12 @@ fn names(ui: &mut Ui, state: &mut State) {
 
 fn changes(ui: &mut Ui, state: &mut State) {
     let edit = &mut state.edit;
+    ui.horizontal(|ui| {
+        ui.label(RichText::new("handles").color(FAINT));
+        ui.selectable_value(&mut edit.handles, Kind::Move, "move").on_hover_text("G");
+        ui.selectable_value(&mut edit.handles, Kind::Turn, "turn").on_hover_text("R");
+        ui.selectable_value(&mut edit.handles, Kind::Scale, "scale").on_hover_text("S");
+    });
     ui.horizontal(|ui| {
         ui.selectable_value(&mut edit.holds, Holds::Always, "always").on_hover_text("in the world, at all times");
         ui.selectable_value(&mut edit.holds, Holds::Part, "along").on_hover_text("along with its motion");

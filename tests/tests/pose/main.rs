@@ -1,5 +1,7 @@
 //! Scenes that follow photos: gradients against differences of the f64 reference, and what was disturbed comes back.
 
+mod trained;
+
 use std::path::Path;
 
 use clap::Parser as _;
@@ -188,11 +190,16 @@ fn errors_px(scene: &Scene, shares: &[f64], found: &[Pose], truth: &[Pose], came
 
 /// Each superpoint turned by 5° and moved by 2 % of the scene (2.5 units), any way.
 fn disturbed(scene: &Scene, poses: &[Pose], seed: u64) -> Vec<Pose> {
+    disturbed_by(scene, poses, 5.0, 0.02 * 2.5, seed)
+}
+
+/// Each superpoint turned by some degrees and moved by some world units, any way.
+fn disturbed_by(scene: &Scene, poses: &[Pose], degrees: f64, shift: f64, seed: u64) -> Vec<Pose> {
     let (bodies, mut random) = (Bodies::new(scene), Random::new(seed));
     let moved: Vec<_> = bodies
         .stands(poses)
         .iter()
-        .map(|s| s.moved(random.direction() * 5.0_f64.to_radians(), random.direction() * 0.02 * 2.5))
+        .map(|s| s.moved(random.direction() * degrees.to_radians(), random.direction() * shift))
         .collect();
     bodies.poses(&moved, poses)
 }
