@@ -96,6 +96,7 @@ void open_pixel(uint i, uvec2 at, bool in_image) {
 void replay(uint s, vec4 first, vec4 second, vec3 colour, vec2 pixel, float row_step) {
     float u_x = first.z * (pixel.x - first.x);
     float dy_0 = pixel.y - first.y;
+    uint pixels = 0u;
     [[unroll]] for (uint c = 0u; c < SUMS; c++) {
         sums[c] = 0.0;
     }
@@ -109,8 +110,8 @@ void replay(uint s, vec4 first, vec4 second, vec3 colour, vec2 pixel, float row_
         vec4 g = pixel_gradient[i];
         float wq = weight * (g.x * colour.x + g.y * colour.y + g.z * colour.z + g.w);
         to_come[i] -= wq;
-        // Where alpha is clamped it does not depend on the splat.
-        float h = alpha < MAX_ALPHA ? wq - to_come[i] * alpha / (1.0 - alpha) : 0.0;
+        // Where alpha is clamped it does not depend on the splat. The quotient does not wait for what is still to come.
+        float h = alpha < MAX_ALPHA ? wq - to_come[i] * (alpha / (1.0 - alpha)) : 0.0;
         float hu = h * u;
         float hv = h * v;
         sums[0] += h;
@@ -122,8 +123,9 @@ void replay(uint s, vec4 first, vec4 second, vec3 colour, vec2 pixel, float row_
         sums[6] += weight * g.x;
         sums[7] += weight * g.y;
         sums[8] += weight * g.z;
-        sums[9] += alpha > 0.0 ? 1.0 : 0.0;
+        pixels += alpha > 0.0 ? 1u : 0u;
     }
+    sums[SUM_PIXELS] = float(pixels);
 }
 
 // Of two values, one is kept and summed over the pair of lanes, the other given away: the odd lane keeps the second.
@@ -218,8 +220,11 @@ void walk(uint s, uvec2 corner, uvec2 extent, bool valid, vec2 offset, float row
                     uint at = slice + source;
                     replay(s, staged[at], staged[128u + at], staged[256u + at].xyz, low + offset, row_step);
                 }
-                reduce();
-                collect(source);
+                // Skipping costs a device that runs both sides a vote for nothing.
+                if (stage == 0u || subgroupAny(sums[SUM_PIXELS] > 0.0)) {
+                    reduce();
+                    collect(source);
+                }
             } while (mask != 0u);
         }
     }

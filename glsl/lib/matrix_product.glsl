@@ -5,10 +5,11 @@
 //   VECTORS               K_STEP 4 only: a specialisation constant, 1 when all strides and offsets are multiples of 4, so that
 //                         four neighbours are one load; STAGE 0 is only for these;
 //   ROW_SUMS              1 when the sums of A over k are wanted as well.
-// It enables GL_KHR_shader_subgroup_{basic,shuffle} and has 256 threads per workgroup.
+// It enables GL_KHR_shader_subgroup_{basic,shuffle} and has the specialisation constants STAGE and THREADS, of a workgroup.
 //
-// STAGE 0: a tile of 32 x (8 per lane) per subgroup; each lane reads eight columns of B and its share of 32 rows of A, and
-// shuffles spread the latter. For devices where a load costs the same whether or not neighbours read the same word.
+// STAGE 0: a tile of 64 x (8 per lane) per subgroup (32 rows at 4 lanes); each lane reads eight columns of B and its share of
+// the rows of A, and shuffles spread the latter. For devices where a load costs the same whether or not neighbours read the
+// same word. They also take a subgroup that has no tile through all loads and stores, masked: workgroups are small there.
 // STAGE 1: a tile of 32 x 32 per workgroup, in shared memory 64 k at a time; four groups of 64 threads, each with 4 x 4
 // sums, take 16 of these k each, so that small matrices still fill a GPU.
 #ifndef SPGS_MATRIX_PRODUCT
@@ -30,10 +31,8 @@ void store_four(uint a, uint b, uint columns, vec4 value);
 void store_row_sum(uint a, float value);
 #endif
 
-const uint PRODUCT_THREADS = 256u;
-const uint SHUFFLE_ROWS = 32u;
+const uint PRODUCT_THREADS = 256u; // STAGE 1
 const uint SHUFFLE_COLUMNS = 8u; // per lane
-const uint SHUFFLE_TILES = 4u;   // per workgroup, if it has as many subgroups
 const uint SHARED_TILE = 32u;
 const uint SHARED_GROUPS = 4u; // of 64 threads
 const uint SHARED_DEPTH = 16u; // k per group and round
@@ -44,11 +43,17 @@ const uint STAGED_HALF = STAGED_DEPTH * SHARED_PITCH; // where B starts, in vec4
 shared vec4 product_stage[2 * 4 * 16 * 9];
 shared vec4 product_row_sums[4 * 8];
 
+// Rows of a tile of STAGE 0: at most eight for each lane to load.
+uint shuffle_rows() {
+    uint size = SUBGROUP_SIZE;
+    return size < 8u ? 32u : 64u;
+}
+
 // Tiles of C along b and in all.
 uvec2 product_tiles(uint rows, uint columns) {
     uint size = SUBGROUP_SIZE;
     uint stage = STAGE;
-    uint high = stage == 0u ? SHUFFLE_ROWS : SHARED_TILE;
+    uint high = stage == 0u ? shuffle_rows() : SHARED_TILE;
     uint wide = stage == 0u ? SHUFFLE_COLUMNS * size : SHARED_TILE;
     uint along_b = (columns + wide - 1u) / wide;
     return uvec2(along_b, along_b * ((rows + high - 1u) / high));
@@ -58,7 +63,8 @@ uvec2 product_tiles(uint rows, uint columns) {
 uint product_tile() {
     uint size = SUBGROUP_SIZE;
     uint stage = STAGE;
-    uint per_group = min(SHUFFLE_TILES, PRODUCT_THREADS / size);
+    uint threads = THREADS;
+    uint per_group = threads / size;
     uint unused = gl_SubgroupID < per_group ? 0u : 0x40000000u; // past every tile
     return stage == 0u ? workgroup_index() * per_group + gl_SubgroupID + unused : workgroup_index();
 }
@@ -99,7 +105,9 @@ vec4 load_b(uint k, uint b, uint columns, uint k_end) {
 // sums at a time are in registers.
 #define FOUR_ROWS(row, r) row((r)) row((r) + 1u) row((r) + 2u) row((r) + 3u)
 #define SIXTEEN_ROWS(row, r) FOUR_ROWS(row, r) FOUR_ROWS(row, r + 4u) FOUR_ROWS(row, r + 8u) FOUR_ROWS(row, r + 12u)
-#define EACH_ROW(row) SIXTEEN_ROWS(row, 0u) SIXTEEN_ROWS(row, 16u)
+#define EACH_ROW(row) \
+    SIXTEEN_ROWS(row, 0u) SIXTEEN_ROWS(row, 16u) \
+    if (high == 64u) { SIXTEEN_ROWS(row, 32u) SIXTEEN_ROWS(row, 48u) }
 #define CLEAR_ROW(r) sum[2u * (r)] = vec4(0.0); sum[2u * (r) + 1u] = vec4(0.0);
 // The lane that holds row r of A, and where: rows i·size + lane along k, else the four rows from 4·lane (4·(size + lane)) on.
 #if A_ALONG_K
@@ -136,11 +144,12 @@ vec4 load_b(uint k, uint b, uint columns, uint k_end) {
 void product_by_shuffle(uint tile, uint tiles_b, uint rows, uint columns, uint k_first, uint k_end) {
     uint size = SUBGROUP_SIZE;
     uint lane = gl_SubgroupInvocationID;
-    uint a_first = tile / tiles_b * SHUFFLE_ROWS;
+    uint high = shuffle_rows();
+    uint a_first = tile / tiles_b * high;
     uint b_first = (tile % tiles_b * size + lane) * SHUFFLE_COLUMNS;
-    vec4 sum[SHUFFLE_ROWS * 2u];
+    vec4 sum[2 * 64];
     EACH_ROW(CLEAR_ROW)
-    // Subgroups of 32 and more need one row along k per lane, of 4 all eight; of others, two sets of four rows or one.
+    // Subgroups of 64 and more need one row along k per lane, of 4 and 8 all eight; of others, two sets of four rows or one.
     vec4 own[8];
     vec4 b[8];
     vec4 row_sum[2];
@@ -156,15 +165,15 @@ void product_by_shuffle(uint tile, uint tiles_b, uint rows, uint columns, uint k
     for (uint k = k_first; k < k_end; k += K_STEP) {
 #if A_ALONG_K
         for (uint i = 0u; i < 8u; i++) {
-            if (i * size < SHUFFLE_ROWS) {
-                own[i] = load_a(min(a_first + i * size + lane % SHUFFLE_ROWS, rows - 1u), k, rows, k_end);
+            if (i * size < high) {
+                own[i] = load_a(min(a_first + i * size + lane % high, rows - 1u), k, rows, k_end);
             }
         }
 #else
         for (uint j = 0u; j < K_STEP; j++) {
             for (uint i = 0u; i < 2u; i++) {
-                if (i * size < SHUFFLE_ROWS / 4u) {
-                    uint a = min(a_first + 4u * (i * size + lane % (SHUFFLE_ROWS / 4u)), (rows - 1u) / 4u * 4u);
+                if (i * size < high / 4u) {
+                    uint a = min(a_first + 4u * (i * size + lane % (high / 4u)), (rows - 1u) / 4u * 4u);
                     own[2u * j + i] = load_a(a, k + j, rows, k_end);
                     row_sum[i] += own[2u * j + i];
                 }
@@ -190,7 +199,7 @@ void product_by_shuffle(uint tile, uint tiles_b, uint rows, uint columns, uint k
     for (uint i = 0u; i < 2u; i++) {
         uint a = a_first + 4u * (i * size + lane);
         for (uint j = 0u; j < 4u; j++) {
-            if (used && i * size + lane < SHUFFLE_ROWS / 4u && tile % tiles_b == 0u && a + j < rows) {
+            if (used && i * size + lane < high / 4u && tile % tiles_b == 0u && a + j < rows) {
                 store_row_sum(a + j, row_sum[i][j]);
             }
         }

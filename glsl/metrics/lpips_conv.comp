@@ -11,6 +11,7 @@ layout(constant_id = 1) const uint STAGE = 1;
 layout(constant_id = 2) const uint KERNEL = 3;
 layout(constant_id = 3) const uint STRIDE = 1;
 layout(constant_id = 4) const uint PAD = 1;
+layout(constant_id = 5) const uint THREADS = 256; // of a workgroup
 
 #define A_ALONG_K 1
 #define B_ALONG_K 0

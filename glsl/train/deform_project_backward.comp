@@ -116,11 +116,11 @@ void report(inout Target t, uint group) {
 }
 
 // One SH term of bands 1, 2, 3: b its basis value, db the gradient of that, colour dL/d colour, along dL/d direction.
-void sh_term_1(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3 along) {
+void sh_term_1(inout Target t, uint k, float rate, float b, vec3 db, vec3 colour, inout vec3 along) {
     uint at = 3u * k * t.n + t.g;
     vec3 value = vec3(sh_1[at], sh_1[at + t.n], sh_1[at + 2u * t.n]);
     along += db * dot(value, colour);
-    vec3 next = apply3(t, PLANE_SH_1 + 3u * k, value, b * colour, step_data.rate[PARAMETER_SH_1]);
+    vec3 next = apply3(t, PLANE_SH_1 + 3u * k, value, b * colour, rate);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_1[at] = next.x;
@@ -129,11 +129,11 @@ void sh_term_1(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3
     }
 }
 
-void sh_term_2(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3 along) {
+void sh_term_2(inout Target t, uint k, float rate, float b, vec3 db, vec3 colour, inout vec3 along) {
     uint at = 3u * k * t.n + t.g;
     vec3 value = vec3(sh_2[at], sh_2[at + t.n], sh_2[at + 2u * t.n]);
     along += db * dot(value, colour);
-    vec3 next = apply3(t, PLANE_SH_2 + 3u * k, value, b * colour, step_data.rate[PARAMETER_SH_2]);
+    vec3 next = apply3(t, PLANE_SH_2 + 3u * k, value, b * colour, rate);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_2[at] = next.x;
@@ -142,11 +142,11 @@ void sh_term_2(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3
     }
 }
 
-void sh_term_3(inout Target t, uint k, float b, vec3 db, vec3 colour, inout vec3 along) {
+void sh_term_3(inout Target t, uint k, float rate, float b, vec3 db, vec3 colour, inout vec3 along) {
     uint at = 3u * k * t.n + t.g;
     vec3 value = vec3(sh_3[at], sh_3[at + t.n], sh_3[at + 2u * t.n]);
     along += db * dot(value, colour);
-    vec3 next = apply3(t, PLANE_SH_3 + 3u * k, value, b * colour, step_data.rate[PARAMETER_SH_3]);
+    vec3 next = apply3(t, PLANE_SH_3 + 3u * k, value, b * colour, rate);
     uint kind = OUTPUT;
     if (kind == 1u) {
         sh_3[at] = next.x;
@@ -179,31 +179,34 @@ vec3 sh_backward(inout Target t, vec3 d, vec3 colour) {
     if (degree >= 1u) {
         float b[3];
         sh_band_1(d, b);
-        sh_term_1(t, 0u, b[0], vec3(0.0, -SH_1, 0.0), colour, along);
-        sh_term_1(t, 1u, b[1], vec3(0.0, 0.0, SH_1), colour, along);
-        sh_term_1(t, 2u, b[2], vec3(-SH_1, 0.0, 0.0), colour, along);
+        float rate = step_data.rate[PARAMETER_SH_1];
+        sh_term_1(t, 0u, rate, b[0], vec3(0.0, -SH_1, 0.0), colour, along);
+        sh_term_1(t, 1u, rate, b[1], vec3(0.0, 0.0, SH_1), colour, along);
+        sh_term_1(t, 2u, rate, b[2], vec3(-SH_1, 0.0, 0.0), colour, along);
         report(t, PARAMETER_SH_1);
     }
     if (degree >= 2u) {
         float b[5];
         sh_band_2(d, b);
-        sh_term_2(t, 0u, b[0], SH_2A * vec3(y, x, 0.0), colour, along);
-        sh_term_2(t, 1u, b[1], -SH_2A * vec3(0.0, z, y), colour, along);
-        sh_term_2(t, 2u, b[2], SH_2B * vec3(-2.0 * x, -2.0 * y, 4.0 * z), colour, along);
-        sh_term_2(t, 3u, b[3], -SH_2A * vec3(z, 0.0, x), colour, along);
-        sh_term_2(t, 4u, b[4], SH_2C * vec3(2.0 * x, -2.0 * y, 0.0), colour, along);
+        float rate = step_data.rate[PARAMETER_SH_2];
+        sh_term_2(t, 0u, rate, b[0], SH_2A * vec3(y, x, 0.0), colour, along);
+        sh_term_2(t, 1u, rate, b[1], -SH_2A * vec3(0.0, z, y), colour, along);
+        sh_term_2(t, 2u, rate, b[2], SH_2B * vec3(-2.0 * x, -2.0 * y, 4.0 * z), colour, along);
+        sh_term_2(t, 3u, rate, b[3], -SH_2A * vec3(z, 0.0, x), colour, along);
+        sh_term_2(t, 4u, rate, b[4], SH_2C * vec3(2.0 * x, -2.0 * y, 0.0), colour, along);
         report(t, PARAMETER_SH_2);
     }
     if (degree >= 3u) {
         float b[7];
         sh_band_3(d, b);
-        sh_term_3(t, 0u, b[0], -SH_3A * vec3(6.0 * x * y, 3.0 * (xx - yy), 0.0), colour, along);
-        sh_term_3(t, 1u, b[1], SH_3B * vec3(y * z, x * z, x * y), colour, along);
-        sh_term_3(t, 2u, b[2], -SH_3C * vec3(-2.0 * x * y, 4.0 * zz - xx - 3.0 * yy, 8.0 * y * z), colour, along);
-        sh_term_3(t, 3u, b[3], SH_3D * vec3(-6.0 * x * z, -6.0 * y * z, 6.0 * zz - 3.0 * (xx + yy)), colour, along);
-        sh_term_3(t, 4u, b[4], -SH_3C * vec3(4.0 * zz - 3.0 * xx - yy, -2.0 * x * y, 8.0 * x * z), colour, along);
-        sh_term_3(t, 5u, b[5], SH_3E * vec3(2.0 * x * z, -2.0 * y * z, xx - yy), colour, along);
-        sh_term_3(t, 6u, b[6], -SH_3A * vec3(3.0 * (xx - yy), -6.0 * x * y, 0.0), colour, along);
+        float rate = step_data.rate[PARAMETER_SH_3];
+        sh_term_3(t, 0u, rate, b[0], -SH_3A * vec3(6.0 * x * y, 3.0 * (xx - yy), 0.0), colour, along);
+        sh_term_3(t, 1u, rate, b[1], SH_3B * vec3(y * z, x * z, x * y), colour, along);
+        sh_term_3(t, 2u, rate, b[2], -SH_3C * vec3(-2.0 * x * y, 4.0 * zz - xx - 3.0 * yy, 8.0 * y * z), colour, along);
+        sh_term_3(t, 3u, rate, b[3], SH_3D * vec3(-6.0 * x * z, -6.0 * y * z, 6.0 * zz - 3.0 * (xx + yy)), colour, along);
+        sh_term_3(t, 4u, rate, b[4], -SH_3C * vec3(4.0 * zz - 3.0 * xx - yy, -2.0 * x * y, 8.0 * x * z), colour, along);
+        sh_term_3(t, 5u, rate, b[5], SH_3E * vec3(2.0 * x * z, -2.0 * y * z, xx - yy), colour, along);
+        sh_term_3(t, 6u, rate, b[6], -SH_3A * vec3(3.0 * (xx - yy), -6.0 * x * y, 0.0), colour, along);
         report(t, PARAMETER_SH_3);
     }
     return along;
@@ -381,8 +384,9 @@ void apply_geometry(inout Target t, vec3 canonical, Gradient o) {
     vec3 new_log_scale = apply3(t, PLANE_LOG_SCALE, log_s, o.log_scale, step_data.rate[PARAMETER_LOG_SCALE]);
     report(t, PARAMETER_LOG_SCALE);
     vec4 q = rotation[g];
-    vec3 q_wxy = apply3(t, PLANE_ROTATION, q.xyz, o.rotation.xyz, step_data.rate[PARAMETER_ROTATION]);
-    float q_z = apply(t, PLANE_ROTATION + 3u, q.w, o.rotation.w, step_data.rate[PARAMETER_ROTATION]);
+    float rotation_rate = step_data.rate[PARAMETER_ROTATION];
+    vec3 q_wxy = apply3(t, PLANE_ROTATION, q.xyz, o.rotation.xyz, rotation_rate);
+    float q_z = apply(t, PLANE_ROTATION + 3u, q.w, o.rotation.w, rotation_rate);
     report(t, PARAMETER_ROTATION);
     float opacity_rate = step_data.rate[PARAMETER_OPACITY_LOGIT];
     float logit = apply(t, PLANE_OPACITY_LOGIT, opacity_logit[g], o.opacity_logit, opacity_rate);

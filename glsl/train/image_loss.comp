@@ -12,6 +12,7 @@ layout(local_size_x = 128) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 layout(constant_id = 1) const uint TARGET = 0u;    // 0: RGBA8, 1: float bits
 layout(constant_id = 2) const uint WITH_SSIM = 1u; // 0: lambda is 0 and `ssim_maps` is not read
+layout(constant_id = 3) const uint STAGE = 1u;     // as lib/ssim.glsl has it
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
@@ -23,7 +24,7 @@ layout(constant_id = 2) const uint WITH_SSIM = 1u; // 0: lambda is 0 and `ssim_m
 #include "lib/image_target.glsl"
 #include "lib/ssim.glsl"
 
-layout(std430, set = 0, binding = 4) readonly buffer SsimMapsBlock { float ssim_maps[]; };
+layout(std430, set = 0, binding = 4) readonly buffer SsimMapsBlock { vec4 ssim_maps[]; };
 layout(std430, set = 0, binding = 5) writeonly buffer ImageGradientBlock { float image_gradient[]; };
 layout(std430, set = 0, binding = 6) writeonly buffer LossPartialBlock { float loss_partial[]; };
 #define STATUS_BINDING 7
@@ -35,33 +36,89 @@ shared vec2 sums[32]; // one per subgroup: 128 / 4
 
 const uint MAP_WORDS = 1914u; // 58 * 33
 
-// Row pass: the three maps of a run of pixels.
-void convolve_row(uint task, uvec2 corner, uint channel, out vec3 sum[ROW_RUN]) {
-    uint pixels = image_size.x * image_size.y;
-    uint row = task % TILE_ROWS;
-    uint first = ROW_RUN * (task / TILE_ROWS);
-    int y = int(corner.y + row) - int(WINDOW_RADIUS);
-    int x = int(corner.x + first) - int(WINDOW_RADIUS);
-    bool row_inside = y >= 0 && y < int(image_size.y);
-    [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
-        sum[j] = vec3(0.0);
+// Copies: a device may read storage again at every use.
+float lambda;
+float per_value; // weight of one value in a mean over all
+
+// Over the thread's pixels: sums of |d| and d^2, and what is not finite.
+vec2 total = vec2(0.0);
+uint bad_count = 0u;
+uint first_bad = 0xffffffffu;
+
+// by_moment: convolved derivatives of SSIM.
+void store_pixel(uint channel, uvec2 pixel, vec3 by_moment) {
+    uint kind = TARGET;
+    uint at = pixel.y * image_size.x + pixel.x;
+    vec3 v = image_and_target(kind, at, channel);
+    float d = v.x - v.y;
+    float by_ssim = by_moment.x + 2.0 * v.x * by_moment.y + 2.0 * d * by_moment.z;
+    float gradient = per_value * ((1.0 - lambda) * sign(d) - lambda * by_ssim);
+    bool good = v.z != 0.0 && number_is_finite(gradient);
+    bad_count += good ? 0u : 1u;
+    first_bad = good ? first_bad : min(first_bad, at);
+    image_gradient[4u * at + channel] = good ? gradient : 0.0;
+    total += vec2(abs(d), d * d);
+}
+
+// The component that is no channel, of `count` pixels from pixel `at` on, `step` pixels apart. A loop of its own: without rounds
+// it costs less than a branch for each pixel on devices that run both sides.
+void clear_fourth(uint at, uint count, uint step) {
+    for (uint i = 0u; i < count; i++) {
+        image_gradient[4u * (at + i * step) + 3u] = 0.0;
     }
-    [[unroll]] for (uint i = 0u; i < ROW_INPUTS; i++) {
-        int column = x + int(i);
-        vec3 m = vec3(0.0);
-        if (row_inside && column >= 0 && column < int(image_size.x)) {
-            uint at = 3u * channel * pixels + uint(y) * image_size.x + uint(column);
-            m = vec3(ssim_maps[at], ssim_maps[at + pixels], ssim_maps[at + 2u * pixels]);
+}
+
+// Convolves 16 columns of a row of the maps, from four at a time. The first is a multiple of 4, and WINDOW_RADIUS before it lies
+// in the second four.
+void convolve_row(uint channel, uint column, int row) {
+    uint size = map_size(image_size);
+    uint stride = map_stride(image_size);
+    bool inside = row >= 0 && row < int(image_size.y);
+    clear_row_sums();
+    [[unroll]] for (uint q = 0u; q < STRIP_COLUMNS / 4u + 4u; q++) {
+        vec4 by_mean = vec4(0.0);
+        vec4 by_sum = vec4(0.0);
+        vec4 by_difference = vec4(0.0);
+        uint four = column / 4u + q; // two too many
+        if (inside && four >= 2u && four - 2u < stride) {
+            uint at = 3u * channel * size + uint(row) * stride + four - 2u;
+            by_mean = ssim_maps[at];
+            by_sum = ssim_maps[at + size];
+            by_difference = ssim_maps[at + 2u * size];
         }
-        [[unroll]] for (uint k = 0u; k < WINDOW_SIZE; k++) {
-            if (i >= k && i - k < ROW_RUN) {
-                sum[i - k] += WINDOW[k] * m;
+        [[unroll]] for (uint c = 0u; c < 4u; c++) {
+            uint i = 4u * q + c; // three too many
+            if (i >= 3u && i - 3u < STRIP_INPUTS) {
+                add_input(i - 3u, vec4(by_mean[c], by_sum[c], by_difference[c], 0.0));
             }
         }
     }
 }
 
-// Column pass: two maps of a run of pixels.
+void walk_strip(uint channel, uvec2 corner) {
+    clear_column_sums();
+    uint with_ssim = WITH_SSIM;
+    uint margin = with_ssim == 1u ? WINDOW_RADIUS : 0u;
+    uint end = min(corner.y + STRIP_ROWS, image_size.y);
+    uint rounds = corner.y < end ? end - corner.y + 2u * margin : 0u;
+    for (uint r = 0u; r < rounds; r++) {
+        if (with_ssim == 1u) {
+            convolve_row(channel, corner.x, int(corner.y + r) - int(margin));
+            add_row_sums();
+        }
+        uvec2 first = corner + uvec2(0u, r - 2u * margin);
+        bool complete = r >= 2u * margin;
+        [[unroll]] for (uint j = 0u; j < STRIP_COLUMNS; j++) {
+            if (complete && corner.x + j < image_size.x) {
+                store_pixel(channel, first + uvec2(j, 0u), column_sum[j].xyz);
+            }
+        }
+        uint columns = min(STRIP_COLUMNS, image_size.x - corner.x);
+        clear_fourth(first.y * image_size.x + first.x, complete && channel == 2u ? columns : 0u, 1u);
+    }
+}
+
+// STAGE 1, column pass: two maps of a run of pixels.
 void convolve_column_of_two(uint task, out vec2 sum[COLUMN_RUN]) {
     uint first = COLUMN_RUN * (task / LOSS_TILE_WIDTH);
     [[unroll]] for (uint j = 0u; j < COLUMN_RUN; j++) {
@@ -94,56 +151,20 @@ void convolve_column_of_one(uint task, out float sum[COLUMN_RUN]) {
     }
 }
 
-// Gradients of a run of pixels. Returns their sums of |d| and d^2.
-vec2 store_run(uint task, uvec2 corner, uint channel, vec2 two[COLUMN_RUN], float one[COLUMN_RUN]) {
-    uint kind = TARGET;
-    uint with_ssim = WITH_SSIM;
-    uint first = COLUMN_RUN * (task / LOSS_TILE_WIDTH);
-    uint x = corner.x + task % LOSS_TILE_WIDTH;
-    float lambda = with_ssim == 1u ? step_data.weight_dssim : 0.0;
-    float per_value = 1.0 / (3.0 * float(image_size.x * image_size.y));
-    vec2 total = vec2(0.0);
-    uint bad_count = 0u;
-    uint first_bad = 0xffffffffu;
+void store_run(uint task, uvec2 corner, uint channel, vec2 two[COLUMN_RUN], float one[COLUMN_RUN]) {
+    uvec2 first = corner + uvec2(task % LOSS_TILE_WIDTH, COLUMN_RUN * (task / LOSS_TILE_WIDTH));
     [[unroll]] for (uint j = 0u; j < COLUMN_RUN; j++) {
-        uint y = corner.y + first + j;
-        if (x < image_size.x && y < image_size.y) {
-            uint at = y * image_size.x + x;
-            vec3 v = image_and_target(kind, at, channel);
-            float d = v.x - v.y;
-            float by_ssim = two[j].x + 2.0 * v.x * two[j].y + 2.0 * d * one[j];
-            float gradient = per_value * ((1.0 - lambda) * sign(d) - lambda * by_ssim);
-            bool good = v.z != 0.0 && number_is_finite(gradient);
-            bad_count += good ? 0u : 1u;
-            first_bad = good ? first_bad : min(first_bad, at);
-            image_gradient[4u * at + channel] = good ? gradient : 0.0;
-            total += vec2(abs(d), d * d);
+        uvec2 pixel = first + uvec2(0u, j);
+        if (all(lessThan(pixel, image_size))) {
+            store_pixel(channel, pixel, vec3(two[j], one[j]));
         }
     }
-    if (bad_count != 0u) {
-        atomicAdd(status[2u * STATUS_IMAGE_GRADIENT], bad_count);
-        atomicMin(status[2u * STATUS_IMAGE_GRADIENT + 1u], first_bad);
-    }
-    // A loop of its own: without rounds it costs less than a branch in the loop above on devices that run both sides.
-    uint last = channel == 2u && x < image_size.x ? min(COLUMN_RUN, image_size.y - min(image_size.y, corner.y + first)) : 0u;
-    for (uint j = 0u; j < last; j++) {
-        image_gradient[4u * ((corner.y + first + j) * image_size.x + x) + 3u] = 0.0;
-    }
-    return total;
+    uint rows = min(COLUMN_RUN, image_size.y - min(image_size.y, first.y));
+    clear_fourth(first.y * image_size.x + first.x, channel == 2u && first.x < image_size.x ? rows : 0u, image_size.x);
 }
 
-void main() {
+void convolve_tile(uint channel, uvec2 corner, uint thread) {
     uint with_ssim = WITH_SSIM;
-    uint group = workgroup_index();
-    uint channel = group % 3u;
-    read_frame(channel);
-    uvec2 tiles = loss_tiles(image_size);
-    uint groups = 3u * tiles.x * tiles.y;
-    uint tile = group / 3u;
-    uvec2 corner = uvec2(LOSS_TILE_WIDTH, LOSS_TILE_HEIGHT) * uvec2(tile % tiles.x, tile / tiles.x);
-    uint thread = thread_index();
-    uint size = SUBGROUP_SIZE;
-
     vec2 two[COLUMN_RUN];
     float one[COLUMN_RUN];
     [[unroll]] for (uint j = 0u; j < COLUMN_RUN; j++) {
@@ -153,12 +174,12 @@ void main() {
     if (with_ssim == 1u) {
         bool has_row = thread < ROW_TASKS;
         uint row_at = row_of(thread);
-        vec3 row[ROW_RUN];
         if (has_row) {
-            convolve_row(thread, corner, channel, row);
+            uint column = corner.x + ROW_RUN * (thread / TILE_ROWS);
+            convolve_row(channel, column, int(corner.y + thread % TILE_ROWS) - int(WINDOW_RADIUS));
             [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
-                maps[row_at + j] = row[j].x;
-                maps[MAP_WORDS + row_at + j] = row[j].y;
+                maps[row_at + j] = row_sum[j].x;
+                maps[MAP_WORDS + row_at + j] = row_sum[j].y;
             }
         }
         barrier();
@@ -166,13 +187,35 @@ void main() {
         barrier();
         if (has_row) {
             [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
-                maps[row_at + j] = row[j].z;
+                maps[row_at + j] = row_sum[j].z;
             }
         }
         barrier();
         convolve_column_of_one(thread, one);
     }
-    vec2 total = store_run(thread, corner, channel, two, one);
+    store_run(thread, corner, channel, two, one);
+}
+
+void main() {
+    uint group = workgroup_index();
+    uint channel = group % 3u;
+    read_frame(channel);
+    uint groups = 3u * loss_groups(image_size);
+    uint thread = thread_index();
+    uint size = SUBGROUP_SIZE;
+    uint stage = STAGE;
+    uint with_ssim = WITH_SSIM;
+    lambda = with_ssim == 1u ? step_data.weight_dssim : 0.0;
+    per_value = 1.0 / (3.0 * float(image_size.x * image_size.y));
+    if (stage == 0u) {
+        walk_strip(channel, strip_corner(group / 3u, thread, image_size));
+    } else {
+        convolve_tile(channel, tile_corner(group / 3u, image_size), thread);
+    }
+    if (bad_count != 0u) {
+        atomicAdd(status[2u * STATUS_IMAGE_GRADIENT], bad_count);
+        atomicMin(status[2u * STATUS_IMAGE_GRADIENT + 1u], first_bad);
+    }
     vec2 of_subgroup = subgroupAdd(total);
     if (gl_SubgroupInvocationID == 0u) {
         sums[gl_SubgroupID] = of_subgroup;

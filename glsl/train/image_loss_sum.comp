@@ -2,12 +2,14 @@
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_EXT_control_flow_attributes : require
 
 // The image loss from the partial sums of its workgroups, in a fixed order. One workgroup.
 
 layout(local_size_x = 256) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 layout(constant_id = 1) const uint WITH_SSIM = 1u; // 0: lambda is 0 and there are no sums of SSIM
+layout(constant_id = 2) const uint STAGE = 1u;     // of the kernels before
 
 #include "lib/frame.glsl"
 #include "lib/thread.glsl"
@@ -23,8 +25,7 @@ shared vec3 sums[64]; // one per subgroup: 256 / 4
 void main() {
     uint with_ssim = WITH_SSIM;
     uint size = SUBGROUP_SIZE;
-    uvec2 tiles = loss_tiles(frame.size);
-    uint groups = 3u * tiles.x * tiles.y;
+    uint groups = 3u * loss_groups(frame.size);
     uint thread = thread_index();
     vec3 total = vec3(0.0); // L1, SSIM, MSE
     for (uint g = thread; g < groups; g += 256u) {

@@ -9,6 +9,7 @@ layout(local_size_x = 256) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 1) const uint STAGE = 1;
 layout(constant_id = 2) const uint VECTORS = 0;
+layout(constant_id = 3) const uint THREADS = 256; // of a workgroup
 
 #define A_ALONG_K 1
 #define B_ALONG_K 0

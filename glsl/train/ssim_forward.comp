@@ -12,6 +12,7 @@
 layout(local_size_x = 128) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 layout(constant_id = 1) const uint TARGET = 0u; // 0: RGBA8, 1: float bits
+layout(constant_id = 2) const uint STAGE = 1u;  // as lib/ssim.glsl has it
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
@@ -23,38 +24,29 @@ layout(constant_id = 1) const uint TARGET = 0u; // 0: RGBA8, 1: float bits
 #include "lib/image_target.glsl"
 #include "lib/ssim.glsl"
 
-layout(std430, set = 0, binding = 3) writeonly buffer SsimMapsBlock { float ssim_maps[]; };
+layout(std430, set = 0, binding = 3) writeonly buffer SsimMapsBlock { vec4 ssim_maps[]; };
 layout(std430, set = 0, binding = 4) writeonly buffer LossPartialBlock { float loss_partial[]; };
 
 // Two of the four moments at a time: with all of them shared memory would leave too few subgroups in flight.
 shared vec2 moments[58 * 33];
 shared float sums[32]; // one per subgroup: 128 / 4
 
-// Row pass: moments (x, d, d^2, x^2 + y^2) of a run of pixels.
-void convolve_row(uint task, uvec2 corner, uint channel, out vec4 sum[ROW_RUN]) {
+float total = 0.0; // of SSIM over the thread's pixels
+
+// (rendered, target), zeros outside the image.
+vec2 pixel_at(uint channel, ivec2 at) {
     uint kind = TARGET;
-    uint row = task % TILE_ROWS;
-    uint first = ROW_RUN * (task / TILE_ROWS);
-    int y = int(corner.y + row) - int(WINDOW_RADIUS);
-    int x = int(corner.x + first) - int(WINDOW_RADIUS);
-    bool row_inside = y >= 0 && y < int(image_size.y);
-    [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
-        sum[j] = vec4(0.0);
+    vec2 pixel = vec2(0.0);
+    if (at.x >= 0 && at.x < int(image_size.x) && at.y >= 0 && at.y < int(image_size.y)) {
+        pixel = image_and_target(kind, uint(at.y) * image_size.x + uint(at.x), channel).xy;
     }
-    [[unroll]] for (uint i = 0u; i < ROW_INPUTS; i++) {
-        int column = x + int(i);
-        vec4 m = vec4(0.0);
-        if (row_inside && column >= 0 && column < int(image_size.x)) {
-            vec3 v = image_and_target(kind, uint(y) * image_size.x + uint(column), channel);
-            float d = v.x - v.y;
-            m = vec4(v.x, d, d * d, v.x * v.x + v.y * v.y);
-        }
-        [[unroll]] for (uint k = 0u; k < WINDOW_SIZE; k++) {
-            if (i >= k && i - k < ROW_RUN) {
-                sum[i - k] += WINDOW[k] * m;
-            }
-        }
-    }
+    return pixel;
+}
+
+// x, d, d^2, x^2 + y^2.
+vec4 moments_of(vec2 pixel) {
+    float d = pixel.x - pixel.y;
+    return vec4(pixel.x, d, d * d, pixel.x * pixel.x + pixel.y * pixel.y);
 }
 
 // SSIM from the moments, and its derivatives by mu_x, by E[x^2 + y^2] and by E[d^2].
@@ -75,7 +67,52 @@ vec4 ssim_and_derivatives(vec4 m) {
     return vec4(l * c, by_mean, by_sum, by_difference);
 }
 
-// Column pass: two moments of a run of pixels.
+// STAGE 0: stores a row of the strip, four columns at a time, zeros in columns that only fill up a row of the maps.
+void store_strip(uint channel, uvec2 first) {
+    uint size = map_size(image_size);
+    uint at = 3u * channel * size + first.y * map_stride(image_size) + first.x / 4u;
+    [[unroll]] for (uint q = 0u; q < STRIP_COLUMNS / 4u; q++) {
+        vec4 by_mean = vec4(0.0);
+        vec4 by_sum = vec4(0.0);
+        vec4 by_difference = vec4(0.0);
+        [[unroll]] for (uint c = 0u; c < 4u; c++) {
+            bool inside = first.x + 4u * q + c < image_size.x;
+            vec4 s = ssim_and_derivatives(column_sum[4u * q + c]);
+            total += inside ? s.x : 0.0;
+            by_mean[c] = inside ? s.y : 0.0;
+            by_sum[c] = inside ? s.z : 0.0;
+            by_difference[c] = inside ? s.w : 0.0;
+        }
+        if (first.x + 4u * q < image_size.x) {
+            ssim_maps[at + q] = by_mean;
+            ssim_maps[at + q + size] = by_sum;
+            ssim_maps[at + q + 2u * size] = by_difference;
+        }
+    }
+}
+
+// Convolves 16 columns of a row. first: WINDOW_RADIUS before them.
+void convolve_row(uint channel, ivec2 first) {
+    clear_row_sums();
+    [[unroll]] for (uint i = 0u; i < STRIP_INPUTS; i++) {
+        add_input(i, moments_of(pixel_at(channel, first + ivec2(i, 0))));
+    }
+}
+
+void walk_strip(uint channel, uvec2 corner) {
+    clear_column_sums();
+    uint end = min(corner.y + STRIP_ROWS, image_size.y);
+    uint rounds = corner.y < end ? end - corner.y + 2u * WINDOW_RADIUS : 0u;
+    for (uint r = 0u; r < rounds; r++) {
+        convolve_row(channel, ivec2(corner + uvec2(0u, r)) - int(WINDOW_RADIUS));
+        add_row_sums();
+        if (r >= 2u * WINDOW_RADIUS) {
+            store_strip(channel, corner + uvec2(0u, r - 2u * WINDOW_RADIUS));
+        }
+    }
+}
+
+// STAGE 1, column pass: two moments of a run of pixels.
 void convolve_column(uint task, out vec2 sum[COLUMN_RUN]) {
     uint column = task % LOSS_TILE_WIDTH;
     uint first = COLUMN_RUN * (task / LOSS_TILE_WIDTH);
@@ -92,44 +129,33 @@ void convolve_column(uint task, out vec2 sum[COLUMN_RUN]) {
     }
 }
 
-// Results of a run of pixels. Returns the sum of their SSIM.
-float store_run(uint task, uvec2 corner, uint channel, vec2 low[COLUMN_RUN], vec2 high[COLUMN_RUN]) {
-    uint first = COLUMN_RUN * (task / LOSS_TILE_WIDTH);
-    uint pixels = image_size.x * image_size.y;
-    uint x = corner.x + task % LOSS_TILE_WIDTH;
-    float total = 0.0;
+// Results of a run of pixels; zeros as in STAGE 0.
+void store_run(uint task, uvec2 corner, uint channel, vec2 low[COLUMN_RUN], vec2 high[COLUMN_RUN]) {
+    uint size = map_size(image_size);
+    uint stride = map_stride(image_size);
+    uvec2 first = corner + uvec2(task % LOSS_TILE_WIDTH, COLUMN_RUN * (task / LOSS_TILE_WIDTH));
+    uint c = first.x % 4u;
     [[unroll]] for (uint j = 0u; j < COLUMN_RUN; j++) {
-        uint y = corner.y + first + j;
-        if (x < image_size.x && y < image_size.y) {
-            vec4 s = ssim_and_derivatives(vec4(low[j], high[j]));
-            uint at = 3u * channel * pixels + y * image_size.x + x;
-            ssim_maps[at] = s.y;
-            ssim_maps[at + pixels] = s.z;
-            ssim_maps[at + 2u * pixels] = s.w;
+        uint y = first.y + j;
+        if (first.x < 4u * stride && y < image_size.y) {
+            vec4 s = first.x < image_size.x ? ssim_and_derivatives(vec4(low[j], high[j])) : vec4(0.0);
+            uint at = 3u * channel * size + y * stride + first.x / 4u;
+            ssim_maps[at][c] = s.y;
+            ssim_maps[at + size][c] = s.z;
+            ssim_maps[at + 2u * size][c] = s.w;
             total += s.x;
         }
     }
-    return total;
 }
 
-void main() {
-    uint group = workgroup_index();
-    uint channel = group % 3u;
-    read_frame(channel);
-    uvec2 tiles = loss_tiles(image_size);
-    uint groups = 3u * tiles.x * tiles.y;
-    uint tile = group / 3u;
-    uvec2 corner = uvec2(LOSS_TILE_WIDTH, LOSS_TILE_HEIGHT) * uvec2(tile % tiles.x, tile / tiles.x);
-    uint thread = thread_index();
-    uint size = SUBGROUP_SIZE;
-
+void convolve_tile(uint channel, uvec2 corner, uint thread) {
     bool has_row = thread < ROW_TASKS;
     uint row_at = row_of(thread);
-    vec4 row[ROW_RUN];
     if (has_row) {
-        convolve_row(thread, corner, channel, row);
+        uvec2 first = corner + uvec2(ROW_RUN * (thread / TILE_ROWS), thread % TILE_ROWS);
+        convolve_row(channel, ivec2(first) - int(WINDOW_RADIUS));
         [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
-            moments[row_at + j] = row[j].xy;
+            moments[row_at + j] = row_sum[j].xy;
         }
     }
     barrier();
@@ -138,13 +164,28 @@ void main() {
     barrier();
     if (has_row) {
         [[unroll]] for (uint j = 0u; j < ROW_RUN; j++) {
-            moments[row_at + j] = row[j].zw;
+            moments[row_at + j] = row_sum[j].zw;
         }
     }
     barrier();
     vec2 high[COLUMN_RUN];
     convolve_column(thread, high);
-    float total = store_run(thread, corner, channel, low, high);
+    store_run(thread, corner, channel, low, high);
+}
+
+void main() {
+    uint group = workgroup_index();
+    uint channel = group % 3u;
+    read_frame(channel);
+    uint groups = 3u * loss_groups(image_size);
+    uint thread = thread_index();
+    uint size = SUBGROUP_SIZE;
+    uint stage = STAGE;
+    if (stage == 0u) {
+        walk_strip(channel, strip_corner(group / 3u, thread, image_size));
+    } else {
+        convolve_tile(channel, tile_corner(group / 3u, image_size), thread);
+    }
     float of_subgroup = subgroupAdd(total);
     if (gl_SubgroupInvocationID == 0u) {
         sums[gl_SubgroupID] = of_subgroup;

@@ -64,14 +64,30 @@ fn target_values(target: &[u32]) -> Vec<f64> {
     target.iter().flat_map(|word| [value(word, 0), value(word, 1), value(word, 2)]).collect()
 }
 
-/// Every kernel of the chain against its twin, on what the device's own kernels before it left. Gradient and loss.
+/// Every kernel of the chain against its twin, on what the device's own kernels before it left, both ways of sharing the
+/// pixels out. Gradient and loss of the device's own way.
 fn chain(gpu: &Gpu, size: [u32; 2], lambda: f32, color: &[u32], target: &[u32], kind: u32) -> (Vec<f32>, Vec<f32>) {
+    let own = LossStage::of(gpu);
+    let other = if own == LossStage::Strip { LossStage::Shared } else { LossStage::Strip };
+    chain_of(gpu, other, size, lambda, [color, target], kind);
+    chain_of(gpu, own, size, lambda, [color, target], kind)
+}
+
+fn chain_of(
+    gpu: &Gpu,
+    stage: LossStage,
+    size: [u32; 2],
+    lambda: f32,
+    [color, target]: [&[u32]; 2],
+    kind: u32,
+) -> (Vec<f32>, Vec<f32>) {
     let pixels = (size[0] * size[1]) as usize;
     // More workgroups than are needed must not matter.
-    let (needed, n) = (groups(size[0], size[1]), groups(size[0], size[1]) + 1);
+    let needed = stage.groups(size[0], size[1]);
+    let (n, stage) = (needed + 1, stage as u32);
     let (frame, step) = (words(&[frame(size)]), words(&[step(lambda)]));
     let with_ssim = u32::from(lambda != 0.0);
-    let context = format!("{size:?}, target {kind}, SSIM {with_ssim}");
+    let context = format!("{size:?}, target {kind}, SSIM {with_ssim}, stage {stage}");
     let partial = || vec![0; 3 * needed as usize];
     let mut ssim_maps = None;
     let mut sums = partial();
@@ -80,11 +96,11 @@ fn chain(gpu: &Gpu, size: [u32; 2], lambda: f32, color: &[u32], target: &[u32], 
             frame: frame.clone(),
             color: color.to_vec(),
             target: behind_others(target),
-            ssim_maps: vec![0; 9 * pixels],
+            ssim_maps: vec![0; map_words(size[0], size[1]) as usize],
             loss_partial: partial(),
             step: step.clone(),
         };
-        let constants = SsimForwardConstants { target: kind };
+        let constants = SsimForwardConstants { target: kind, stage };
         let done = KernelCase { kernel: &SSIM_FORWARD, constants, push: (), buffers, groups: n }.run(gpu);
         done.assert_equal(&context);
         let relative = relative_l2(&words_to_floats(&done.gpu.ssim_maps), &words_to_floats(&done.twin.ssim_maps));
@@ -101,7 +117,7 @@ fn chain(gpu: &Gpu, size: [u32; 2], lambda: f32, color: &[u32], target: &[u32], 
         loss_partial: partial(),
         status: status::clear().to_vec(),
     };
-    let constants = ImageLossConstants { target: kind, with_ssim };
+    let constants = ImageLossConstants { target: kind, with_ssim, stage };
     let done = KernelCase { kernel: &IMAGE_LOSS, constants, push: (), buffers, groups: n }.run(gpu);
     done.assert_equal(&context);
     sums[needed as usize..].copy_from_slice(&done.gpu.loss_partial[needed as usize..]);
@@ -110,7 +126,7 @@ fn chain(gpu: &Gpu, size: [u32; 2], lambda: f32, color: &[u32], target: &[u32], 
     let relative = relative_l2(&gradient, &twin);
     assert!(relative < 1e-4, "{size:?}: gradient {relative:e} from the twin");
     let buffers = ImageLossSumBuffers { frame, step, loss_partial: sums, loss: vec![0; 8] };
-    let constants = ImageLossSumConstants { with_ssim };
+    let constants = ImageLossSumConstants { with_ssim, stage };
     let loss = KernelCase { kernel: &IMAGE_LOSS_SUM, constants, push: (), buffers, groups: 1 }.check(gpu, &context);
     (gradient, words_to_floats(&loss.loss))
 }

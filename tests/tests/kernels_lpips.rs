@@ -92,8 +92,10 @@ fn convolutions_match_their_twin() {
                 parameter: floats(&mut r, outputs * (depth + 1), 1.0 / (depth as f32).sqrt()),
                 feature_output: vec![0; (outputs * pixels) as usize],
             };
-            let constants = LpipsConvConstants { stage: stage as u32, kernel: side, stride, pad };
-            let groups = product_groups(stage, gpu.subgroup_size_of(&LPIPS_CONV), push.output_count, pixels, 1) as u32;
+            let lanes = gpu.subgroup_size_of(&LPIPS_CONV);
+            let threads = stage.threads(lanes);
+            let constants = LpipsConvConstants { stage: stage as u32, kernel: side, stride, pad, threads };
+            let groups = product_groups(stage, lanes, push.output_count, pixels, 1) as u32;
             let case = KernelCase { kernel: &LPIPS_CONV, constants, push, buffers, groups };
             case.check(&gpu, &format!("{push:?}, window {side}, {stage:?}"));
         }

@@ -59,10 +59,11 @@ fn forward_case(
 ) -> KernelCase<LinearForward> {
     let kernel = &LINEAR_FORWARD;
     let (stage, vectors) = push.stage(stage);
-    let constants = LinearForwardConstants { stage: stage as u32, relu, vectors: vectors.into() };
+    let lanes = gpu.subgroup_size_of(kernel);
+    let constants = LinearForwardConstants::new((stage, vectors), relu == 1, lanes);
     let layer_output = vec![0; (push.rows * push.outputs) as usize];
     let buffers = LinearForwardBuffers { layer_input, parameter, layer_output };
-    let groups = linear::product_groups(stage, gpu.subgroup_size_of(kernel), push.rows, push.outputs, 1) as u32;
+    let groups = linear::product_groups(stage, lanes, push.rows, push.outputs, 1) as u32;
     KernelCase { kernel, constants, push, buffers, groups }
 }
 
@@ -97,8 +98,15 @@ fn a_layer_does_not_hide_what_is_no_number() {
 fn forward_and_backward_input_match_their_twins() {
     let gpu = tests_harness::shared_gpu();
     let mut r = Random(1);
-    let shapes =
-        [(1, 1, 0, 1), (16, 32, 0, 32), (33, 76, 256, 65), (33, 76, 64, 36), (7, 84, 0, 12), (130, 64, 0, 257)];
+    let shapes = [
+        (1, 1, 0, 1),
+        (16, 32, 0, 32),
+        (33, 76, 256, 65),
+        (33, 76, 64, 36),
+        (7, 84, 0, 12),
+        (130, 64, 0, 257),
+        (70, 64, 0, 68),
+    ];
     for (k, (rows, i0, i1, outputs)) in shapes.into_iter().enumerate() {
         for stage in stages(k) {
             let inputs = i0 + i1;
@@ -123,8 +131,9 @@ fn forward_and_backward_input_match_their_twins() {
                 input_gradient: vec![0; (rows * columns) as usize],
             };
             let stage = push.stage(stage);
-            let groups = linear::product_groups(stage.0, gpu.subgroup_size_of(kernel), rows, columns, 1) as u32;
-            let case = KernelCase { kernel, constants: LinearConstants::new(stage), push, buffers, groups };
+            let lanes = gpu.subgroup_size_of(kernel);
+            let groups = linear::product_groups(stage.0, lanes, rows, columns, 1) as u32;
+            let case = KernelCase { kernel, constants: LinearConstants::new(stage, lanes), push, buffers, groups };
             case.check(&gpu, &format!("{rows} x {outputs} -> {columns}, {stage:?}"));
         }
     }
@@ -158,8 +167,9 @@ fn weight_gradients_match_their_twins() {
                 gradient: vec![0; ((slices + 1) * weights) as usize],
             };
             let stage = push.stage(stage);
-            let groups = linear::product_groups(stage.0, gpu.subgroup_size_of(kernel), outputs, i0 + i1, slices) as u32;
-            let case = KernelCase { kernel, constants: LinearConstants::new(stage), push, buffers, groups };
+            let lanes = gpu.subgroup_size_of(kernel);
+            let groups = linear::product_groups(stage.0, lanes, outputs, i0 + i1, slices) as u32;
+            let case = KernelCase { kernel, constants: LinearConstants::new(stage, lanes), push, buffers, groups };
             case.check(&gpu, &format!("{rows} rows, {} -> {outputs}, {stage:?}", i0 + i1));
         }
     }

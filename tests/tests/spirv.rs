@@ -96,6 +96,21 @@ fn clone(k: &Kernel) -> Kernel {
 }
 
 #[test]
+fn modules_take_the_workgroup_size_of_their_pipeline() {
+    let sized: Vec<_> = engine::kernels().filter(|k| k.spec.contains(&Kernel::THREADS)).collect();
+    assert!(sized.len() >= 4, "{}", sized.len());
+    for kernel in sized {
+        let words = spirv::with_local_size(&spirv::words(kernel).unwrap(), 16);
+        // A constant decorated with BuiltIn WorkgroupSize would outweigh the execution mode.
+        let decorated = |w: &[u32]| w[0] == ((4 << 16) | 71) && w[2..] == [11, 25];
+        assert!(!words.windows(4).any(decorated), "{}", kernel.name);
+        let bytes = Box::leak(bytemuck::cast_slice::<u32, u8>(&words).to_vec().into_boxed_slice());
+        let small = Kernel { local_size: 16, spirv: bytes, ..clone(kernel) };
+        spirv::check(&small, &spirv::reflect(&small).unwrap()).unwrap();
+    }
+}
+
+#[test]
 fn wrong_declarations_are_refused() {
     for kernel in engine::kernels() {
         refused(kernel, |k| k.local_size += 1);

@@ -116,7 +116,7 @@ pub struct Kernel {
     pub name: &'static str,
     /// One line for the docs and the bench table.
     pub doc: &'static str,
-    /// Fixed workgroup size in x (y = z = 1).
+    /// Workgroup size in x (y = z = 1); the most of a kernel that has [`Self::THREADS`].
     pub local_size: u32,
     /// Names of the specialisation constants; the id is the index; 0 is `SUBGROUP_SIZE`. All are u32.
     pub spec: &'static [&'static str],
@@ -135,6 +135,16 @@ pub struct Kernel {
 }
 
 impl Kernel {
+    /// The specialisation constant that says how many threads a workgroup has. The module is changed to that size: naga has no
+    /// `LocalSizeId`. The kernel must also be right with more threads.
+    pub const THREADS: &'static str = "THREADS";
+
+    /// Threads of a workgroup for these specialisation constants, from id 0 on.
+    pub fn threads(&self, constants: &[u32]) -> u32 {
+        let named = self.spec.iter().zip(constants).find(|(name, _)| **name == Self::THREADS);
+        named.map_or(self.local_size, |(_, threads)| *threads)
+    }
+
     /// Its bindings that are buffers; and whether it writes an image too, whose first pixel is pushed (`x`, `y`).
     pub fn buffers(&self) -> (&'static [Binding], bool) {
         match self.bindings {

@@ -29,7 +29,8 @@ struct Interface {
 /// Everything made from SPIR-V so far.
 #[derive(Debug, Default)]
 pub(super) struct Pipelines {
-    interfaces: BTreeMap<&'static str, Interface>,
+    /// By kernel and threads of a workgroup.
+    interfaces: BTreeMap<(&'static str, u32), Interface>,
     /// By kernel and all its specialisation constants.
     pipelines: HashMap<(&'static str, Vec<u32>), (&'static Kernel, Pipeline)>,
 }
@@ -69,11 +70,12 @@ impl Gpu {
         if let Some((_, found)) = pipelines.pipelines.get(&key) {
             return Ok(*found);
         }
-        let interface = match pipelines.interfaces.get(kernel.name) {
+        let threads = kernel.threads(&key.1);
+        let interface = match pipelines.interfaces.get(&(kernel.name, threads)) {
             Some(found) => *found,
             None => {
-                let made = self.interface(kernel)?;
-                pipelines.interfaces.insert(kernel.name, made);
+                let made = self.interface(kernel, threads)?;
+                pipelines.interfaces.insert((kernel.name, threads), made);
                 made
             }
         };
@@ -93,15 +95,16 @@ impl Gpu {
     /// Names of the kernels that have a pipeline by now.
     #[doc(hidden)]
     pub fn compiled_names(&self) -> BTreeSet<&'static str> {
-        lock(&self.0.pipelines).interfaces.keys().copied().collect()
+        lock(&self.0.pipelines).interfaces.keys().map(|(name, _)| *name).collect()
     }
 
     /// Module and layouts, after checking the SPIR-V against the declaration.
-    fn interface(&self, kernel: &'static Kernel) -> Result<Interface> {
+    fn interface(&self, kernel: &'static Kernel, threads: u32) -> Result<Interface> {
         spirv::check(kernel, &spirv::reflect(kernel)?)?;
         let device = &self.0.device;
         let replaced = self.0.options.replace_spirv.iter().find(|(name, _)| *name == kernel.name);
         let words = replaced.map_or_else(|| spirv::words(kernel), |(_, words)| Ok(words.clone()))?;
+        let words = if threads == kernel.local_size { words } else { spirv::with_local_size(&words, threads) };
         let words = self.0.info.capabilities.reconvergence.ask(words);
         let bindings: Vec<_> = (0..)
             .zip(kernel.bindings)

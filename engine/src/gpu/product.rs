@@ -25,22 +25,32 @@ impl Stage {
         let vectors = strides.iter().all(|floats| floats.is_multiple_of(4));
         (if vectors { self } else { Self::Shared }, vectors)
     }
+
+    /// Threads of a workgroup (specialisation constant `THREADS`). Few where each subgroup has a tile of its own, so that even a
+    /// small product keeps all cores of a CPU busy and no subgroup goes without.
+    pub fn threads(self, subgroup_size: u32) -> u32 {
+        match self {
+            Self::Shuffle => SHUFFLE_THREADS.max(subgroup_size),
+            Self::Shared => PRODUCT_THREADS,
+        }
+    }
 }
 
 /// Lanes up to which kernels that shuffle are written for (`nonrigid_network`).
 const MOST_SHUFFLING_LANES: u32 = 16;
-/// Threads per workgroup of every kernel that multiplies matrices.
+/// Most threads per workgroup of the kernels that multiply matrices.
 pub const PRODUCT_THREADS: u32 = 256;
-const SHUFFLE_ROWS: u32 = 32;
+/// Of [`Stage::Shuffle`]: two tiles at 8 lanes.
+const SHUFFLE_THREADS: u32 = 16;
 const SHUFFLE_COLUMNS: u32 = 8;
-const SHUFFLE_TILES: u32 = 4;
 const SHARED_TILE: u32 = 32;
 
 /// Workgroups for a product with `rows` × `columns` results, each of `slices` sums.
 pub fn product_groups(stage: Stage, subgroup_size: u32, rows: u32, columns: u32, slices: u32) -> u64 {
     let [high, wide, per_group] = match stage {
         Stage::Shuffle => {
-            [SHUFFLE_ROWS, SHUFFLE_COLUMNS * subgroup_size, SHUFFLE_TILES.min(PRODUCT_THREADS / subgroup_size)]
+            let rows = if subgroup_size < 8 { 32 } else { 64 };
+            [rows, SHUFFLE_COLUMNS * subgroup_size, stage.threads(subgroup_size) / subgroup_size]
         }
         Stage::Shared => [SHARED_TILE, SHARED_TILE, 1],
     };

@@ -9,6 +9,12 @@ use super::kernel::{Access, Element, Field, Kernel};
 use crate::error::{Error, Result};
 
 const OP_NAME: u32 = 5;
+const OP_EXECUTION_MODE: u32 = 16;
+const LOCAL_SIZE: u32 = 17;
+const OP_DECORATE: u32 = 71;
+const DECORATION_BUILT_IN: u32 = 11;
+const WORKGROUP_SIZE: u32 = 25;
+const HEADER_WORDS: usize = 5;
 const OP_MEMBER_DECORATE: u32 = 72;
 const DECORATION_NON_WRITABLE: u32 = 24;
 const DECORATION_NON_READABLE: u32 = 25;
@@ -51,6 +57,27 @@ pub fn words(kernel: &Kernel) -> Result<Vec<u32>> {
         return Err(mismatch(kernel, format!("{} bytes are no SPIR-V module", kernel.spirv.len())));
     }
     Ok(kernel.spirv.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+}
+
+/// The module with `threads` threads in x. The constant that compilers decorate as the workgroup size would outweigh the
+/// execution mode; it loses the decoration.
+pub fn with_local_size(words: &[u32], threads: u32) -> Vec<u32> {
+    let (header, mut rest) = words.split_at(words.len().min(HEADER_WORDS));
+    let mut out = header.to_vec();
+    while let [first, ..] = rest {
+        let length = ((first >> 16).max(1) as usize).min(rest.len());
+        let (instruction, after) = rest.split_at(length);
+        rest = after;
+        match (first & 0xffff, instruction) {
+            (OP_EXECUTION_MODE, [_, entry, LOCAL_SIZE, _, others @ ..]) => {
+                out.extend([*first, *entry, LOCAL_SIZE, threads]);
+                out.extend(others);
+            }
+            (OP_DECORATE, [_, _, DECORATION_BUILT_IN, WORKGROUP_SIZE]) => {}
+            _ => out.extend(instruction),
+        }
+    }
+    out
 }
 
 fn parse(kernel: &Kernel) -> Result<naga::Module> {

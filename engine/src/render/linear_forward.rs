@@ -50,6 +50,15 @@ crate::gpu_constants! {
         relu,
         /// 1: strides and offsets are multiples of 4, so that four neighbours are one load.
         vectors,
+        /// Of a workgroup ([`Stage::threads`]).
+        threads,
+    }
+}
+
+impl LinearForwardConstants {
+    /// Of a product that [`ForwardPush::stage`] judged, for a subgroup size.
+    pub fn new((stage, vectors): (Stage, bool), relu: bool, lanes: u32) -> Self {
+        Self { stage: stage as u32, relu: relu.into(), vectors: vectors.into(), threads: stage.threads(lanes) }
     }
 }
 
@@ -89,8 +98,9 @@ pub(crate) fn record(
     buffers: LinearForwardBuffers<Slice>,
 ) -> Result<()> {
     let (stage, vectors) = push.stage(stage);
-    let groups = Groups::Direct(product_groups(stage, r.subgroup_size_of(&LINEAR_FORWARD), push.rows, push.outputs, 1));
-    let constants = LinearForwardConstants { stage: stage as u32, relu: relu.into(), vectors: vectors.into() };
+    let lanes = r.subgroup_size_of(&LINEAR_FORWARD);
+    let groups = Groups::Direct(product_groups(stage, lanes, push.rows, push.outputs, 1));
+    let constants = LinearForwardConstants::new((stage, vectors), relu, lanes);
     r.dispatch(&LINEAR_FORWARD, constants, push, buffers, groups)
 }
 

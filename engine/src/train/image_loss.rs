@@ -17,7 +17,8 @@ pub mod ssim_forward;
 pub use pixels::{MAX_COLOR, SSIM_C1, SSIM_C2, WINDOW};
 pub use record::{LossPass, LossPassBuffers};
 
-use self::pixels::{convolve, image_and_target, sum_of_tile, target_value, usable};
+use self::pixels::{convolve, image_and_target, map_at, sums_of_groups, target_value, usable};
+use crate::gpu::Gpu;
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::{Kernel, Tolerance};
 use crate::render::frame::Frame;
@@ -29,8 +30,8 @@ use crate::train::step::Step;
 pub static KERNELS: &[&Kernel] =
     &[&ssim_forward::SSIM_FORWARD.kernel, &IMAGE_LOSS.kernel, &image_loss_sum::IMAGE_LOSS_SUM.kernel];
 
-/// Width and height of a workgroup's tile, px.
-pub const LOSS_TILE: [u32; 2] = [32, 48];
+/// Threads of a workgroup.
+const LOSS_THREADS: u32 = 128;
 /// Words of the `loss` buffer: L, L1, SSIM (0 when it was skipped), MSE, then zeros.
 pub const LOSS_WORDS: usize = 8;
 
@@ -44,9 +45,58 @@ pub enum TargetFormat {
     Float = 1,
 }
 
-/// Workgroups of `ssim_forward` and `image_loss`: three channels per tile.
-pub fn groups(width: u32, height: u32) -> u32 {
-    3 * width.div_ceil(LOSS_TILE[0]) * height.div_ceil(LOSS_TILE[1])
+/// How the pixels of an image reach the threads of `ssim_forward` and `image_loss` (spec constant `STAGE`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u32)]
+pub enum LossStage {
+    /// A strip of 16×48 pixels per thread, straight from memory: for CPU devices.
+    Strip = 0,
+    /// A tile of 32×48 pixels per workgroup, through shared memory: for GPUs.
+    Shared = 1,
+}
+
+impl LossStage {
+    /// The better one for this device.
+    pub fn of(gpu: &Gpu) -> Self {
+        if gpu.info().is_cpu() { Self::Strip } else { Self::Shared }
+    }
+
+    /// Workgroups of `ssim_forward` and `image_loss`, of which every third works on the same channel.
+    pub fn groups(self, width: u32, height: u32) -> u32 {
+        let [wide, high] = self.strip();
+        let strips = width.div_ceil(wide) * height.div_ceil(high);
+        3 * match self {
+            Self::Strip => strips.div_ceil(LOSS_THREADS),
+            Self::Shared => strips,
+        }
+    }
+
+    /// Width and height of what a thread or, in shared memory, a workgroup owns; px.
+    const fn strip(self) -> [u32; 2] {
+        match self {
+            Self::Strip => [16, 48],
+            Self::Shared => [32, 48],
+        }
+    }
+
+    /// The workgroup of a pixel of a channel.
+    fn group_of(self, channel: u32, pixel: [u32; 2], width: u32) -> u32 {
+        let [wide, high] = self.strip();
+        let strip = pixel[1] / high * width.div_ceil(wide) + pixel[0] / wide;
+        3 * match self {
+            Self::Strip => strip / LOSS_THREADS,
+            Self::Shared => strip,
+        } + channel
+    }
+
+    fn of_constant(value: u32) -> Self {
+        if value == 0 { Self::Strip } else { Self::Shared }
+    }
+}
+
+/// Words of the derivatives of SSIM: `float[3 channels][3][H][W to a multiple of 4]`.
+pub fn map_words(width: u32, height: u32) -> u64 {
+    9 * u64::from(width.next_multiple_of(4)) * u64::from(height)
 }
 
 crate::gpu_constants! {
@@ -56,6 +106,8 @@ crate::gpu_constants! {
         target,
         /// 0: λ is taken as 0.
         with_ssim,
+        /// A [`LossStage`].
+        stage,
     }
 }
 
@@ -70,7 +122,7 @@ crate::gpu_buffers! {
         color: Read F32,
         /// Target image, as [`TargetFormat`] says, from the step's word on.
         target: Read U32,
-        /// `float[3 channels][3][H·W]` of [`ssim_forward`]; absent without SSIM.
+        /// [`map_words`] of [`ssim_forward`]; absent without SSIM.
         ssim_maps: optional Read F32,
         /// `vec4[H·W]`, w = 0.
         image_gradient: Write F32,
@@ -81,11 +133,11 @@ crate::gpu_buffers! {
 }
 
 crate::kernel! {
-    /// Gradient by the rendered image. Dispatch [`groups`] workgroups.
+    /// Gradient by the rendered image. Dispatch [`LossStage::groups`] workgroups.
     pub static IMAGE_LOSS: ImageLoss = {
         name: "image_loss",
         doc: "gradient of (1 - lambda) L1 + lambda (1 - SSIM) by the rendered image, sums of L1 and MSE",
-        local_size: 128,
+        local_size: LOSS_THREADS,
         constants: ImageLossConstants,
         push: (),
         buffers: ImageLossBuffers,
@@ -103,12 +155,13 @@ fn image_loss_twin(call: Call<'_, ImageLoss>) {
     let target = &b.target[step.photo as usize..];
     let [width, height] = frame.size;
     let pixels = (width * height) as usize;
-    let groups = groups(width, height);
+    let stage = LossStage::of_constant(constants.stage);
+    let groups = stage.groups(width, height);
     let lambda = if with_ssim { step.weight_dssim } else { 0.0 };
     let per_value = 1.0 / (3.0 * pixels as f32);
     for channel in 0..3 {
         let by_moment: Vec<[f32; 3]> = if let (true, Some(ssim_maps)) = (with_ssim, &b.ssim_maps) {
-            let at = |plane: usize, i: usize| f32_at(ssim_maps, (3 * channel + plane) * pixels + i);
+            let at = |map: usize, i: usize| f32_at(ssim_maps, map_at(&frame, 3 * channel + map, i));
             let maps: Vec<[f32; 3]> = (0..pixels).map(|i| [at(0, i), at(1, i), at(2, i)]).collect();
             convolve(&maps, width as usize, height as usize)
         } else {
@@ -134,13 +187,11 @@ fn image_loss_twin(call: Call<'_, ImageLoss>) {
             let [x, y] = image_and_target(&frame, [b.color, target], kind, i, channel);
             x - y
         };
-        for group in (channel as u32..groups).step_by(3) {
-            let sums = [
-                sum_of_tile(&frame, group / 3, |i| difference(i).abs()),
-                sum_of_tile(&frame, group / 3, |i| difference(i) * difference(i)),
-            ];
-            set_f32(b.loss_partial, (groups + group) as usize, sums[0]);
-            set_f32(b.loss_partial, (2 * groups + group) as usize, sums[1]);
+        let of_difference: [fn(f32) -> f32; 2] = [f32::abs, |d| d * d];
+        for (plane, value) in (1..).zip(of_difference) {
+            for (group, sum) in sums_of_groups(&frame, stage, channel as u32, |i| value(difference(i))) {
+                set_f32(b.loss_partial, plane * groups as usize + group, sum);
+            }
         }
     }
 }

@@ -44,13 +44,15 @@ crate::gpu_constants! {
         stage,
         /// 1: strides and offsets are multiples of 4, so that four neighbours are one load.
         vectors,
+        /// Of a workgroup ([`Stage::threads`]).
+        threads,
     }
 }
 
 impl LinearConstants {
-    /// Of a product that [`Stage::for_strides`] judged.
-    pub fn new((stage, vectors): (Stage, bool)) -> Self {
-        Self { stage: stage as u32, vectors: vectors.into() }
+    /// Of a product that [`Stage::for_strides`] judged, for a subgroup size.
+    pub fn new((stage, vectors): (Stage, bool), lanes: u32) -> Self {
+        Self { stage: stage as u32, vectors: vectors.into(), threads: stage.threads(lanes) }
     }
 }
 

@@ -213,15 +213,16 @@ impl Lpips {
                 first_output: first as u32,
                 output_count: step.min(conv.outputs - first) as u32,
             };
-            let stage = product::Stage::of(&self.gpu);
+            let (stage, lanes) = (product::Stage::of(&self.gpu), self.gpu.subgroup_size_of(&LPIPS_CONV));
             let constants = LpipsConvConstants {
                 stage: stage as u32,
                 kernel: conv.kernel as u32,
                 stride: conv.stride as u32,
                 pad: conv.pad as u32,
+                threads: stage.threads(lanes),
             };
             let pixels = push.out_rows * push.out_width;
-            let groups = product_groups(stage, self.gpu.subgroup_size_of(&LPIPS_CONV), push.output_count, pixels, 1);
+            let groups = product_groups(stage, lanes, push.output_count, pixels, 1);
             let buffers = LpipsConvBuffers {
                 feature_input: input.buffer.whole(),
                 parameter: parameter.whole(),

@@ -43,6 +43,8 @@ crate::gpu_constants! {
         stride,
         /// Zeros around the picture, pixels.
         pad,
+        /// Of a workgroup ([`Stage::threads`](crate::gpu::product::Stage::threads)).
+        threads,
     }
 }
 

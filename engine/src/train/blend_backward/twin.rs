@@ -49,7 +49,7 @@ impl Pixel {
         let q = (0..3).map(|c| g[c] * colour[c]).sum::<f64>() + g[3];
         self.to_come -= weight * q;
         let clamped = alpha >= f64::from(MAX_ALPHA);
-        let h = if clamped { 0.0 } else { weight * q - self.to_come * alpha / (1.0 - alpha) };
+        let h = if clamped { 0.0 } else { weight * q - self.to_come * (alpha / (1.0 - alpha)) };
         let terms =
             [h, h * u, h * v, h * u * u, h * u * v, h * v * v, weight * g[0], weight * g[1], weight * g[2], 1.0];
         sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);

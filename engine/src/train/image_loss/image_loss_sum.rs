@@ -1,5 +1,6 @@
 //! Kernel `image_loss_sum`: the loss from the sums of the workgroups.
 
+use super::LossStage;
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 use crate::render::frame::Frame;
@@ -11,6 +12,8 @@ crate::gpu_constants! {
     pub struct ImageLossSumConstants {
         /// 0: λ is taken as 0, and SSIM is 0.
         with_ssim,
+        /// A [`LossStage`], that of the kernels before.
+        stage,
     }
 }
 
@@ -48,7 +51,7 @@ fn image_loss_sum_twin(call: Call<'_, ImageLossSum>) {
     let with_ssim = constants.with_ssim == 1;
     let frame: Frame = struct_at(b.frame, 0);
     let step: Step = struct_at(b.step, 0);
-    let groups = super::groups(frame.size[0], frame.size[1]) as usize;
+    let groups = LossStage::of_constant(constants.stage).groups(frame.size[0], frame.size[1]) as usize;
     let values = 3.0 * f64::from(frame.size[0]) * f64::from(frame.size[1]);
     let mean = |plane: usize| {
         let sum: f64 = (0..groups).map(|g| f64::from(f32_at(b.loss_partial, plane * groups + g))).sum();

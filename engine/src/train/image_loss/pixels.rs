@@ -1,6 +1,7 @@
 //! What the kernels of the loss share: window, target, which values can be used. Mirrors `glsl/lib/ssim.glsl` and
 //! `glsl/lib/image_target.glsl`.
 
+use super::LossStage;
 use crate::render::frame::Frame;
 use crate::render::twin::f32_at;
 
@@ -77,18 +78,26 @@ pub(super) fn convolve<const P: usize>(values: &[[f32; P]], width: usize, height
     (0..width * height).map(|i| along(&rows, width, i, i / width, height)).collect()
 }
 
-/// Sum over the pixels of a workgroup's tile.
-pub(super) fn sum_of_tile(frame: &Frame, tile: u32, mut value: impl FnMut(usize) -> f32) -> f32 {
-    let [width, height] = super::LOSS_TILE;
-    let tiles_x = frame.size[0].div_ceil(width);
-    let corner = [tile % tiles_x * width, tile / tiles_x * height];
-    let mut sum = 0.0;
-    for y in corner[1]..frame.size[1].min(corner[1] + height) {
-        for x in corner[0]..frame.size[0].min(corner[0] + width) {
-            sum += value((y * frame.size[0] + x) as usize);
-        }
+/// Sums over the pixels of each workgroup of a channel, with the workgroup's number.
+pub(super) fn sums_of_groups(
+    frame: &Frame,
+    stage: LossStage,
+    channel: u32,
+    mut value: impl FnMut(usize) -> f32,
+) -> Vec<(usize, f32)> {
+    let [width, height] = frame.size;
+    let mut sums = vec![0.0; stage.groups(width, height) as usize];
+    for i in 0..width * height {
+        sums[stage.group_of(channel, [i % width, i / width], width) as usize] += value(i as usize);
     }
-    sum
+    sums.into_iter().enumerate().skip(channel as usize).step_by(3).collect()
+}
+
+/// Word of pixel i of a map.
+pub(super) fn map_at(frame: &Frame, map: usize, i: usize) -> usize {
+    let [width, height] = frame.size.map(|s| s as usize);
+    let stride = width.next_multiple_of(4);
+    (map * height + i / width) * stride + i % width
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::image_loss_sum::{IMAGE_LOSS_SUM, ImageLossSumBuffers, ImageLossSumConstants};
 use super::ssim_forward::{SSIM_FORWARD, SsimForwardBuffers, SsimForwardConstants};
-use super::{IMAGE_LOSS, ImageLossBuffers, ImageLossConstants, TargetFormat, groups};
+use super::{IMAGE_LOSS, ImageLossBuffers, ImageLossConstants, LossStage, TargetFormat, map_words};
 use crate::error::Result;
 use crate::gpu::{Buffer, Gpu, Groups, Memory, Recorder};
 
@@ -28,9 +28,9 @@ pub struct LossPassBuffers<'a> {
 /// Recording of the loss for one image size, with its scratch.
 #[derive(Debug)]
 pub struct LossPass {
-    width: u32,
-    height: u32,
-    /// float[3 channels][3 derivatives][H·W]; none without SSIM.
+    stage: LossStage,
+    groups: u32,
+    /// [`map_words`]; none without SSIM.
     ssim_maps: Option<Buffer>,
     /// float[3 sums][workgroups].
     loss_partial: Buffer,
@@ -39,19 +39,21 @@ pub struct LossPass {
 impl LossPass {
     /// Scratch for images of this size, px. `with_ssim` false skips all work of SSIM (for λ = 0): λ is then taken as 0.
     pub fn new(gpu: &Gpu, width: u32, height: u32, with_ssim: bool) -> Result<Self> {
-        let maps = || gpu.buffer("ssim_maps", 36 * u64::from(width) * u64::from(height), Memory::Device);
+        let maps = || gpu.buffer("ssim_maps", 4 * map_words(width, height), Memory::Device);
+        let stage = LossStage::of(gpu);
+        let groups = stage.groups(width, height);
         Ok(Self {
-            width,
-            height,
+            stage,
+            groups,
             ssim_maps: with_ssim.then(maps).transpose()?,
-            loss_partial: gpu.buffer("loss_partial", 12 * u64::from(groups(width, height)), Memory::Device)?,
+            loss_partial: gpu.buffer("loss_partial", 12 * u64::from(groups), Memory::Device)?,
         })
     }
 
     /// Records the loss and its gradient.
     pub fn record(&self, r: &mut Recorder, b: &LossPassBuffers<'_>, target: TargetFormat) -> Result<()> {
-        let (target_format, with_ssim) = (target as u32, u32::from(self.ssim_maps.is_some()));
-        let grid = Groups::Direct(groups(self.width, self.height).into());
+        let (target, with_ssim, stage) = (target as u32, u32::from(self.ssim_maps.is_some()), self.stage as u32);
+        let grid = Groups::Direct(self.groups.into());
         if let Some(ssim_maps) = &self.ssim_maps {
             let buffers = SsimForwardBuffers {
                 frame: b.frame.whole(),
@@ -61,7 +63,7 @@ impl LossPass {
                 loss_partial: self.loss_partial.whole(),
                 step: b.step.whole(),
             };
-            r.dispatch(&SSIM_FORWARD, SsimForwardConstants { target: target_format }, (), buffers, grid.clone())?;
+            r.dispatch(&SSIM_FORWARD, SsimForwardConstants { target, stage }, (), buffers, grid.clone())?;
         }
         let buffers = ImageLossBuffers {
             frame: b.frame.whole(),
@@ -73,14 +75,14 @@ impl LossPass {
             loss_partial: self.loss_partial.whole(),
             status: b.status.whole(),
         };
-        r.dispatch(&IMAGE_LOSS, ImageLossConstants { target: target_format, with_ssim }, (), buffers, grid)?;
+        r.dispatch(&IMAGE_LOSS, ImageLossConstants { target, with_ssim, stage }, (), buffers, grid)?;
         let buffers = ImageLossSumBuffers {
             frame: b.frame.whole(),
             step: b.step.whole(),
             loss_partial: self.loss_partial.whole(),
             loss: b.loss.whole(),
         };
-        r.dispatch(&IMAGE_LOSS_SUM, ImageLossSumConstants { with_ssim }, (), buffers, Groups::Direct(1))
+        r.dispatch(&IMAGE_LOSS_SUM, ImageLossSumConstants { with_ssim, stage }, (), buffers, Groups::Direct(1))
     }
 
     /// Bytes on the device.

@@ -1,6 +1,7 @@
 //! Kernel `ssim_forward`: SSIM and its derivatives by the local moments.
 
-use super::pixels::{SSIM_C1, SSIM_C2, convolve, image_and_target, sum_of_tile};
+use super::pixels::{SSIM_C1, SSIM_C2, convolve, image_and_target, map_at, sums_of_groups};
+use super::{LOSS_THREADS, LossStage};
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
 use crate::render::frame::Frame;
@@ -12,6 +13,8 @@ crate::gpu_constants! {
     pub struct SsimForwardConstants {
         /// A [`super::TargetFormat`].
         target,
+        /// A [`LossStage`].
+        stage,
     }
 }
 
@@ -24,7 +27,8 @@ crate::gpu_buffers! {
         color: Read F32,
         /// Target image, as [`super::TargetFormat`] says, from the step's word on.
         target: Read U32,
-        /// `float[3 channels][3][H·W]`: dSSIM/dμ_x, dSSIM/dE[x² + y²] and dSSIM/dE[(x − y)²] of each pixel.
+        /// `float[3 channels][3][H][W to a multiple of 4]` ([`super::map_words`]): dSSIM/dμ_x, dSSIM/dE[x² + y²] and
+        /// dSSIM/dE[(x − y)²] of each pixel, and zeros.
         ssim_maps: Write F32,
         /// `float[3][workgroups]`: sums of SSIM in plane 0.
         loss_partial: Write F32,
@@ -34,11 +38,11 @@ crate::gpu_buffers! {
 }
 
 crate::kernel! {
-    /// Local moments, SSIM, and its derivatives. Dispatch [`super::groups`] workgroups.
+    /// Local moments, SSIM, and its derivatives. Dispatch [`LossStage::groups`] workgroups.
     pub static SSIM_FORWARD: SsimForward = {
         name: "ssim_forward",
         doc: "local moments of rendered and target image, SSIM and its derivatives by the moments",
-        local_size: 128,
+        local_size: LOSS_THREADS,
         constants: SsimForwardConstants,
         push: (),
         buffers: SsimForwardBuffers,
@@ -66,12 +70,13 @@ fn ssim_and_derivatives([mu_x, mu_d, mean_d2, mean_x2_y2]: [f32; 4]) -> [f32; 4]
 }
 
 fn ssim_forward_twin(call: Call<'_, SsimForward>) {
-    let Call { constants: SsimForwardConstants { target: kind }, buffers: b, .. } = call;
+    let Call { constants: SsimForwardConstants { target: kind, stage }, buffers: b, .. } = call;
     let frame: Frame = struct_at(b.frame, 0);
     let target = &b.target[struct_at::<Step>(b.step, 0).photo as usize..];
     let [width, height] = frame.size;
     let pixels = (width * height) as usize;
-    let groups = super::groups(width, height);
+    let stage = LossStage::of_constant(stage);
+    b.ssim_maps.fill(0);
     for channel in 0..3 {
         let moments: Vec<[f32; 4]> = (0..pixels)
             .map(|i| {
@@ -81,15 +86,15 @@ fn ssim_forward_twin(call: Call<'_, SsimForward>) {
             })
             .collect();
         let moments = convolve(&moments, width as usize, height as usize);
-        for group in (channel as u32..groups).step_by(3) {
-            let sum = sum_of_tile(&frame, group / 3, |i| {
-                let [ssim, derivatives @ ..] = ssim_and_derivatives(moments[i]);
-                for (plane, value) in derivatives.into_iter().enumerate() {
-                    set_f32(b.ssim_maps, (3 * channel + plane) * pixels + i, value);
-                }
-                ssim
-            });
-            set_f32(b.loss_partial, group as usize, sum);
+        let sums = sums_of_groups(&frame, stage, channel as u32, |i| {
+            let [ssim, derivatives @ ..] = ssim_and_derivatives(moments[i]);
+            for (map, value) in derivatives.into_iter().enumerate() {
+                set_f32(b.ssim_maps, map_at(&frame, 3 * channel + map, i), value);
+            }
+            ssim
+        });
+        for (group, sum) in sums {
+            set_f32(b.loss_partial, group, sum);
         }
     }
 }

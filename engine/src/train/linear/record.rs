@@ -75,14 +75,15 @@ impl Layer {
         let weight_stride = self.shape.inputs();
         let push = LinearBackwardInputPush { rows: self.rows, outputs, inputs, weight_stride, first_input };
         let stage = push.stage(self.stage);
-        let groups = product_groups(stage.0, r.subgroup_size_of(&LINEAR_BACKWARD_INPUT), self.rows, inputs, 1);
+        let lanes = r.subgroup_size_of(&LINEAR_BACKWARD_INPUT);
+        let groups = product_groups(stage.0, lanes, self.rows, inputs, 1);
         let buffers = LinearBackwardInputBuffers {
             output_gradient: self.output_gradient.clone(),
             parameter: self.parameters[0].clone(),
             layer_input: below.output.clone(),
             input_gradient: below.output_gradient.clone(),
         };
-        r.dispatch(&LINEAR_BACKWARD_INPUT, LinearConstants::new(stage), push, buffers, Groups::Direct(groups))
+        r.dispatch(&LINEAR_BACKWARD_INPUT, LinearConstants::new(stage, lanes), push, buffers, Groups::Direct(groups))
     }
 
     /// Gradient of weights and bias, by slices into `split.gradient`.
@@ -100,14 +101,14 @@ impl Layer {
         };
         let slices = self.rows.div_ceil(split.rows_per_slice);
         let stage = push.stage(self.stage);
-        let groups =
-            product_groups(stage.0, r.subgroup_size_of(&LINEAR_BACKWARD_WEIGHT), outputs, self.shape.inputs(), slices);
+        let lanes = r.subgroup_size_of(&LINEAR_BACKWARD_WEIGHT);
+        let groups = product_groups(stage.0, lanes, outputs, self.shape.inputs(), slices);
         let buffers = LinearBackwardWeightBuffers {
             output_gradient: self.output_gradient.clone(),
             layer_input: self.input.clone(),
             gradient: split.gradient.clone(),
         };
-        r.dispatch(&LINEAR_BACKWARD_WEIGHT, LinearConstants::new(stage), push, buffers, Groups::Direct(groups))
+        r.dispatch(&LINEAR_BACKWARD_WEIGHT, LinearConstants::new(stage, lanes), push, buffers, Groups::Direct(groups))
     }
 }
 

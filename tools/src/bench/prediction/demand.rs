@@ -175,6 +175,8 @@ fn workgroups(r: &Recorded, name: &str, recorded: Option<u64>, lanes: u32) -> u6
         _ if name.starts_with("blend") => {
             (of("tiles") as f64 * SUBTILES * f64::from(lanes) / BLEND_THREADS).ceil() as u64
         }
+        // Tiles of 32×48 pixels of a channel.
+        "ssim_forward" | "image_loss" => 3 * of("pixels").div_ceil(32 * 48),
         "linear_forward" => tiles(of("rows"), of("outputs")),
         "linear_backward_input" => tiles(of("rows"), of("inputs")),
         "linear_backward_weight" => {
@@ -204,7 +206,14 @@ mod tests {
     use super::*;
 
     fn work() -> Workload {
-        let all = [("instances", 5000), ("visible", 1000), ("tiles", 100), ("gaussians", 2000), ("keys", 9000)];
+        let all = [
+            ("instances", 5000),
+            ("visible", 1000),
+            ("tiles", 100),
+            ("gaussians", 2000),
+            ("keys", 9000),
+            ("pixels", 20000),
+        ];
         Workload(all.into())
     }
 
@@ -251,6 +260,7 @@ mod tests {
         assert_eq!(groups("sort_scatter", None), 9.0);
         assert_eq!(groups("emit_tiles", None), 4.0);
         assert_eq!(groups("tile_ranges", None), 20.0);
+        assert_eq!(groups("image_loss", Some(3)), 42.0);
         assert_eq!(groups("compact", Some(8)), 8.0);
     }
 

@@ -42,6 +42,7 @@ const SHARED_ON_GCN: &str = "16 KiB of shared memory for two waves, of which a c
 const ONE_VALUE: &[(&str, &str, &str)] = &[
     ("", "STAGE", "decided by the kind of device"),
     ("", "PIXELS_PER_LANE", "decided by the subgroup size"),
+    ("", "THREADS", "follows from STAGE"),
     ("sort_scatter", "RANK_BY_BALLOT", "decided by the subgroup size"),
     ("sort_scatter", "HAS_VALUES", "every sort of the program carries values; sorts without are for tests"),
     ("blend_backward", "ACCUMULATE", "decided by the device's float atomics"),
