@@ -244,7 +244,8 @@ fn float_targets() {
 fn sums_of_more_workgroups_than_threads() {
     let gpu = tests_harness::shared_gpu();
     let size = [800, 800];
-    let n = groups(size[0], size[1]);
+    let stage = LossStage::Shared;
+    let n = stage.groups(size[0], size[1]);
     assert!(n > 2 * IMAGE_LOSS_SUM.kernel.local_size);
     let mut random = Random::new(17);
     let sums: Vec<f32> = (0..3 * n).map(|_| random.uniform() as f32).collect();
@@ -255,7 +256,7 @@ fn sums_of_more_workgroups_than_threads() {
             loss_partial: words(&sums),
             loss: vec![0; 8],
         };
-        let constants = ImageLossSumConstants { with_ssim };
+        let constants = ImageLossSumConstants { with_ssim, stage: stage as u32 };
         let case = KernelCase { kernel: &IMAGE_LOSS_SUM, constants, push: (), buffers, groups: 1 };
         case.check(&gpu, &format!("{n} workgroups, SSIM {with_ssim}"));
     }

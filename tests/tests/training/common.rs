@@ -100,7 +100,7 @@ mod toml_like {
 /// The device of this process; kernels are compiled once for all tests that share it.
 pub fn gpu() -> SharedGpu {
     static GPU: OnceLock<Gpu> = OnceLock::new();
-    SharedGpu(GPU.get_or_init(|| tests_harness::gpu().0.clone()).clone())
+    SharedGpu(GPU.get_or_init(|| Gpu::clone(&tests_harness::gpu())).clone())
 }
 
 /// A device whose validation messages must be empty when a test is over.
