@@ -61,81 +61,36 @@ float squared_distance(vec3 a, vec3 b) {
         d_b = before ? d_a : here ? d : d_b;          \
     }
 
-vec3 position_of(uint superpoint) {
-    uint at = 3u * superpoint;
-    return vec3(superpoint_position[at], superpoint_position[at + 1u], superpoint_position[at + 2u]);
-}
-
-// No nearest superpoint is further away than the furthest of as many others: those that were the nearest before. Where they are
-// not as many, infinite.
-float reach_of_last(vec3 x, uint row) {
-    uint neighbors = NEIGHBORS;
-    uint superpoints = step_data.superpoints;
-    uint last[MAX_NEIGHBORS];
-    bool usable = true;
-    float reach = 0.0;
-    [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
-        if (k < neighbors) {
-            last[k] = neighbor[row + k];
-            usable = usable && last[k] < superpoints;
-            [[unroll]] for (uint other = 0u; other < k; other++) {
-                usable = usable && last[k] != last[other];
-            }
-            reach = max(reach, squared_distance(x, position_of(min(last[k], superpoints - 1u))));
-        }
-    }
-    return usable && reach < uintBitsToFloat(LARGEST) ? reach : uintBitsToFloat(INFINITE);
-}
-
-// Which of 32 superpoints from `base` on are within reach, bit by bit; where the distance is no number, too. Each lane loads one
-// superpoint and the subgroup takes turns to broadcast it: no shared memory, no barrier.
-uint within_reach(vec3 x, uint base, float reach) {
-    uint size = min(SUBGROUP_SIZE, 32u);
-    uint superpoints = step_data.superpoints;
-    uint lane = gl_SubgroupInvocationID % size;
-    uint found = 0u;
-    [[unroll]] for (uint first = 0u; first < 32u; first += size) {
-        vec3 p = position_of(min(base + first + lane, superpoints - 1u));
-        [[unroll]] for (uint j = 0u; j < size; j++) {
-            precise vec3 d = x - vec3(subgroupShuffle(p.x, j), subgroupShuffle(p.y, j), subgroupShuffle(p.z, j));
-            precise float d2 = d.x * d.x + d.y * d.y + d.z * d.z;
-            found |= d2 > reach ? 0u : 1u << (first + j);
-        }
-    }
-    uint rest = superpoints - base;
-    return rest < 32u ? found & ((1u << rest) - 1u) : found;
-}
-
-// Most superpoints are out of reach, and only the others are sorted in. They come in index order, so that of equal distances the
-// lowest index stays first.
-void find_nearest(vec3 x, float reach, out uint nearest[MAX_NEIGHBORS]) {
+// Each lane loads one superpoint and the subgroup takes turns to broadcast it: no shared memory, no barrier. Candidates
+// come in index order, so that of equal distances the lowest index stays first.
+void find_nearest(vec3 x, out uint nearest[MAX_NEIGHBORS]) {
+    uint size = SUBGROUP_SIZE;
     uint neighbors = NEIGHBORS;
     uint superpoints = step_data.superpoints;
     float d_0 = uintBitsToFloat(INFINITE);
     float d_1 = d_0, d_2 = d_0, d_3 = d_0, d_4 = d_0, d_5 = d_0, d_6 = d_0;
     float worst = d_0;
     uint n_0 = 0u, n_1 = 0u, n_2 = 0u, n_3 = 0u, n_4 = 0u, n_5 = 0u, n_6 = 0u;
-    for (uint base = 0u; base < superpoints; base += 32u) {
-        uint found = within_reach(x, base, reach);
-        // A loop that tests at its end, as in blend.comp.
-        if (found != 0u) {
-            do {
-                uint index = base + uint(findLSB(found));
-                found &= found - 1u;
-                float d = squared_distance(x, position_of(index));
-                if (d < worst) {
-                    MOVE_ON(6u, d_5, n_5, d_6, n_6)
-                    MOVE_ON(5u, d_4, n_4, d_5, n_5)
-                    MOVE_ON(4u, d_3, n_3, d_4, n_4)
-                    MOVE_ON(3u, d_2, n_2, d_3, n_3)
-                    MOVE_ON(2u, d_1, n_1, d_2, n_2)
-                    MOVE_ON(1u, d_0, n_0, d_1, n_1)
-                    n_0 = d < d_0 ? index : n_0;
-                    d_0 = min(d, d_0);
-                    worst = neighbors > 6u ? d_6 : neighbors > 5u ? d_5 : neighbors > 4u ? d_4 : neighbors > 3u ? d_3
-                        : neighbors > 2u ? d_2 : neighbors > 1u ? d_1 : d_0;
-                }
-            } while (found != 0u);
+    for (uint base = 0u; base < superpoints; base += size) {
+        uint mine = 3u * min(base + gl_SubgroupInvocationID, superpoints - 1u);
+        vec3 p = vec3(superpoint_position[mine], superpoint_position[mine + 1u], superpoint_position[mine + 2u]);
+        uint count = min(size, superpoints - base);
+        for (uint j = 0u; j < count; j++) {
+            vec3 q = vec3(subgroupShuffle(p.x, j), subgroupShuffle(p.y, j), subgroupShuffle(p.z, j));
+            float d = squared_distance(x, q);
+            uint index = base + j;
+            if (d < worst) {
+                MOVE_ON(6u, d_5, n_5, d_6, n_6)
+                MOVE_ON(5u, d_4, n_4, d_5, n_5)
+                MOVE_ON(4u, d_3, n_3, d_4, n_4)
+                MOVE_ON(3u, d_2, n_2, d_3, n_3)
+                MOVE_ON(2u, d_1, n_1, d_2, n_2)
+                MOVE_ON(1u, d_0, n_0, d_1, n_1)
+                n_0 = d < d_0 ? index : n_0;
+                d_0 = min(d, d_0);
+                worst = neighbors > 6u ? d_6 : neighbors > 5u ? d_5 : neighbors > 4u ? d_4 : neighbors > 3u ? d_3
+                    : neighbors > 2u ? d_2 : neighbors > 1u ? d_1 : d_0;
+            }
         }
     }
     nearest[0] = n_0;
@@ -281,12 +236,8 @@ void main() {
     // A thread without a Gaussian keeps its subgroup company, which shuffles need.
     uint at = min(i, n - 1u);
     vec3 x = vec3(mean[at], mean[n + at], mean[2u * n + at]);
-    float reach = 0.0;
-    if (i < n) {
-        reach = reach_of_last(x, i * slots);
-    }
     uint nearest[MAX_NEIGHBORS];
-    find_nearest(x, reach, nearest);
+    find_nearest(x, nearest);
     if (i < n) {
         update_row(i * slots, nearest);
         write_weights(i, i * slots, nearest);

@@ -196,17 +196,10 @@ pub(super) const LOOPS: &[Loop] = &[
     },
     Loop {
         kernels: &["nearest_superpoints"],
-        round: "32 superpoints compared with the reach; a shuffle takes four issue slots",
-        body: Body::Of(640.0),
-        loads: 1.0,
-        trips: |k| each(k.subgroups, (k.of("superpoints") / 32.0).ceil()),
-    },
-    Loop {
-        kernels: &["nearest_superpoints"],
-        round: "a superpoint within reach sorted in, as many as the busiest lane has",
-        body: Body::Of(50.0),
-        loads: 1.0,
-        trips: |k| each(k.subgroups, BUSIEST_LANE * k.of("neighbors")),
+        round: "a superpoint tried; a shuffle takes four issue slots",
+        body: Body::Of(35.0),
+        loads: 1.0 / 32.0,
+        trips: |k| each(k.subgroups, k.of("superpoints")),
     },
     Loop {
         kernels: &["superpoint_sum"],
