@@ -1,20 +1,12 @@
-//! How well the poses of superpoints are known, from what `spgs pose` wrote (`--poses`): rings and bars over the scene.
+//! How well the poses of superpoints are known, from what `spgs pose` wrote (`--poses`).
 
 use std::path::Path;
 
-use egui::{Color32, Painter, Stroke};
+use egui::Color32;
 use engine::error::{Error, Result};
 use engine::pose::Uncertainty;
-use glam::DVec3;
 use serde::Deserialize;
 
-use super::model::Model;
-use super::overlay::Projection;
-
-/// Standard deviations that a ring is wide and a bar long to each side.
-const DEVIATIONS: f64 = 2.0;
-/// Radii of rings, points: what is known well is seen, and what is known to be anywhere does not hide the rest.
-const RADII: [f32; 2] = [2.0, 40.0];
 /// From here a centre counts as known, and from there as unknown: standard deviations across the view, pixels.
 const KNOWN_PX: f64 = 0.1;
 const UNKNOWN_PX: f64 = 1.0;
@@ -30,10 +22,11 @@ pub(super) struct KnownPoses {
 }
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]
-struct Moment {
+pub(super) struct Moment {
     time: f64,
-    direction: [f64; 3],
-    superpoints: Vec<Uncertainty>,
+    /// Into the first photo, world.
+    pub(super) direction: [f64; 3],
+    pub(super) superpoints: Vec<Uncertainty>,
 }
 
 impl KnownPoses {
@@ -59,31 +52,13 @@ impl KnownPoses {
     }
 
     /// What was found nearest to a time.
-    fn at(&self, time: f64) -> Option<&Moment> {
+    pub(super) fn at(&self, time: f64) -> Option<&Moment> {
         self.moments.iter().min_by(|a, b| (a.time - time).abs().total_cmp(&(b.time - time).abs()))
     }
 }
 
-/// A ring around each centre, two standard deviations wide across the view of the photo, and a bar of two along it.
-pub(super) fn draw(painter: &Painter, projection: &Projection, model: &Model, known: &KnownPoses, time: f64) {
-    let Some(moment) = known.at(time) else { return };
-    let along = DVec3::from_array(moment.direction);
-    for (center, known) in model.centers.iter().zip(&moment.superpoints) {
-        let Some(at) = projection.point(*center) else { continue };
-        let (color, across) = (color(known), known.across.unwrap_or(0.0));
-        let radius = (DEVIATIONS * across / projection.world_per_point(*center)) as f32;
-        if let Some(deviation) = known.along {
-            let way = along * (DEVIATIONS * deviation).min(2.0 * model.radius);
-            if let Some(bar) = projection.segment(*center - way, *center + way) {
-                painter.line_segment(bar, Stroke::new(1.0, color.gamma_multiply(0.6)));
-            }
-        }
-        painter.circle_stroke(at, radius.clamp(RADII[0], RADII[1]), Stroke::new(1.5, color));
-    }
-}
-
 /// From known to unknown on a logarithmic scale.
-fn color(known: &Uncertainty) -> Color32 {
+pub(super) fn color(known: &Uncertainty) -> Color32 {
     match known.across_px {
         Some(px) => {
             let share = (px / KNOWN_PX).ln() / (UNKNOWN_PX / KNOWN_PX).ln();

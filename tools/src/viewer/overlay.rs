@@ -4,9 +4,14 @@ use egui::{Color32, Painter, Pos2, Shape, Stroke, pos2};
 use engine::scene::Camera;
 use glam::DVec3;
 
-use super::known;
+use super::known::{self, KnownPoses};
 use super::model::{Model, superpoint_color};
 use super::state::State;
+
+/// Standard deviations that a ring is wide and a bar long to each side.
+const DEVIATIONS: f64 = 2.0;
+/// Radii of rings, points: what is known well is seen, and what is known to be anywhere does not hide the rest.
+const RADII: [f32; 2] = [2.0, 40.0];
 
 /// Nearest depth that is drawn, as a share of the distance to the target.
 const NEAR: f64 = 0.02;
@@ -73,7 +78,7 @@ pub(super) fn draw(painter: &Painter, projection: &Projection, state: &State, mo
     if state.settings.centers
         && let Some(poses) = &state.poses
     {
-        known::draw(painter, projection, model, poses, state.timeline.time);
+        known_poses(painter, projection, model, poses, state.timeline.time);
     } else if state.settings.centers {
         for (i, center) in (0..).zip(&model.centers) {
             if let Some(at) = projection.point(*center) {
@@ -138,6 +143,24 @@ fn frusta(painter: &Painter, projection: &Projection, state: &State) {
                 }
             }
         }
+    }
+}
+
+/// A ring around each centre, two standard deviations wide across the view of the photo, and a bar of two along it.
+fn known_poses(painter: &Painter, projection: &Projection, model: &Model, poses: &KnownPoses, time: f64) {
+    let Some(moment) = poses.at(time) else { return };
+    let along = DVec3::from_array(moment.direction);
+    for (center, known) in model.centers.iter().zip(&moment.superpoints) {
+        let Some(at) = projection.point(*center) else { continue };
+        let (color, across) = (known::color(known), known.across.unwrap_or(0.0));
+        let radius = (DEVIATIONS * across / projection.world_per_point(*center)) as f32;
+        if let Some(deviation) = known.along {
+            let way = along * (DEVIATIONS * deviation).min(2.0 * model.radius);
+            if let Some(bar) = projection.segment(*center - way, *center + way) {
+                painter.line_segment(bar, Stroke::new(1.0, color.gamma_multiply(0.6)));
+            }
+        }
+        painter.circle_stroke(at, radius.clamp(RADII[0], RADII[1]), Stroke::new(1.5, color));
     }
 }
 
