@@ -150,7 +150,8 @@ fn embedded(gpu: &Gpu) -> Result<()> {
     let scene = moving();
     let formats = [PixelFormat::Rgba8, PixelFormat::Bgra8, PixelFormat::Rgba16F, PixelFormat::Rgba32F];
     let cut = Quality { alpha_cut: 1.0 / 64.0, ..Quality::HIGH };
-    for quality in Quality::PRESETS.into_iter().map(|(_, quality)| quality).chain([cut]) {
+    let stopped = Quality { stop: 0.01, ..Quality::HIGH };
+    for quality in Quality::PRESETS.into_iter().map(|(_, quality)| quality).chain([cut, stopped]) {
         let handle = SceneHandle::upload(gpu, &scene, &SceneOptions { quality, ..SceneOptions::default() })?;
         for format in formats {
             for (storage, depth) in [(false, false), (false, true), (true, false), (true, true)] {
