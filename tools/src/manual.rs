@@ -44,6 +44,7 @@ pub mod commands {
 pub mod viewer {
     //! [drivers]: super::drivers
     //! [editing]: super::editing
+    //! [posing]: super::posing
     //! [video]: super::video
     #![doc = include_str!("../docs/viewer.md")]
 }
