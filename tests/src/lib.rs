@@ -85,12 +85,9 @@ impl Drop for TestGpu {
         if std::thread::panicking() {
             return;
         }
-        assert!(
-            messages.is_empty(),
-            "the validation layer reported {} messages, first: {}",
-            messages.len(),
-            messages.first().map_or("", |m| m)
-        );
+        if let Some(first) = messages.first() {
+            panic!("the validation layer reported {} messages, first: {first}", messages.len());
+        }
         if self.shared {
             assert_eq!(self.gpu.buffer_count(), 0, "buffers that the test left behind");
             IDLE.lock().unwrap_or_else(PoisonError::into_inner).push(self.gpu.clone());
@@ -130,4 +127,26 @@ pub fn data(relative: &str) -> Option<std::path::PathBuf> {
         eprintln!("SKIPPED: {relative} not found; set SPGS_DATA to the folder of real data");
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+
+    use super::*;
+
+    /// One test: another of this program might take the device in between.
+    #[test]
+    fn shared_devices_keep_pipelines_and_tell_of_buffers() {
+        let first = shared_gpu();
+        let kernel = engine::kernels().find(|k| k.spec.len() == 1).unwrap();
+        first.compile(kernel, &[]).unwrap();
+        drop(first);
+        let again = shared_gpu();
+        assert!(again.compiled_names().contains(kernel.name));
+        let left = again.buffer("left", 16, engine::gpu::Memory::Device).unwrap();
+        let told = catch_unwind(AssertUnwindSafe(|| drop(again))).unwrap_err();
+        assert!(told.downcast_ref::<String>().is_some_and(|why| why.contains("left behind")));
+        drop(left);
+    }
 }
