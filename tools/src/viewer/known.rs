@@ -74,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn records_are_read_and_others_refused() {
+    fn records_are_read_and_others_rejected() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("new.pose.json");
         let read = |text: &str, count: usize| {
