@@ -231,6 +231,23 @@ impl<'a> Window<'a> {
         image::open(path).unwrap().to_rgb8()
     }
 
+    /// The picture once the panel, too, shows what was pressed and clicked before: it follows by a frame.
+    pub fn settled(&mut self) -> image::RgbImage {
+        self.picture();
+        self.picture()
+    }
+
+    /// Clicks on what the window shows, with a key held unless it is empty; the picture once all follows.
+    pub fn press(&mut self, held: &str, at: [i32; 2]) -> image::RgbImage {
+        let [x, y] = at.map(|v| v.to_string());
+        let click = ["mousemove", &x, &y, "click", "1"];
+        match held {
+            "" => self.tool(&click),
+            _ => self.tool(&[&["keydown", held][..], &click, &["keyup", held]].concat()),
+        }
+        self.settled()
+    }
+
     /// Ends the program with its key; what it measured.
     pub fn quit(mut self) -> serde_json::Value {
         self.key("ctrl+q");

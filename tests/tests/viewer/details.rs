@@ -98,9 +98,8 @@ fn expected_errors_are_shown_until_the_model_is_another() {
     window.key("6");
     window.key("ctrl+e");
     // The edit mode takes clicks from its first frame on: a slow machine must have drawn it. The click must have selected, too.
-    window.picture();
-    window.tool(&["mousemove", "370", "330", "click", "1"]);
-    window.picture();
+    window.settled();
+    window.press("", [370, 330]);
     window.key("Delete");
     window.wait("colours", |w| w.picture().pixels().any(|p| p[0] != p[1]));
     assert_eq!(window.quit()["validation_messages"], 0);

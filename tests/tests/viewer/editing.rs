@@ -48,7 +48,7 @@ fn a_part_is_selected_moved_undone_deleted_and_saved() {
     let mut window = Window::open(&desktop, &model, &out, &["--size", "1000x700", "--pause", "--time", "0.3"]);
     let first = window.picture();
     window.key("ctrl+e");
-    assert_eq!(difference(&first, &window.picture()), 0.0, "nothing is selected yet");
+    assert_eq!(difference(&first, &window.settled()), 0.0, "nothing is selected yet");
     // A click selects, Shift adds, Escape ends.
     window.tool(&["mousemove", "370", "330", "click", "1"]);
     let clicked = window.picture();
@@ -106,6 +106,7 @@ fn rectangles_lassos_handles_and_names_work() {
         Window::open(&desktop, &model, &folder.path().join("out"), &["--size", "1000x700", "--pause", "--time", "0.3"]);
     let first = window.picture();
     type_keys(&window, &["ctrl+e", "b"]);
+    window.settled();
     window.drag("1", [300, 250], [100, 90]);
     let boxed = window.picture();
     assert!(difference(&first, &boxed) > 0.1, "a rectangle selects");
@@ -150,17 +151,13 @@ fn the_panel_selects_colours_and_freezes() {
         Window::open(&desktop, &model, &folder.path().join("out"), &["--size", "1000x700", "--pause", "--time", "0.3"]);
     window.picture();
     window.key("ctrl+e");
-    let first = window.picture();
-    let mut press = |x: u32, y: u32| {
-        window.tool(&["mousemove", &x.to_string(), &y.to_string(), "click", "1"]);
-        window.picture()
-    };
-    assert!(difference(&first, &press(770, 205)) > 0.5, "`all`: everything stands out");
-    press(870, 454);
-    press(904, 429);
-    press(808, 205);
+    let first = window.settled();
+    assert!(difference(&first, &window.press("", [770, 205])) > 0.5, "`all`: everything stands out");
+    window.press("", [870, 454]);
+    window.press("", [904, 429]);
+    window.press("", [808, 205]);
     desktop.capture().keep("edit_panel");
-    let tinted = press(600, 50);
+    let tinted = window.press("", [600, 50]);
     assert!(difference(&first, &tinted) > 1.0, "`tint` has coloured it");
     window.key("End");
     assert!(difference(&tinted, &window.picture()) < 0.01, "`freeze` has stopped it");

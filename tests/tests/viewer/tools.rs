@@ -47,20 +47,9 @@ impl Files {
         );
         window.picture();
         window.key("ctrl+e");
-        window.picture();
+        window.settled();
         window
     }
-}
-
-/// Clicks in the window, with a key held unless it is empty.
-fn press(window: &mut Window<'_>, held: &str, at: [i32; 2]) -> image::RgbImage {
-    let [x, y] = at.map(|v| v.to_string());
-    let click = ["mousemove", &x, &y, "click", "1"];
-    match held {
-        "" => window.tool(&click),
-        _ => window.tool(&[&["keydown", held][..], &click, &["keyup", held]].concat()),
-    }
-    window.picture()
 }
 
 /// Types into the field that was clicked. The keys are no shortcuts, also those that come with the Enter in one frame.
@@ -93,9 +82,9 @@ fn assert_said(list: &Path, commands: &[&str]) {
 fn handles_turn_and_scale_alone_along_and_for_a_while() {
     let (files, desktop) = (Files::new(), Desktop::new(1020, 910));
     let mut window = files.open(&desktop);
-    let first = press(&mut window, "", [370, 430]);
+    let first = window.press("", [370, 430]);
     // The panel's rings.
-    press(&mut window, "", [878, 379]);
+    window.press("", [878, 379]);
     desktop.capture().keep("tools_rings");
     let [_, ring] = handle(&desktop);
     window.drag("1", ring, [-30, 25]);
@@ -110,11 +99,11 @@ fn handles_turn_and_scale_alone_along_and_for_a_while() {
     let scaled = window.picture();
     assert!(difference(&turned, &scaled) > 0.05, "a bar scales");
     desktop.capture().keep("tools_scaled");
-    press(&mut window, "", [834, 404]);
+    window.press("", [834, 404]);
     type_keys(&window, &["g", "z", "period", "4", "Return"]);
     let along = window.picture();
     assert!(difference(&scaled, &along) > 0.1, "along with the part's motion");
-    press(&mut window, "", [885, 404]);
+    window.press("", [885, 404]);
     desktop.capture().keep("tools_during");
     type_keys(&window, &["r", "x", "9", "0", "Return"]);
     assert!(difference(&along, &window.picture()) > 0.05, "for a while");
@@ -135,37 +124,37 @@ fn the_panel_selects_by_everything_and_merges() {
     let mut window = files.open(&desktop);
     let plain = window.picture();
     // Single Gaussians: select, add, take away.
-    press(&mut window, "", [829, 130]);
-    let one = press(&mut window, "", [370, 430]);
-    let two = press(&mut window, "shift", [220, 300]);
+    window.press("", [829, 130]);
+    let one = window.press("", [370, 430]);
+    let two = window.press("shift", [220, 300]);
     assert!(difference(&plain, &one) > 0.01 && difference(&one, &two) > 0.01, "one Gaussian, and another");
     desktop.capture().keep("tools_gaussians");
-    let one_again = press(&mut window, "ctrl", [220, 300]);
+    let one_again = window.press("ctrl", [220, 300]);
     assert_eq!(difference(&one, &one_again), 0.0, "and without it");
-    press(&mut window, "", [902, 205]);
+    window.press("", [902, 205]);
     type_keys(&window, &["o"]);
-    press(&mut window, "", [776, 130]);
-    press(&mut window, "", [370, 430]);
-    press(&mut window, "", [824, 230]);
+    window.press("", [776, 130]);
+    window.press("", [370, 430]);
+    window.press("", [824, 230]);
     desktop.capture().keep("tools_isolated");
-    press(&mut window, "", [874, 230]);
-    press(&mut window, "", [908, 230]);
-    let locked = press(&mut window, "", [770, 205]);
+    window.press("", [874, 230]);
+    window.press("", [908, 230]);
+    let locked = window.press("", [770, 205]);
     desktop.capture().keep("tools_locked");
-    let all = press(&mut window, "", [963, 230]);
+    let all = window.press("", [963, 230]);
     assert_eq!(difference(&locked, &all), 0.0, "what was locked stays unselected");
     // By what they have in common.
-    press(&mut window, "", [805, 255]);
-    press(&mut window, "", [948, 330]);
+    window.press("", [805, 255]);
+    window.press("", [948, 330]);
     desktop.capture().keep("tools_by");
-    press(&mut window, "shift", [930, 355]);
-    press(&mut window, "ctrl", [895, 380]);
-    press(&mut window, "", [852, 405]);
+    window.press("shift", [930, 355]);
+    window.press("ctrl", [895, 380]);
+    window.press("", [852, 405]);
     desktop.capture().keep("tools_floaters");
-    press(&mut window, "", [805, 255]);
+    window.press("", [805, 255]);
     window.tool(&["mousemove", "838", "479", "click", "1"]);
     typed(&mut window, files.other.to_str().unwrap());
-    let merged = press(&mut window, "", [940, 479]);
+    let merged = window.press("", [940, 479]);
     assert!(difference(&plain, &merged) > 0.5, "merged");
     desktop.capture().keep("tools_merged");
     let commands = field(&desktop);
