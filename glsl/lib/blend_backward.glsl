@@ -243,7 +243,6 @@ void deliver(bool valid, uint row) {
             }
         }
     } else {
-        subgroupMemoryBarrierShared();
         subgroupBarrier();
         // Neighbouring lanes write neighbouring words.
         for (uint k = lane; k < ROW * size; k += size) {
@@ -253,7 +252,6 @@ void deliver(bool valid, uint row) {
                 add_to_row(ROW * staged_row[slice + from] + c, staged_sums[ROW * slice + k]);
             }
         }
-        subgroupMemoryBarrierShared();
         subgroupBarrier();
     }
 }
@@ -284,7 +282,6 @@ void load(bool valid, uint index, uint row) {
         [[unroll]] for (uint c = 0u; c < ROW; c++) {
             staged_sums[ROW * at + c] = 0.0;
         }
-        subgroupMemoryBarrierShared();
         subgroupBarrier();
     }
 }

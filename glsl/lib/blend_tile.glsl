@@ -136,13 +136,11 @@ void main() {
                 staged[128u + slice + count] = vec4(0.0, NOWHERE, 0.0, 0.0);
                 staged[256u + slice + count] = vec4(0.0);
             }
-            subgroupMemoryBarrierShared();
             subgroupBarrier();
             for (uint k = slice; k < slice + count; k += 2u) {
                 blend(staged[k], staged[128u + k], staged[256u + k].xyz, pixel, row_step);
                 blend(staged[k + 1u], staged[129u + k], staged[257u + k].xyz, pixel, row_step);
             }
-            subgroupMemoryBarrierShared();
             subgroupBarrier();
         } else {
             for (uint word = 0u; word < (size + 31u) / 32u; word++) {

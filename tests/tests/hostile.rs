@@ -40,7 +40,7 @@ fn check(gpu: &Gpu, scene: &Scene, size: [u32; 2], what: &str) {
 
 #[test]
 fn every_slot_times_every_value() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let base = random_scene(8, 21, 1);
     for slot in 0..slots(&base.gaussians) {
         for value in POISON {
@@ -55,7 +55,7 @@ fn every_slot_times_every_value() {
 fn random_poisoned_scenes() {
     let seed = std::env::var("SEED").ok().and_then(|s| s.parse().ok()).unwrap_or(1);
     println!("SEED={seed}");
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut random = Random::new(seed);
     for round in 0..200 {
         let n = 1 + random.below(256);
@@ -73,7 +73,7 @@ fn random_poisoned_scenes() {
 
 #[test]
 fn senseless_cameras_are_errors() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut renderer = Renderer::new(&gpu, &random_scene(10, 1, 0), &RenderOptions::default()).unwrap();
     let good = camera([16, 16]);
     let nan = f64::NAN;

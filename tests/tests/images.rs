@@ -13,7 +13,7 @@ fn camera(width: u32, height: u32) -> Camera {
 
 #[test]
 fn random_scenes_of_every_sh_degree() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     for degree in 0..=3 {
         let scene = random_scene(4000, u64::from(degree) + 1, degree);
         let c = compare(&gpu, &scene, &camera(200, 150), 0.0, MotionSource::Auto);
@@ -23,7 +23,7 @@ fn random_scenes_of_every_sh_degree() {
 
 #[test]
 fn moving_scenes_by_table_and_by_network() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let scene = moving_scene(3000, 40, 6, 5, true);
     for (name, motion) in [("table", MotionSource::Table), ("network", MotionSource::Network)] {
         for time in [0.0, 0.37, 1.0] {
@@ -35,7 +35,7 @@ fn moving_scenes_by_table_and_by_network() {
 
 #[test]
 fn demo_scene_within_bounds() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     for time in [0.0, 0.4] {
         let c = compare(&gpu, &demo_scene(), &demo_camera(time, 320, 240), time, MotionSource::Auto);
         c.assert_within_bounds(&format!("demo at {time}"));
@@ -44,7 +44,7 @@ fn demo_scene_within_bounds() {
 
 #[test]
 fn crops_equal_the_whole() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     // Small splats: a large one beyond the edge of a crop meets the tangent clamp there, but not in the whole image.
     let mut scene = random_scene(2000, 13, 2);
     for scale in scene.gaussians.log_scale.iter_mut().flatten() {
@@ -75,7 +75,7 @@ fn crops_equal_the_whole() {
 #[test]
 fn oracle_files() {
     let Some(folder) = tests_harness::data("oracle") else { return };
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut seen = 0;
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -100,7 +100,7 @@ fn oracle_files() {
 #[test]
 fn trained_models() {
     let Some(folder) = tests_harness::data("splats") else { return };
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     for name in ["inria_sh3_9k.ply", "fruit_drops_sh3_5k.ply"] {
         let loaded = engine::file::load(&folder.join(name)).unwrap();
         let g = &loaded.scene.gaussians;

@@ -25,7 +25,7 @@ fn camera() -> Camera {
 
 /// Gaussians that are drawn and that are refused, at time 0.4.
 fn drawn(scene: &Scene, motion: MotionSource) -> [u32; 2] {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let mut renderer = Renderer::new(&gpu, scene, &RenderOptions { motion, ..RenderOptions::default() }).unwrap();
     let (_, statistics) = renderer.draw(&camera(), 0.4).unwrap();
     [statistics.visible, statistics.rejected]
@@ -75,7 +75,7 @@ fn deformation_field() {
     assert!(visible > 100 && refused == 0, "{visible} drawn, {refused} refused");
     overflow(&mut scene.deformation.field_mut().unwrap().layers);
     assert_eq!(drawn(&scene, MotionSource::Auto), [0, 300]);
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let offsets = FieldEvaluator::new(&gpu, &scene).unwrap().offsets(0.4).unwrap();
     assert!(offsets.iter().all(|o| o.mean.iter().chain(&o.rotation).chain(&o.scale).all(|v| v.is_nan())));
 }

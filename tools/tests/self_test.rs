@@ -159,7 +159,7 @@ fn a_driver_that_does_nothing_is_no_device() {
     let mut demo = project.command(&["demo", "--frames", "1", "--out", "demo"]);
     // The layer waits ten seconds for each submission of a device that never ends one.
     let out =
-        demo.env_remove("SPGS_VALIDATION").envs(shim.clone()).env("XDG_CACHE_HOME", project.cache()).output().unwrap();
+        demo.envs(shim.clone()).env_remove("SPGS_VALIDATION").env("XDG_CACHE_HOME", project.cache()).output().unwrap();
     let text = String::from_utf8(out.stderr).unwrap();
     assert_eq!(out.status.code(), Some(1), "{text}");
     let last = text.lines().last().unwrap();
@@ -177,8 +177,8 @@ fn a_driver_that_does_nothing_is_no_device() {
     let render = ["render", "model.ply", "--cameras", "cameras.json", "--out", "pictures"];
     let mut command = project.command(&render);
     let out = command
-        .env_remove("SPGS_VALIDATION")
         .envs(shim)
+        .env_remove("SPGS_VALIDATION")
         .env("XDG_CACHE_HOME", project.cache())
         .env("VK_DRIVER_FILES", both)
         .output()

@@ -25,7 +25,7 @@ struct Expected {
 
 /// The reference and the kernels are where they must be.
 fn check(scene: &Scene, t: f64, expected: &[Expected]) {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let device = FieldEvaluator::new(&gpu, scene).unwrap().offsets(t).unwrap();
     let both = [
         ("reference", freeze(scene, t, MotionSource::Auto).unwrap(), 2e-5),
@@ -456,7 +456,7 @@ fn fields_that_do_not_fit_are_refused_by_name() {
     let network = engine::scene::NonrigidNetwork::init(1);
     let found = scene.deformation.clone().with_nonrigid(network).unwrap_err().to_string();
     assert!(found.contains("only one of them"), "{found}");
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let source = |motion| Renderer::new(&gpu, &scene, &RenderOptions { motion, ..RenderOptions::default() });
     assert!(source(MotionSource::Table).unwrap_err().to_string().contains("--bake"));
     source(MotionSource::Network).unwrap();

@@ -91,7 +91,7 @@ fn assert_close(found: [DVec3; 2], expected: [DVec3; 2], context: &str) {
 
 #[test]
 fn gradients_are_those_of_differences_of_the_f64_reference() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     for (degree, neighbors) in [(0, 0), (1, 0), (3, 0), (3, 3)] {
         let case = Case::new(degree, neighbors, 30 + u64::from(degree) + neighbors as u64);
         let mut loss = PhotoLoss::new(&gpu, &case.scene, LOSS).unwrap();
@@ -206,7 +206,7 @@ fn disturbed_by(scene: &Scene, poses: &[Pose], degrees: f64, shift: f64, seed: u
 
 #[test]
 fn disturbed_superpoints_come_back() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let folder = tempfile::tempdir().unwrap();
     let scene = textured(4000, 8, 11);
     let time = 0.41;
@@ -237,7 +237,7 @@ fn disturbed_superpoints_come_back() {
 /// A search that is too short to settle leaves what fits already as it is.
 #[test]
 fn what_fits_no_better_stays_as_it_was() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let folder = tempfile::tempdir().unwrap();
     let scene = textured(2000, 8, 11);
     let (time, cameras) = (0.41, cameras(1, [64, 64]));
@@ -256,7 +256,7 @@ fn what_fits_no_better_stays_as_it_was() {
 
 #[test]
 fn turned_cameras_come_back_and_those_out_of_reach_are_named() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let folder = tempfile::tempdir().unwrap();
     let scene = textured(2000, 8, 12);
     let time = 0.3;
@@ -287,7 +287,7 @@ fn turned_cameras_come_back_and_those_out_of_reach_are_named() {
 
 #[test]
 fn what_no_pixel_sees_follows_its_neighbours() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let folder = tempfile::tempdir().unwrap();
     let mut scene = textured(4000, 8, 11);
     // All move as one: what training has seen of the others says where the hidden one is.
@@ -311,7 +311,7 @@ fn what_no_pixel_sees_follows_its_neighbours() {
 
 #[test]
 fn superpoints_and_cameras_together_show_the_photos() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let folder = tempfile::tempdir().unwrap();
     let scene = textured(2000, 8, 11);
     let (time, cameras) = (0.41, cameras(3, [96, 96]));
@@ -359,7 +359,7 @@ fn names(folder: &Path) -> Vec<String> {
 
 #[test]
 fn the_command_writes_all_files_or_none() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let folder = tempfile::tempdir().unwrap();
     let [data, out] = ["data", "out"].map(|name| folder.path().join(name));
     [&data, &out].into_iter().for_each(|folder| std::fs::create_dir(folder).unwrap());
@@ -406,7 +406,7 @@ fn the_command_writes_all_files_or_none() {
 
 #[test]
 fn the_same_bits_twice() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let folder = tempfile::tempdir().unwrap();
     let scene = textured(800, 5, 13);
     let views = photos(&gpu, &scene, &cameras(2, [64, 48]), 0.55, folder.path());

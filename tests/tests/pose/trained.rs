@@ -37,7 +37,7 @@ fn seen_px(scene: &Scene, shares: &[f64]) -> Vec<f64> {
 #[test]
 #[ignore = "a measurement of a trained model: SPGS_POSE_MODEL and SPGS_POSE_DATA name it"]
 fn superpoints_of_a_trained_model_come_back() {
-    let gpu = tests_harness::gpu();
+    let gpu = tests_harness::shared_gpu();
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| std::env::var(name).unwrap_or_else(|_| panic!("{name} is not set"));
     let scene = engine::file::load(Path::new(&path("SPGS_POSE_MODEL"))).unwrap().scene;

@@ -3,9 +3,10 @@
 //!
 //! `lexer` splits a shader into tokens, `sites` lists what can be changed, `plant` compiles a mutant, `cover` knows
 //! which test runs which kernel, `suite` runs tests from outside, `judge` decides whether a mutant is seen, `results`
-//! remembers. No Rust is compiled for a mutant: the tests read its SPIR-V from a folder (`SPGS_TEST_SPIRV`).
+//! remembers, `equivalent` lists mutants that change nothing. No Rust is compiled for a mutant: the tests read its SPIR-V from a folder (`SPGS_TEST_SPIRV`).
 
 mod cover;
+mod equivalent;
 mod judge;
 mod lexer;
 mod plant;

@@ -31,11 +31,16 @@ impl Mutant {
 
     /// `glsl/a.comp:12: bound: `i >= n` -> `true``, in its line.
     pub(super) fn describe(&self) -> String {
+        let (line, before, after) = self.lines();
+        format!("{}:{line}: {:?}: {before}  ->  {after}", self.file.display(), self.site.fault)
+    }
+
+    /// Number of the line, from 1; the line as it is and with the fault, without the space around it.
+    pub(super) fn lines(&self) -> (usize, &str, String) {
         let line = self.text[..self.site.range.start].matches('\n').count();
         let before = self.text.lines().nth(line).unwrap_or("").trim();
-        let changed = self.changed();
-        let after = changed.lines().nth(line).unwrap_or("").trim();
-        format!("{}:{}: {:?}: {before}  ->  {after}", self.file.display(), line + 1, self.site.fault)
+        let after = self.changed().lines().nth(line).unwrap_or("").trim().to_owned();
+        (line + 1, before, after)
     }
 
     /// The file with the fault.

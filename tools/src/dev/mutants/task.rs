@@ -6,6 +6,7 @@ use engine::error::{Error, Result};
 use serde_json::json;
 
 use super::cover::{self, Coverage};
+use super::equivalent::Equivalents;
 use super::judge::Judge;
 use super::plant::{self, Mutant, Planted, Workshop};
 use super::results::{Outcome, Record, Results};
@@ -22,7 +23,8 @@ const TWIN_TESTS: &str = "kernels_*";
 /// Options of `spgs-dev mutants`.
 #[derive(Debug, clap::Args)]
 pub struct Options {
-    /// Mutants to judge; those that do not compile or mean the same are replaced by others
+    /// Mutants to judge; those that do not compile, compile to the same program or are listed as meaning the same are
+    /// replaced by others
     #[arg(long, default_value_t = 200)]
     count: usize,
     /// Which mutants are drawn
@@ -66,11 +68,16 @@ pub fn run(root: &Path, options: &Options) -> Result<bool> {
     let folder = options.results.clone().unwrap_or_else(|| root.join("target/mutants"));
     std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, "make", e))?;
     let mut run = Run::new(root, &folder, if options.twins { TWIN_TESTS } else { "*" })?;
-    let (mut seen, mut survivors) = (0, Vec::new());
+    let equivalents = Equivalents::new()?;
+    let (mut seen, mut survivors, mut passed_over) = (0, Vec::new(), 0);
     let bar = progress::sweep(options.count as u64, options.quiet);
     for mutant in &drawn {
         if seen + survivors.len() == options.count {
             break;
+        }
+        if equivalents.reason(mutant).is_some() {
+            passed_over += 1;
+            continue;
         }
         bar.set_message(mutant.file.display().to_string());
         let record = run.record(mutant)?;
@@ -88,16 +95,21 @@ pub fn run(root: &Path, options: &Options) -> Result<bool> {
     }
     bar.finish_and_clear();
     let total = seen + survivors.len();
-    output::line(&summary(seen, total, options.json));
+    output::line(&summary(seen, total, passed_over, options.json));
     Ok(total > 0 && seen as f64 >= WANTED_SHARE * total as f64)
 }
 
-fn summary(seen: usize, total: usize, as_json: bool) -> String {
+fn summary(seen: usize, total: usize, passed_over: usize, as_json: bool) -> String {
     if as_json {
-        return json!({ "mutants": total, "seen": seen, "wanted_share": WANTED_SHARE }).to_string();
+        return json!({ "mutants": total, "seen": seen, "equivalent": passed_over, "wanted_share": WANTED_SHARE })
+            .to_string();
     }
     let percent = 100.0 * seen as f64 / total.max(1) as f64;
-    format!("{seen} of {total} mutants seen, {percent:.1} %, expected {:.0} %", 100.0 * WANTED_SHARE)
+    let wanted = 100.0 * WANTED_SHARE;
+    format!(
+        "{seen} of {total} mutants seen, {percent:.1} %, expected {wanted:.0} %; {passed_over} passed over, which change \
+         nothing (tools/src/dev/mutants/equivalent.json)"
+    )
 }
 
 /// All mutants in the order of drawing: each kind of fault in turn, at random within a kind. An edit of one file leaves the
