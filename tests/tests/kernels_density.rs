@@ -334,7 +334,16 @@ fn kernels_equal_twins() {
             row_block: zeros(n.div_ceil(256)),
             totals: zeros(8),
         };
-        let done = run(&gpu, &DENSITY_DECIDE, push, buffers, groups);
+        let done = run(&gpu, &DENSITY_DECIDE, push, buffers.clone(), groups);
+        // As large as the limit is small enough to be cloned.
+        let cloned = done.action.iter().position(|a| *a == ACTION_CLONE);
+        if let Some(i) = cloned {
+            let largest = (0..3).map(|axis| f32::from_bits(log_scale[axis * n as usize + i])).fold(f32::MIN, f32::max);
+            let tie = DensityDecidePush { dense_log_scale: largest, ..push };
+            assert_eq!(run(&gpu, &DENSITY_DECIDE, tie, buffers, groups).action[i], ACTION_CLONE);
+        } else {
+            assert_eq!(n, 1, "none is cloned");
+        }
         let DensityDecideBuffers { action, row_block, totals, .. } = done;
         for by_index in [0, 1] {
             let tie_key = f32::from_bits(density[0]) / f32::from_bits(density[n as usize]);

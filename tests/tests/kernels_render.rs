@@ -205,7 +205,8 @@ fn blend_packed_stores_what_its_twin_stores() {
     let gpu = tests_harness::shared_gpu();
     let size = gpu.subgroup_size_of(&BLEND);
     let input = RenderInput::random(800, 1, 5);
-    let frame = input.frame(&test_camera(75, 53));
+    // Below zero, too: halves have a sign.
+    let frame = Frame { background: [-0.25, 0.5, -1.5], ..input.frame(&test_camera(75, 53)) };
     let (splats, tile_count) = twin_splats(&input, &frame);
     for format in [PixelFormat::Rgba8, PixelFormat::Bgra8, PixelFormat::Rgba16F] {
         let constants = constants(1, Stage::of_device(&gpu), blend::pixels_per_lane(size));

@@ -203,7 +203,7 @@ impl Shared {
     fn decode(&self, index: usize) -> Result<Pixels> {
         let image = &self.views[index].image;
         std::panic::catch_unwind(|| image.decode())
-            .unwrap_or_else(|_| Err(Error::corrupt(&image.path, "content", "a decoder panic", "a valid picture")))
+            .unwrap_or_else(|_| Err(Error::corrupt(&image.path, "content", "a decoder panic", "a valid image")))
     }
 
     /// Keeps a decoded picture as the budget allows.

@@ -121,7 +121,7 @@ impl ImageSource {
         let found = [picture.width(), picture.height()];
         if found != self.stored {
             let text = |[w, h]: [u32; 2]| format!("{w} x {h} pixels");
-            return Err(Error::corrupt(path, "picture size", text(found), text(self.stored)));
+            return Err(Error::corrupt(path, "image size", text(found), text(self.stored)));
         }
         Ok(picture)
     }
@@ -156,11 +156,11 @@ fn check_size(path: &Path, width: u32, height: u32) -> Result<[u32; 2]> {
         return Ok([width, height]);
     }
     let expected = format!("1 to {MAX_IMAGE_SIDE} pixels a side");
-    Err(Error::corrupt(path, "picture size", format!("{width} x {height} pixels"), expected))
+    Err(Error::corrupt(path, "image size", format!("{width} x {height} pixels"), expected))
 }
 
 fn not_a_picture(path: &Path, e: &image::ImageError) -> Error {
-    Error::corrupt(path, "content", e.to_string(), "a valid PNG or JPEG picture")
+    Error::corrupt(path, "content", e.to_string(), "a valid PNG or JPEG image")
 }
 
 fn decode(bytes: &[u8], path: &Path) -> Result<RgbaImage> {

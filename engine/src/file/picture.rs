@@ -117,7 +117,7 @@ fn check(path: &Path, image: &Image) -> Result<()> {
 /// [`Error::Corrupt`]; [`Error::Limit`] above [`MAX_SIDE`] or [`MAX_BYTES`]; [`Error::Io`].
 pub fn read(path: &Path) -> Result<Image> {
     let length = std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?.len();
-    limit(path, "bytes of a picture", length, MAX_BYTES)?;
+    limit(path, "bytes of an image", length, MAX_BYTES)?;
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
     parse(&bytes, path)
 }
@@ -140,13 +140,13 @@ fn limit(path: &Path, what: &str, need: u64, have: u64) -> Result<()> {
 }
 
 fn size_limit(path: &Path, width: usize, height: usize, bytes_per_pixel: u64) -> Result<()> {
-    limit(path, "picture side, pixels", width.max(height) as u64, MAX_SIDE.into())?;
+    limit(path, "image side, pixels", width.max(height) as u64, MAX_SIDE.into())?;
     limit(path, "bytes of pixels", width as u64 * height as u64 * bytes_per_pixel, MAX_BYTES)
 }
 
 fn parse_integer(bytes: &[u8], path: &Path) -> Result<Image> {
     let corrupt =
-        |e: image::ImageError| Error::corrupt(path, "content", e.to_string(), "a valid PNG, JPEG or EXR picture");
+        |e: image::ImageError| Error::corrupt(path, "content", e.to_string(), "a valid PNG, JPEG or EXR image");
     let reader =
         || image::ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| Error::io(path, "read", e));
     let (width, height) = reader()?.into_dimensions().map_err(corrupt)?;
@@ -162,7 +162,7 @@ fn parse_integer(bytes: &[u8], path: &Path) -> Result<Image> {
 }
 
 fn parse_exr(bytes: &[u8], path: &Path) -> Result<Image> {
-    let corrupt = |found: String| Error::corrupt(path, "content", found, "a valid EXR picture");
+    let corrupt = |found: String| Error::corrupt(path, "content", found, "a valid EXR image");
     let failed = |e: exr::error::Error| corrupt(e.to_string());
     let meta = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(failed)?;
     for header in &meta.headers {

@@ -72,7 +72,7 @@ impl Surface {
         if surface.is_supported() {
             return Ok(surface);
         }
-        Err(Error::NoDevice { reason: format!("{} cannot show pictures in a window here", gpu.info().name) })
+        Err(Error::NoDevice { reason: format!("{} cannot show images in a window here", gpu.info().name) })
     }
 
     /// Whether the device's queue draws, computes and presents.

@@ -88,7 +88,7 @@ fn check_size(network: Network, planes: &Planes) -> Result<()> {
         return Ok(());
     }
     let found = format!("{} x {} pixels", planes.width, planes.height);
-    Err(Error::usage(format!("picture for LPIPS ({})", network.name()), found, format!("{smallest} pixels a side")))
+    Err(Error::usage(format!("image for LPIPS ({})", network.name()), found, format!("{smallest} pixels a side")))
 }
 
 /// Word `i` as a float, for twins, whose sums are in f64.

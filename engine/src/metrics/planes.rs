@@ -121,7 +121,7 @@ pub(super) fn same_size(reference: &Planes, test: &Planes) -> Result<()> {
         return Ok(());
     }
     let size = |p: &Planes| format!("{} x {} pixels", p.width, p.height);
-    Err(Error::usage("picture to compare", size(test), format!("{} of the reference", size(reference))))
+    Err(Error::usage("image to compare", size(test), format!("{} of the reference", size(reference))))
 }
 
 /// Weights fit the picture.

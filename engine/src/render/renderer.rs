@@ -223,7 +223,7 @@ impl Renderer {
         }
         let refused = u64::from(counted.statistics.rejected).saturating_sub(self.scene.rejected.total() as u64);
         if refused > 0 && !std::mem::replace(&mut self.warned, true) {
-            log::warn!("{refused} Gaussians are left out of a picture: their place or shape is not finite there");
+            log::warn!("{refused} Gaussians are left out of an image: their place or shape is not finite there");
         }
         Ok(Some(counted.statistics))
     }

@@ -149,7 +149,7 @@ fn bad_pictures_get_one_line_and_leave_nothing() {
     std::fs::copy(&small, right.join("1.png")).unwrap();
     assert!(wrong(&left, &right).contains("1.png"));
     std::fs::copy(&a, right.join("1.jpg")).unwrap();
-    assert!(wrong(&left, &right).contains("one picture of each name"));
+    assert!(wrong(&left, &right).contains("one image of each name"));
     // Weights that are no weights.
     let line = bad_data(&["compare", text(&a), text(&b), "--lpips-weights", text(&broken)]);
     assert!(line.contains("broken.png"), "{line}");

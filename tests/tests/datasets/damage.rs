@@ -14,7 +14,7 @@ fn a_bad_picture_is_one_error_naming_the_file() {
     let error = || dataset::load(&scene, &DatasetOptions::default()).unwrap_err();
     picture(file.clone(), [12, 4], |_, _| [0.0; 3]);
     let message = error().to_string();
-    assert!(message.contains("f002.png: at picture size: found 12 x 4 pixels, expected the 16 x 8"), "{message}");
+    assert!(message.contains("f002.png: at image size: found 12 x 4 pixels, expected the 16 x 8"), "{message}");
     std::fs::remove_file(&file).unwrap();
     assert!(matches!(error(), Error::Io { path, .. } if path == file));
     write(file.clone(), &good[..20]);

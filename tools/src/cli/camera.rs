@@ -113,7 +113,7 @@ fn positions(scene: &Scene) -> Vec<DVec3> {
     if moved.is_empty() { used.into_iter().map(at).collect() } else { moved }
 }
 
-/// The direction of [`default_camera`], with all of [`whole`] in the picture.
+/// The direction of [`default_camera`], with all of [`whole`] in the image.
 pub fn overview(scene: &Scene, size: [u32; 2]) -> Camera {
     let (center, radius) = whole(scene);
     let [width, height] = size.map(f64::from);
@@ -164,7 +164,7 @@ mod tests {
         assert!(cameras[0].position.distance(cameras[1].position) > 1.0 && cameras[0].time < cameras[2].time);
     }
 
-    /// How far from the middle of the picture, as a share of half of it, a point of the world is seen.
+    /// How far from the middle of the image, as a share of half of it, a point of the world is seen.
     fn off_middle(camera: &Camera, p: DVec3) -> f64 {
         let q = camera.rotation * (p - camera.position);
         let [x, y] = [camera.fx * q.x / q.z + camera.cx, camera.fy * q.y / q.z + camera.cy];

@@ -96,7 +96,7 @@ fn pairs(args: &CompareArgs) -> Result<(Vec<Pair>, bool)> {
         }
         [true, true] => Ok((folder_pairs(&args.reference, &args.test)?, true)),
         [reference_is, _] => {
-            let kind = |folder: bool| if folder { "a folder" } else { "a picture" };
+            let kind = |folder: bool| if folder { "a folder" } else { "an image" };
             Err(Error::corrupt(&args.test, "what to compare", kind(!reference_is), kind(reference_is)))
         }
     }
@@ -108,8 +108,8 @@ fn folder_pairs(reference: &Path, test: &Path) -> Result<Vec<Pair>> {
     for (folder, here, there) in [(test, &tests, &references), (reference, &references, &tests)] {
         let missing: Vec<&str> = there.keys().filter(|n| !here.contains_key(*n)).map(String::as_str).collect();
         if let Some(first) = missing.first() {
-            let found = format!("{} of the {} pictures, not `{first}`", there.len() - missing.len(), there.len());
-            return Err(Error::corrupt(folder, "pictures", found, "a picture of every name in the other folder"));
+            let found = format!("{} of the {} images, not `{first}`", there.len() - missing.len(), there.len());
+            return Err(Error::corrupt(folder, "images", found, "an image of every name in the other folder"));
         }
     }
     let pair = |((name, reference), (_, test))| Pair { name, reference, test };
@@ -127,12 +127,12 @@ fn pictures(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
             let name = stem.to_string_lossy().into_owned();
             if let Some(other) = found.insert(name.clone(), path.clone()) {
                 let names = format!("{} and {}", other.display(), path.display());
-                return Err(Error::corrupt(folder, format!("picture `{name}`"), names, "one picture of each name"));
+                return Err(Error::corrupt(folder, format!("image `{name}`"), names, "one image of each name"));
             }
         }
     }
     if found.is_empty() {
-        return Err(Error::corrupt(folder, "pictures", "none", "at least one .png, .jpg or .exr"));
+        return Err(Error::corrupt(folder, "images", "none", "at least one .png, .jpg or .exr"));
     }
     Ok(found)
 }
@@ -142,7 +142,7 @@ fn read_pair(pair: &Pair, background: [f32; 3]) -> Result<(Planes, Planes)> {
     if [reference.width, reference.height] != [test.width, test.height] {
         let size = |p: &Planes| format!("{} x {} pixels", p.width, p.height);
         let expected = format!("{} as in {}", size(&reference), pair.reference.display());
-        return Err(Error::corrupt(&pair.test, "picture size", size(&test), expected));
+        return Err(Error::corrupt(&pair.test, "image size", size(&test), expected));
     }
     Ok((reference, test))
 }
@@ -177,7 +177,7 @@ fn over(image: &mut Image, background: [f32; 3]) {
 fn write_errors(out: &Path, pairs: &[Pair], background: [f32; 3]) -> Result<()> {
     let single = out.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
     if single && pairs.len() > 1 {
-        return Err(Error::usage("--out", out.display().to_string(), "a folder, for the pictures of two folders"));
+        return Err(Error::usage("--out", out.display().to_string(), "a folder, for the images of two folders"));
     }
     if !single {
         create_folder(out)?;

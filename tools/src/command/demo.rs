@@ -56,7 +56,7 @@ pub fn run(args: &DemoArgs, global: &Global) -> Result<()> {
     }
     if say {
         output::line(summary::text(&measured).trim_end());
-        output::line(&format!("{} pictures are in {}", args.frames, args.out.display()));
+        output::line(&format!("{} images are in {}", args.frames, args.out.display()));
     }
     Ok(())
 }

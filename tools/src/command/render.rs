@@ -153,7 +153,7 @@ pub fn run(args: &RenderArgs, global: &Global) -> Result<()> {
         let each = summaries.iter().map(|s| s.render_ms).sum::<f64>() / summaries.len().max(1) as f64;
         let files: Vec<String> = places.folder.iter().chain(video).map(|p| p.display().to_string()).collect();
         output::line(&format!(
-            "{} pictures in {} ({seconds:.1} s; {each:.1} ms to render and read back each) on {}",
+            "{} images in {} ({seconds:.1} s; {each:.1} ms to render and read back each) on {}",
             summaries.len(),
             files.join(" and "),
             gpu_session::describe(&gpu)
@@ -195,7 +195,7 @@ fn places(args: &RenderArgs) -> Places {
         None => {
             let folder = args.out.clone().unwrap_or_else(|| file.with_extension(""));
             let shown = (file.display(), folder.display());
-            log::warn!("ffmpeg is not installed: instead of {} there are numbered pictures in {}", shown.0, shown.1);
+            log::warn!("ffmpeg is not installed: instead of {} there are numbered images in {}", shown.0, shown.1);
             Places { folder: Some(folder), video: None }
         }
     }

@@ -118,7 +118,7 @@ pub fn notes(weights: &WeightsFile, scores: &[AllScores]) -> Vec<String> {
         };
         if weights.get(network).is_some() && scores.iter().any(absent) {
             let side = network.smallest_side();
-            notes.push(format!("lpips_{name} is absent: its network needs pictures of at least {side} pixels a side"));
+            notes.push(format!("lpips_{name} is absent: its network needs images of at least {side} pixels a side"));
         }
         if weights.get(network).is_none() {
             notes.push(format!(
@@ -128,10 +128,10 @@ pub fn notes(weights: &WeightsFile, scores: &[AllScores]) -> Vec<String> {
     }
     if scores.iter().any(|s| s.pixel.ms_ssim.is_none()) {
         let side = metrics::ssim::MS_SSIM_MIN_SIDE;
-        notes.push(format!("ms_ssim is absent: five scales need pictures of at least {side} pixels a side"));
+        notes.push(format!("ms_ssim is absent: five scales need images of at least {side} pixels a side"));
     }
     if scores.iter().any(|s| s.pixel.ssim_valid.is_none()) {
-        notes.push("ssim_valid is absent: no 11x11 window lies inside the picture".into());
+        notes.push("ssim_valid is absent: no 11x11 window lies inside the image".into());
     }
     notes
 }

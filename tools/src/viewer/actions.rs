@@ -92,7 +92,7 @@ fn tell(state: &mut State, written: Result<PathBuf>) {
 fn save_png(gui: &Gui, folder: &Path) -> Result<PathBuf> {
     let path = free_name(folder, "view", "png")?;
     let Some((buffer, [width, height], bgra)) = gui.pixels() else {
-        return Err(engine::error::Error::usage("picture", "no frame yet", "a drawn scene"));
+        return Err(engine::error::Error::usage("image", "no frame yet", "a drawn scene"));
     };
     let bytes = gui.gpu.download(buffer.slice(0, 4 * u64::from(width) * u64::from(height)))?;
     let order = if bgra { [2, 1, 0] } else { [0, 1, 2] };

@@ -61,7 +61,7 @@ pub fn run(args: &ViewerArgs, global: &Global) -> Result<()> {
             None => "no display".to_owned(),
             Some(display) => format!("no window system that answers at {}", display.display()),
         };
-        Error::usage("spgs view", found, "a graphical session (DISPLAY); pictures without one: spgs render")
+        Error::usage("spgs view", found, "a graphical session (DISPLAY); images without one: spgs render")
     };
     let mut event_loop = EventLoop::<News>::with_user_event();
     #[cfg(target_os = "linux")]

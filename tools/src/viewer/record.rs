@@ -50,7 +50,7 @@ pub(super) fn free_name(folder: &Path, stem: &str, extension: &str) -> Result<Pa
     (1..100_000)
         .map(name)
         .find(|p| !p.exists())
-        .ok_or_else(|| Error::usage("folder for pictures", folder.display().to_string(), "fewer than 100000 files"))
+        .ok_or_else(|| Error::usage("folder for images", folder.display().to_string(), "fewer than 100000 files"))
 }
 
 #[cfg(test)]

@@ -74,7 +74,7 @@ fn posed(camera_file: &Path, frame: crate::data::frame::Frame) -> Result<Posed> 
         let missing = std::io::Error::from(std::io::ErrorKind::NotFound);
         let mut name = folder.join(&frame.name).into_os_string();
         name.push("{,.png,.jpg,.jpeg}");
-        return Err(Error::io(Path::new(&name), "open picture", missing));
+        return Err(Error::io(Path::new(&name), "open image", missing));
     };
     let mask = frame.mask.as_ref().map(|m| folder.join(m)).or_else(|| beside(&path));
     Ok(Posed { frame, image: Stored { path, factor: 1, mask } })

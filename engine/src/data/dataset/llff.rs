@@ -49,13 +49,13 @@ pub(super) fn read(folder: &Path, file: &Path, options: &DatasetOptions) -> Resu
     let downscale = views::downscale(options, 1)?;
     let (pictures, factor) = pictures::listed(folder, downscale)?;
     if !pictures.is_empty() && pictures.len() != count {
-        let found = format!("{count} poses for {} pictures of {}", pictures.len(), folder.display());
-        return Err(Error::corrupt(file, "number of rows", found, "one pose per picture"));
+        let found = format!("{count} poses for {} images of {}", pictures.len(), folder.display());
+        return Err(Error::corrupt(file, "number of rows", found, "one pose per image"));
     }
     let mut posed = Vec::with_capacity(count);
     for (i, row) in rows.iter().enumerate() {
         let frame = frame(row, converted, i, count, file)?;
-        let missing = || folder.join("images").join(format!("picture {i}"));
+        let missing = || folder.join("images").join(format!("image {i}"));
         let path = pictures.get(i).cloned().unwrap_or_else(missing);
         posed.push(Posed { frame, image: Stored { path, factor, mask: None } });
     }
@@ -75,7 +75,7 @@ pub(super) fn read(folder: &Path, file: &Path, options: &DatasetOptions) -> Resu
             if converted { "right, up, back" } else { "LLFF's" }
         ),
         format!("bounds: depths {near:.4} to {far:.4}; units as stored"),
-        format!("time rule: index / {} in the order of the pictures' names", (count - 1).max(1)),
+        format!("time rule: index / {} in the order of the images' names", (count - 1).max(1)),
     ];
     let points = random_points(&rows, &posed);
     decisions.push(format!(

@@ -85,7 +85,7 @@ fn view(posed: &Posed, downscale: u32, options: &DatasetOptions) -> Result<View>
         let of = if factor == 1 { String::new() } else { format!(" divided by {factor}") };
         let expected = format!("the {w} x {h} pixels of its camera{of}");
         let found = format!("{} x {} pixels", stored[0], stored[1]);
-        return Err(Error::corrupt(&image.path, "picture size", found, expected));
+        return Err(Error::corrupt(&image.path, "image size", found, expected));
     }
     let size = scaled(frame.size, downscale);
     let scale = |i: usize| f64::from(stored[i]) / f64::from(frame.size[i]);
@@ -121,14 +121,14 @@ fn decisions(dataset: &Dataset, of_format: Vec<String>, options: &DatasetOptions
     let undistorted = all().filter(|v| v.image.lens.is_some()).count();
     if undistorted > 0 {
         lines.push(format!(
-            "undistortion: of {undistorted} of {} pictures, on load (focal lengths and principal point kept{})",
+            "undistortion: of {undistorted} of {} images, on load (focal lengths and principal point kept{})",
             train + test + val,
             beyond_the_photo(dataset),
         ));
     }
     let masks = all().filter(|v| v.image.mask.is_some()).count();
     if masks > 0 {
-        lines.push(format!("masks: {masks} of {} pictures have one", train + test + val));
+        lines.push(format!("masks: {masks} of {} images have one", train + test + val));
     }
     if dataset.points.is_none() {
         lines.push("points: none in the data set, random ones are used".into());
@@ -149,15 +149,15 @@ fn size_line(dataset: &Dataset) -> String {
     let [w, h] = first.image.size;
     let [sw, sh] = first.image.stored;
     let same = dataset.train.iter().chain(&dataset.test).all(|v| v.image.size == first.image.size);
-    let others = if same { "" } else { " (first picture; sizes differ)" };
-    format!("pictures: {w} x {h}, from stored {sw} x {sh}, downscale {}{others}", dataset.downscale)
+    let others = if same { "" } else { " (first image; sizes differ)" };
+    format!("images: {w} x {h}, from stored {sw} x {sh}, downscale {}{others}", dataset.downscale)
 }
 
 /// How much of the undistorted pictures the photos do not show.
 fn beyond_the_photo(dataset: &Dataset) -> String {
     let worst = dataset.train.iter().filter_map(|v| v.image.share_beyond_the_photo()).fold(0.0, f64::max);
     if worst > 0.0 {
-        format!("; up to {:.2} % of a picture repeats the photo's edge", 100.0 * worst)
+        format!("; up to {:.2} % of an image repeats the photo's edge", 100.0 * worst)
     } else {
         String::new()
     }

@@ -38,7 +38,7 @@ impl Picture {
 /// Reads a picture of at most `most` pixels.
 pub(super) fn read(files: &mut Files<'_>, name: &str, most: u64, path: &Path) -> Result<Picture> {
     let bytes = files.read(name, MAX_FILE)?;
-    let corrupt = |e: image_webp::DecodingError| Error::corrupt(path, name, e.to_string(), "a WebP picture");
+    let corrupt = |e: image_webp::DecodingError| Error::corrupt(path, name, e.to_string(), "a WebP image");
     let mut decoder = WebPDecoder::new(Cursor::new(bytes.as_slice())).map_err(corrupt)?;
     let (width, height) = decoder.dimensions();
     let channels = if decoder.has_alpha() { 4 } else { 3 };

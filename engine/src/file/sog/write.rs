@@ -29,7 +29,7 @@ pub fn write(path: &Path, gaussians: &Gaussians) -> Result<()> {
         return Err(Error::usage(
             format!("writing {}", path.display()),
             "no Gaussian",
-            "at least one: a picture has pixels",
+            "at least one: an image has pixels",
         ));
     }
     let g = gaussians.selected(&morton_order(&gaussians.mean));

@@ -53,7 +53,7 @@ pub(super) fn html(record: &Value, measurer: &Measurer<'_>, results: &[Measured]
     summary(&mut page, results);
     page.heading("Speed against error");
     page.chart(&scatter(results))?;
-    page.text("Down and to the left is better. A value (0 to 1, as a picture shows it) off by more than 1/255 = 0.0039 is visible; a setting counts as without visible error when at most 0.01 % of its values are.");
+    page.text("Down and to the left is better. A value (0 to 1, as an image shows it) off by more than 1/255 = 0.0039 is visible; a setting counts as without visible error when at most 0.01 % of its values are.");
     page.chart(&by_bytes(results))?;
     page.heading("All settings");
     page.table(&table(results));

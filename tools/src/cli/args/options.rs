@@ -96,7 +96,7 @@ pub struct ResultArgs {
     /// Write everything as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// Write a self-contained page with tables, charts and pictures
+    /// Write a self-contained page with tables, charts and images
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
 }
@@ -142,7 +142,7 @@ impl Format {
         }
     }
 
-    /// Writes a picture; the file is there whole or not at all.
+    /// Writes an image; the file is there whole or not at all.
     ///
     /// # Errors
     /// A file that cannot be written.

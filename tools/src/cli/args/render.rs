@@ -72,7 +72,7 @@ pub struct RenderArgs {
     /// Draw nothing nearer to the camera than this, world units [default: 0.2; without cameras at most a tenth of the scene's radius]
     #[arg(long, value_name = "Z", value_parser = near)]
     pub near: Option<f32>,
-    /// Size of the pictures
+    /// Size of the images
     #[command(flatten)]
     pub size: SizeArgs,
     /// How the views are drawn

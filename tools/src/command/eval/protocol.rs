@@ -52,7 +52,7 @@ pub(super) fn of(benchmark: Benchmark) -> Protocol {
             "val_ids of dataset.json (vrig)",
             vec![
                 "The paper does not name the LPIPS network of this table; the code computes both.",
-                "MS-SSIM of the paper's code leaves the data range to each picture; here it is 1.",
+                "MS-SSIM of the paper's code leaves the data range to each image; here it is 1.",
             ],
         ),
         Benchmark::NerfDs => protocol(
@@ -61,7 +61,7 @@ pub(super) fn of(benchmark: Benchmark) -> Protocol {
             "val_ids of dataset.json",
             vec![
                 "The similarity column is called SSIM in the main table and MS-SSIM in the table per scene.",
-                "MS-SSIM of the paper's code leaves the data range to each picture; here it is 1.",
+                "MS-SSIM of the paper's code leaves the data range to each image; here it is 1.",
             ],
         ),
         Benchmark::Nvidia => protocol(
@@ -85,7 +85,7 @@ impl Protocol {
         }
         let turned = |[w, h]: [u32; 2]| [h, w];
         if let Some(paper) = self.size.filter(|s| *s != size && turned(*s) != size) {
-            lines.push(format!("pictures of {}x{}; the paper has {}x{}", size[0], size[1], paper[0], paper[1]));
+            lines.push(format!("images of {}x{}; the paper has {}x{}", size[0], size[1], paper[0], paper[1]));
         }
         if background != self.background {
             lines.push(format!("background {background:?}; the paper has {:?}", self.background));

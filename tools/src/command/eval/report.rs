@@ -24,7 +24,7 @@ pub(super) fn page(record: &Value, setting: &Setting, e: &Evaluation, session: &
     page.heading("By view");
     charts(&mut page, e)?;
     page.table(&views(e));
-    page.heading("Pictures");
+    page.heading("Images");
     page.text(
         "Left to right: rendered, truth, FLIP (black: no visible difference, pale yellow: the largest), absolute \
          difference times four.",

@@ -57,7 +57,7 @@ impl Run<'_> {
             decisions.iter().for_each(|d| output::line(&format!("export  {d}")));
             output::line(&format!("{split:7} PSNR {psnr:.2} dB, SSIM {ssim:.4} over {} views", scores.len()));
             output::line(&format!(
-                "model   {} in {} ({seconds:.1} s); curves and pictures in {}",
+                "model   {} in {} ({seconds:.1} s); curves and images in {}",
                 model::describe(&scene),
                 path.display(),
                 self.out.join("report.html").display()

@@ -51,6 +51,7 @@ impl Entry {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::Equivalents;
     use crate::dev::mutants::plant;

@@ -21,9 +21,10 @@ const SMALL: Environment<'static> = &[("SPGS_TEST_SMALL", "1")];
 
 /// Where tests that compare a kernel with its twin run, in this order. The model is first: it interprets, where a software
 /// device compiles a mutant for seconds.
-const LANES: [(&str, Environment<'static>); 6] = [
+const LANES: [(&str, Environment<'static>); 7] = [
     ("model of 32 lanes, small", &[("SPGS_TEST_SMALL", "1"), ("SPGS_TEST_MODEL", "32")]),
     ("model of 4 lanes, small", &[("SPGS_TEST_SMALL", "1"), ("SPGS_TEST_MODEL", "4")]),
+    ("model of 16 lanes, small", &[("SPGS_TEST_SMALL", "1"), ("SPGS_TEST_MODEL", "16")]),
     ("model of 128 lanes, small", &[("SPGS_TEST_SMALL", "1"), ("SPGS_TEST_MODEL", "128")]),
     ("model of 64 lanes, small", &[("SPGS_TEST_SMALL", "1"), ("SPGS_TEST_MODEL", "64")]),
     ("model of 32 lanes", &[("SPGS_TEST_MODEL", "32")]),
