@@ -28,8 +28,8 @@ fn every_kernel_agrees_with_its_twin() {
 #[test]
 fn soft_superpoints_agree_with_their_twins() {
     let gpu = shared_gpu();
-    let shapes = [(700, 40, 4, 8), (257, 3, 3, 16), (64, 40, 2, 2), (1, 2, 2, 4), (90, 20, 7, 7)];
-    for (n, m, k, slots) in shapes.into_iter().take(if tests_harness::small() { 2 } else { 5 }) {
+    let shapes = [(700, 40, 4, 8), (257, 3, 3, 16), (64, 40, 2, 2), (1, 2, 2, 4)];
+    for (n, m, k, slots) in shapes.into_iter().take(if tests_harness::small() { 2 } else { 4 }) {
         let case = Case::new(n, m, k, slots, n as u64);
         assert_ne!(case.soft_chain(&gpu, 0), case.rows(5)[1], "logits did not move");
     }
