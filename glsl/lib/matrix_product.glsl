@@ -7,7 +7,7 @@
 //   ROW_SUMS              1 when the sums of A over k are wanted as well.
 // It enables GL_KHR_shader_subgroup_{basic,shuffle} and has the specialisation constants STAGE and THREADS, of a workgroup.
 //
-// STAGE 0: a tile of 64 x (8 per lane) per subgroup (32 rows at 4 lanes); each lane reads eight columns of B and its share of
+// STAGE 0: a tile of 32 x (8 per lane) per subgroup; each lane reads eight columns of B and its share of
 // the rows of A, and shuffles spread the latter. For devices where a load costs the same whether or not neighbours read the
 // same word. They also take a subgroup that has no tile through all loads and stores, masked: workgroups are small there.
 // STAGE 1: a tile of 32 x 32 per workgroup, in shared memory 64 k at a time; four groups of 64 threads, each with 4 x 4
@@ -15,6 +15,7 @@
 #ifndef SPGS_MATRIX_PRODUCT
 #define SPGS_MATRIX_PRODUCT
 
+#extension GL_EXT_control_flow_attributes : require
 #include "thread.glsl"
 
 // Never called with a, b or k outside the matrices.
@@ -24,6 +25,7 @@ float operand_b(uint k, uint b);
 // The same for four neighbours in memory, from a multiple of four on; called where VECTORS is 1.
 vec4 operand_a_four(uint a, uint k);
 vec4 operand_b_four(uint k, uint b);
+void store_all_four(uint a, uint b, vec4 value);
 #endif
 // Four neighbours along b, of which those below `columns` are stored.
 void store_four(uint a, uint b, uint columns, vec4 value);
@@ -32,6 +34,7 @@ void store_row_sum(uint a, float value);
 #endif
 
 const uint PRODUCT_THREADS = 256u; // STAGE 1
+const uint SHUFFLE_ROWS = 32u; // with 64, lavapipe compiles for 2.8 s in place of 0.8, and is 5 % faster
 const uint SHUFFLE_COLUMNS = 8u; // per lane
 const uint SHARED_TILE = 32u;
 const uint SHARED_GROUPS = 4u; // of 64 threads
@@ -43,17 +46,12 @@ const uint STAGED_HALF = STAGED_DEPTH * SHARED_PITCH; // where B starts, in vec4
 shared vec4 product_stage[2 * 4 * 16 * 9];
 shared vec4 product_row_sums[4 * 8];
 
-// Rows of a tile of STAGE 0: at most eight for each lane to load.
-uint shuffle_rows() {
-    uint size = SUBGROUP_SIZE;
-    return size < 8u ? 32u : 64u;
-}
 
 // Tiles of C along b and in all.
 uvec2 product_tiles(uint rows, uint columns) {
     uint size = SUBGROUP_SIZE;
     uint stage = STAGE;
-    uint high = stage == 0u ? shuffle_rows() : SHARED_TILE;
+    uint high = stage == 0u ? SHUFFLE_ROWS : SHARED_TILE;
     uint wide = stage == 0u ? SHUFFLE_COLUMNS * size : SHARED_TILE;
     uint along_b = (columns + wide - 1u) / wide;
     return uvec2(along_b, along_b * ((rows + high - 1u) / high));
@@ -101,13 +99,8 @@ vec4 load_b(uint k, uint b, uint columns, uint k_end) {
 #endif
 }
 
-// Written out, because compilers leave a loop this long as it is and then keep the sums in memory; row by row, so that eight
-// sums at a time are in registers.
-#define FOUR_ROWS(row, r) row((r)) row((r) + 1u) row((r) + 2u) row((r) + 3u)
-#define SIXTEEN_ROWS(row, r) FOUR_ROWS(row, r) FOUR_ROWS(row, r + 4u) FOUR_ROWS(row, r + 8u) FOUR_ROWS(row, r + 12u)
-#define EACH_ROW(row) \
-    SIXTEEN_ROWS(row, 0u) SIXTEEN_ROWS(row, 16u) \
-    if (high == 64u) { SIXTEEN_ROWS(row, 32u) SIXTEEN_ROWS(row, 48u) }
+// Unrolled, so that the sums are in registers.
+#define EACH_ROW(row) [[unroll]] for (uint r = 0u; r < high; r++) { row(r) }
 #define CLEAR_ROW(r) sum[2u * (r)] = vec4(0.0); sum[2u * (r) + 1u] = vec4(0.0);
 // The lane that holds row r of A, and where: rows i·size + lane along k, else the four rows from 4·lane (4·(size + lane)) on.
 #if A_ALONG_K
@@ -135,19 +128,25 @@ vec4 load_b(uint k, uint b, uint columns, uint k_end) {
     ADD_EACH_K(r) \
     sum[2u * (r)] = sum_0; \
     sum[2u * (r) + 1u] = sum_1;
+// Each of these 128 is a copy of what the includer stores: the vectors alone where it has them.
+#if K_STEP == 4
+#define STORE(a, b, value) if ((b) < columns) { store_all_four(a, b, value); }
+#else
+#define STORE(a, b, value) store_four(a, b, columns, value);
+#endif
 #define STORE_ROW(r) \
     if (used && a_first + (r) < rows) { \
-        store_four(a_first + (r), b_first, columns, sum[2u * (r)]); \
-        store_four(a_first + (r), b_first + 4u, columns, sum[2u * (r) + 1u]); \
+        STORE(a_first + (r), b_first, sum[2u * (r)]) \
+        STORE(a_first + (r), b_first + 4u, sum[2u * (r) + 1u]) \
     }
 
 void product_by_shuffle(uint tile, uint tiles_b, uint rows, uint columns, uint k_first, uint k_end) {
     uint size = SUBGROUP_SIZE;
     uint lane = gl_SubgroupInvocationID;
-    uint high = shuffle_rows();
+    const uint high = SHUFFLE_ROWS;
     uint a_first = tile / tiles_b * high;
     uint b_first = (tile % tiles_b * size + lane) * SHUFFLE_COLUMNS;
-    vec4 sum[2 * 64];
+    vec4 sum[2u * SHUFFLE_ROWS];
     EACH_ROW(CLEAR_ROW)
     // Subgroups of 64 and more need one row along k per lane, of 4 and 8 all eight; of others, two sets of four rows or one.
     vec4 own[8];

@@ -64,13 +64,17 @@ float act(float y) {
     return with_relu == 1u ? relu(y) : y;
 }
 
+void store_all_four(uint row, uint o, vec4 value) {
+    vec4 y = value + parameter[(push.outputs * inputs() + o) / 4u];
+    layer_output[(row * push.outputs + o) / 4u] = vec4(act(y.x), act(y.y), act(y.z), act(y.w));
+}
+
 void store_four(uint row, uint o, uint columns, vec4 value) {
     uint bias_at = push.outputs * inputs() + o;
     uint at = row * push.outputs + o;
     uint vectors = VECTORS;
     if (vectors == 1u && o < columns) {
-        vec4 y = value + parameter[bias_at / 4u];
-        layer_output[at / 4u] = vec4(act(y.x), act(y.y), act(y.z), act(y.w));
+        store_all_four(row, o, value);
     }
     for (uint c = 0u; c < 4u; c++) {
         if (vectors == 0u && o + c < columns) {

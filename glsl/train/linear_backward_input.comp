@@ -53,11 +53,16 @@ vec4 operand_b_four(uint k, uint i) {
     return parameter[weight_at(k, i) / 4u];
 }
 
+void store_all_four(uint row, uint i, vec4 value) {
+    uint at = (row * push.inputs + i) / 4u;
+    input_gradient[at] = mix(vec4(0.0), value, greaterThan(layer_input[at], vec4(0.0)));
+}
+
 void store_four(uint row, uint i, uint columns, vec4 value) {
     uint at = row * push.inputs + i;
     uint vectors = VECTORS;
     if (vectors == 1u && i < columns) {
-        input_gradient[at / 4u] = mix(vec4(0.0), value, greaterThan(layer_input[at / 4u], vec4(0.0)));
+        store_all_four(row, i, value);
     }
     for (uint c = 0u; c < 4u; c++) {
         if (vectors == 0u && i + c < columns) {

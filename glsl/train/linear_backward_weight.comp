@@ -60,11 +60,19 @@ vec4 operand_b_four(uint row, uint i) {
     return layer_input[input_at(row, i) / 4u];
 }
 
+uint gradient_at(uint o, uint i) {
+    return slice_at + o * (push.inputs_0 + push.inputs_1) + i;
+}
+
+void store_all_four(uint o, uint i, vec4 value) {
+    gradient[gradient_at(o, i) / 4u] = value;
+}
+
 void store_four(uint o, uint i, uint columns, vec4 value) {
-    uint at = slice_at + o * (push.inputs_0 + push.inputs_1) + i;
+    uint at = gradient_at(o, i);
     uint vectors = VECTORS;
     if (vectors == 1u && i < columns) {
-        gradient[at / 4u] = value;
+        store_all_four(o, i, value);
     }
     for (uint c = 0u; c < 4u; c++) {
         if (vectors == 0u && i + c < columns) {

@@ -42,16 +42,14 @@ const MOST_SHUFFLING_LANES: u32 = 16;
 pub const PRODUCT_THREADS: u32 = 256;
 /// Of [`Stage::Shuffle`]: two tiles at 8 lanes.
 const SHUFFLE_THREADS: u32 = 16;
+const SHUFFLE_ROWS: u32 = 32;
 const SHUFFLE_COLUMNS: u32 = 8;
 const SHARED_TILE: u32 = 32;
 
 /// Workgroups for a product with `rows` × `columns` results, each of `slices` sums.
 pub fn product_groups(stage: Stage, subgroup_size: u32, rows: u32, columns: u32, slices: u32) -> u64 {
     let [high, wide, per_group] = match stage {
-        Stage::Shuffle => {
-            let rows = if subgroup_size < 8 { 32 } else { 64 };
-            [rows, SHUFFLE_COLUMNS * subgroup_size, stage.threads(subgroup_size) / subgroup_size]
-        }
+        Stage::Shuffle => [SHUFFLE_ROWS, SHUFFLE_COLUMNS * subgroup_size, stage.threads(subgroup_size) / subgroup_size],
         Stage::Shared => [SHARED_TILE, SHARED_TILE, 1],
     };
     let tiles = u64::from(rows.div_ceil(high)) * u64::from(columns.div_ceil(wide)) * u64::from(slices);

@@ -7,7 +7,7 @@ use crate::{open, options};
 
 /// Seconds of a suite once the kernels are compiled; one run of these must be within, because other tests run meanwhile.
 const SECONDS: f64 = 0.3;
-const RUNS: usize = 10;
+const RUNS: usize = 40;
 
 #[test]
 fn this_device_passes() {

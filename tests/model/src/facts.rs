@@ -30,6 +30,7 @@ fn renames(op: Op) -> bool {
         op,
         Op::CompositeExtract
             | Op::CompositeConstruct
+            | Op::CompositeInsert
             | Op::VectorShuffle
             | Op::Bitcast
             | Op::CopyObject

@@ -98,7 +98,9 @@ fn save_png(gui: &Gui, folder: &Path) -> Result<PathBuf> {
     let order = if bgra { [2, 1, 0] } else { [0, 1, 2] };
     let mut rgba = Vec::with_capacity(bytes.len());
     for pixel in bytes.chunks_exact(4) {
-        rgba.extend(order.map(|c| f32::from(pixel[c]) / 255.0));
+        for c in order {
+            rgba.push(f32::from(pixel[c]) / 255.0);
+        }
         rgba.push(1.0);
     }
     picture::write_png(&path, &Image { width, height, rgba, depth: Vec::new() }, Alpha::Drop)?;

@@ -5,7 +5,7 @@ use rspirv::spirv::{GlslStd450Op as GlOp, Op as SpirvOp};
 
 use super::{Compiler, Value};
 use crate::error::{Result, unsupported};
-use crate::module::{ids, literals};
+use crate::module::{Id, ids, literals};
 use crate::op::{Binary as B, Op, Row, Unary as U};
 
 fn unary(op: SpirvOp) -> Option<U> {
@@ -111,14 +111,14 @@ impl Compiler<'_> {
             }
             SpirvOp::CompositeExtract => {
                 let rows = self.operand(named[0])?;
-                let mut ty = self.module.type_of.get(&named[0]).copied().unwrap_or(0);
-                let mut first = 0;
-                for index in numbers {
-                    first += self.module.offset(ty, index, false);
-                    ty = self.module.part(ty, index);
-                }
-                let size = self.module.size(ty);
-                self.rename(i, rows[first as usize..(first + size) as usize].to_vec());
+                let (first, end) = self.part_of(named[0], &numbers);
+                self.rename(i, rows[first..end].to_vec());
+            }
+            SpirvOp::CompositeInsert => {
+                let (part, mut rows) = (self.operand(named[0])?, self.operand(named[1])?);
+                let (first, end) = self.part_of(named[1], &numbers);
+                rows[first..end].copy_from_slice(&part);
+                self.rename(i, rows);
             }
             SpirvOp::VectorShuffle => {
                 let both = [self.operand(named[0])?, self.operand(named[1])?].concat();
@@ -176,6 +176,17 @@ impl Compiler<'_> {
             _ => return Ok(false),
         }
         Ok(true)
+    }
+
+    /// First and end of the rows of a part of a value.
+    fn part_of(&self, id: Id, indices: &[u32]) -> (usize, usize) {
+        let mut ty = self.module.type_of.get(&id).copied().unwrap_or(0);
+        let mut first = 0;
+        for &index in indices {
+            first += self.module.offset(ty, index, false);
+            ty = self.module.part(ty, index);
+        }
+        (first as usize, (first + self.module.size(ty)) as usize)
     }
 
     /// A row until the next ones are asked for.
