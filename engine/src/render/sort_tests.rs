@@ -232,10 +232,11 @@ fn rank_model(keys: &[u32], digit: Digit, size: u32, rng: &mut Rng) -> Vec<u32> 
                     |lane: u32| keys.get(place(subgroup, round, lane)).map_or(0, |key| key >> digit.shift & mask);
                 let valid = |lane: u32| place(subgroup, round, lane) < keys.len();
                 let ballot = |f: &dyn Fn(u32) -> bool| (0..size).fold(0_u128, |b, l| b | u128::from(f(l)) << l);
+                let votes: Vec<u128> = (0..digit.bits).map(|b| ballot(&|l| digit_of(l) >> b & 1 != 0)).collect();
+                let all_valid = ballot(&valid);
                 let peers = |lane: u32| {
-                    (0..digit.bits).fold(ballot(&valid), |peers, b| {
-                        let vote = ballot(&|l| digit_of(l) >> b & 1 != 0);
-                        peers & if digit_of(lane) >> b & 1 != 0 { vote } else { !vote }
+                    votes.iter().enumerate().fold(all_valid, |peers, (b, vote)| {
+                        peers & if digit_of(lane) >> b & 1 != 0 { *vote } else { !vote }
                     })
                 };
                 let seen: Vec<u32> = (0..size).map(|l| counters[(row + digit_of(l)) as usize]).collect();
