@@ -121,7 +121,7 @@ fn sort_every_distribution() {
 fn sort_every_key_width() {
     let gpu = tests_harness::shared_gpu();
     let mut rng = Rng(3);
-    for key_bits in (1..=32).filter(|bits| !tests_harness::small() || [1, 9, 24].contains(bits)) {
+    for key_bits in (1..=32).filter(|bits| !tests_harness::small() || [1, 8, 9, 24].contains(bits)) {
         let keys: Vec<u32> = (0..4500).map(|_| rng.next() >> (32 - key_bits)).collect();
         sort_and_check(&gpu, &keys, key_bits, key_bits % 3 != 0, key_bits % 2 == 0, "random");
     }

@@ -263,7 +263,7 @@ fn turned_cameras_come_back_and_those_out_of_reach_are_named() {
     let truth = cameras(1, [96, 96]).remove(0);
     let views = photos(&gpu, &scene, std::slice::from_ref(&truth), time, folder.path());
     let points: Vec<DVec3> = scene.gaussians.mean.iter().map(|m| DVec3::from_array(m.map(f64::from))).collect();
-    for degrees in [2.0, 70.0] {
+    for degrees in [1.0, 2.0, 70.0] {
         let turn = DQuat::from_axis_angle(DVec3::new(0.3, 0.5, 0.8).normalize(), f64::to_radians(degrees));
         let mut view = views[0].clone();
         // Its place around the scene, itself around another axis.
@@ -314,7 +314,7 @@ fn superpoints_and_cameras_together_show_the_photos() {
     let gpu = tests_harness::shared_gpu();
     let folder = tempfile::tempdir().unwrap();
     let scene = textured(2000, 8, 11);
-    let (time, cameras) = (0.41, cameras(3, [64, 64]));
+    let (time, cameras) = (0.41, cameras(3, [96, 96]));
     let truth = table_poses(scene.deformation.table().unwrap(), time);
     let start = disturbed(&scene, &truth, 5);
     let mut views = photos(&gpu, &scene, &cameras, time, folder.path());
