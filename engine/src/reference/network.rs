@@ -58,7 +58,7 @@ pub(super) fn encode(x: &[f64], frequencies: usize, out: &mut Vec<f64>) {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Dense {
     pub(super) inputs: usize,
-    /// `[outputs, inputs]`.
+    /// Wᵀ `[inputs, outputs]`: sums over the inputs then go side by side, and inputs that are 0 cost nothing.
     pub(super) weight: Vec<f64>,
     pub(super) bias: Vec<f64>,
 }
@@ -82,17 +82,28 @@ pub(super) struct Trace {
 impl Dense {
     /// Layers side by side: one output after another.
     pub(super) fn joined(layers: &[&Linear]) -> Self {
-        let widen = |values: &[f32]| values.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
+        let inputs = layers.first().map_or(0, |l| l.inputs);
+        let column = |k: usize| layers.iter().flat_map(move |l| l.weight.iter().skip(k).step_by(inputs.max(1)));
         Self {
-            inputs: layers.first().map_or(0, |l| l.inputs),
-            weight: layers.iter().flat_map(|l| widen(&l.weight)).collect(),
-            bias: layers.iter().flat_map(|l| widen(&l.bias)).collect(),
+            inputs,
+            weight: (0..inputs).flat_map(column).map(|&w| f64::from(w)).collect(),
+            bias: layers.iter().flat_map(|l| &l.bias).map(|&b| f64::from(b)).collect(),
         }
     }
 
+    /// The weights of input `k`, one per output.
+    pub(super) fn column(&self, k: usize) -> &[f64] {
+        let outputs = self.bias.len();
+        &self.weight[k * outputs..(k + 1) * outputs]
+    }
+
     fn apply(&self, x: &[f64]) -> Vec<f64> {
-        let rows = self.weight.chunks_exact(self.inputs.max(1));
-        rows.zip(&self.bias).map(|(row, b)| row.iter().zip(x).map(|(w, x)| w * x).sum::<f64>() + b).collect()
+        let mut y = vec![0.0; self.bias.len()];
+        for (k, &x) in x.iter().enumerate().filter(|(_, x)| **x != 0.0) {
+            y.iter_mut().zip(self.column(k)).for_each(|(y, w)| *y += w * x);
+        }
+        y.iter_mut().zip(&self.bias).for_each(|(y, b)| *y += b);
+        y
     }
 }
 

@@ -50,6 +50,27 @@ fn a_shifted_key_may_be_let_go_after_its_shift() {
 }
 
 #[test]
+fn quick_clicks_at_two_places_are_no_double_click() {
+    let folder = tempfile::tempdir().unwrap();
+    let desktop = Desktop::new(1100, 760);
+    let model = moving_model(folder.path(), 1000);
+    let mut window =
+        Window::open(&desktop, &model, &folder.path().join("out"), &["--size", "1000x700", "--pause", "--time", "0.3"]);
+    let first = window.picture();
+    let [one, two] = [["mousemove", "370", "330", "click", "1"], ["mousemove", "470", "400", "click", "1"]];
+    window.tool(&[&one[..], &["sleep", "0.1"], &two].concat());
+    let selected = window.settled();
+    window.key("Escape");
+    assert!(difference(&first, &selected) > 0.2, "the second selects");
+    assert_eq!(difference(&first, &window.settled()), 0.0, "the camera stays");
+    window.tool(&[&two[..], &["sleep", "0.1"], &two].concat());
+    window.settled();
+    window.key("Escape");
+    window.wait("the camera at the point", |w| difference(&first, &w.picture()) > 1.0);
+    assert_eq!(window.quit()["validation_messages"], 0);
+}
+
+#[test]
 fn a_window_without_a_model_and_one_with_a_network_end_after_their_frames() {
     let folder = tempfile::tempdir().unwrap();
     let desktop = Desktop::new(300, 250);

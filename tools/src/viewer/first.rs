@@ -53,6 +53,7 @@ pub(super) fn first_state(args: &ViewerArgs) -> Result<State> {
         camera: None,
         requests: Vec::new(),
         shortcuts: Vec::new(),
+        clicked: None,
         typing: false,
         messages: Vec::new(),
         recording: None,

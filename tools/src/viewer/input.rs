@@ -9,6 +9,9 @@ use super::editing::mode::Ask;
 use super::navigator::{Navigation, Thrust};
 use super::state::{Binding, Request, Show, State, binding};
 
+/// How far apart the clicks of a double click may be, points.
+const DOUBLE_CLICK_REACH: f32 = 6.0;
+
 /// The list of keys that `?` shows, in groups.
 pub(super) const BINDINGS: [(&str, &[Binding]); 4] = [
     (
@@ -67,16 +70,15 @@ pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut 
     // A drag has moved in the frame of its release too.
     let delta = ui.input(|i| i.pointer.delta());
     let delta = [f64::from(delta.x), f64::from(delta.y)];
-    let is_taken = state.edit.on && editing::pointer(ui, response, state);
+    let click = click(response, state);
+    let is_taken = state.edit.on && editing::pointer(ui, response, click, state);
     if !is_taken {
         move_camera(response, state, delta, height, modifiers);
     }
-    if let Some(at) = response.interact_pointer_pos() {
-        if response.double_clicked() {
-            state.requests.push(Request::Pick([at.x, at.y], true));
-        } else if response.clicked() && !state.edit.on {
-            state.requests.push(Request::Pick([at.x, at.y], false));
-        }
+    match click {
+        Some(Click::Double(at)) => state.requests.push(Request::Pick([at.x, at.y], true)),
+        Some(Click::Single(at)) if !state.edit.on => state.requests.push(Request::Pick([at.x, at.y], false)),
+        _ => {}
     }
     if response.hovered() {
         scroll(ui, state, height);
@@ -87,6 +89,21 @@ pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut 
     let typing = ui.ctx().wants_keyboard_input();
     let was_typing = std::mem::replace(&mut state.typing, typing);
     if typing || was_typing { Thrust::default() } else { keys(ui.ctx(), state) }
+}
+
+/// A click on the scene, points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Click {
+    Single(egui::Pos2),
+    Double(egui::Pos2),
+}
+
+/// The click that ended in this frame. For egui two quick clicks are a double click wherever they are: here at one place only.
+fn click(response: &egui::Response, state: &mut State) -> Option<Click> {
+    let at = response.interact_pointer_pos().filter(|_| response.clicked())?;
+    let before = state.clicked.replace(at);
+    let is_double = response.double_clicked() && before.is_some_and(|b| b.distance(at) <= DOUBLE_CLICK_REACH);
+    Some(if is_double { Click::Double(at) } else { Click::Single(at) })
 }
 
 fn move_camera(response: &egui::Response, state: &mut State, delta: [f64; 2], height: f64, modifiers: Modifiers) {

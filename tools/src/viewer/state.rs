@@ -141,6 +141,8 @@ pub(super) struct State {
     pub(super) requests: Vec<Request>,
     /// Keys that were pressed with Ctrl and are still down: they do not fly when Ctrl is let go first.
     pub(super) shortcuts: Vec<egui::Key>,
+    /// Where the scene was clicked last, points.
+    pub(super) clicked: Option<egui::Pos2>,
     /// A field of the interface had the keyboard at the end of the last frame.
     pub(super) typing: bool,
     pub(super) messages: Vec<Message>,

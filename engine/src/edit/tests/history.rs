@@ -16,8 +16,8 @@ fn history(scene: Scene) -> History {
     History::new(Session::new(scene, cameras(), 2.0))
 }
 
-/// Everything that a session holds. Of the Gaussians the bits, which is fast; of the rest what it prints, where each number reads
-/// back as the same bits.
+/// Everything that a session holds. Of the Gaussians and key poses the bits, which is fast; of the rest what it prints, where each
+/// number reads back as the same bits.
 fn hash(session: &Session) -> u64 {
     let mut hasher = DefaultHasher::new();
     for (name, shape, values) in session.scene.gaussians.arrays() {
@@ -25,6 +25,12 @@ fn hash(session: &Session) -> u64 {
     }
     let mut rest = session.clone();
     rest.scene.gaussians = Gaussians::default();
+    if let Some(table) = rest.scene.deformation.table_mut().map(std::mem::take) {
+        for poses in [&table.rotation, &table.translation] {
+            bytemuck::cast_slice::<[f32; 3], u32>(poses).hash(&mut hasher);
+        }
+        bytemuck::cast_slice::<f32, u32>(&table.times).hash(&mut hasher);
+    }
     format!("{rest:?}").hash(&mut hasher);
     hasher.finish()
 }

@@ -117,8 +117,8 @@ fn accumulate(network: &Perceptron, encoding: &[f64], upstream: &[f64], sum: &mu
         let first = layer.inputs - network.layers[i - 1].bias.len();
         d = (first..layer.inputs)
             .map(|k| {
-                let through = d.iter().enumerate().map(|(o, d)| d * layer.weight[o * layer.inputs + k]).sum();
-                if x[k] > 0.0 { through } else { 0.0 }
+                let through = || d.iter().zip(layer.column(k)).map(|(d, w)| d * w).sum();
+                if x[k] > 0.0 { through() } else { 0.0 }
             })
             .collect();
     }
@@ -156,17 +156,19 @@ mod tests {
                 let k = random.below(analytic.len());
                 let (expected, scale) = (analytic[k], norm(analytic));
                 let h = 1e-5;
-                let mut at = |delta: f64| {
+                let l = &network.layers[layer];
+                let at = k % l.inputs * l.bias.len() + k / l.inputs;
+                let mut moved = |delta: f64| {
                     let l = &mut network.layers[layer];
-                    let value = if bias { &mut l.bias[k] } else { &mut l.weight[k] };
+                    let value = if bias { &mut l.bias[k] } else { &mut l.weight[at] };
                     let old = *value;
                     *value = old + delta;
                     let result = loss(&network, rows);
                     let l = &mut network.layers[layer];
-                    *(if bias { &mut l.bias[k] } else { &mut l.weight[k] }) = old;
+                    *(if bias { &mut l.bias[k] } else { &mut l.weight[at] }) = old;
                     result
                 };
-                let ((high, on_high), (low, on_low)) = (at(h), at(-h));
+                let ((high, on_high), (low, on_low)) = (moved(h), moved(-h));
                 if on_high != on_low {
                     crossed += 1;
                     assert!(crossed < pairs, "{crossed} steps crossed a kink");

@@ -7,6 +7,7 @@ use super::gesture::{Gesture, Kind};
 use super::gizmo;
 use super::mode::{Ask, Tool};
 use super::words;
+use crate::viewer::input::Click;
 use crate::viewer::overlay::Projection;
 use crate::viewer::state::{Binding, Request, State, binding};
 
@@ -46,7 +47,7 @@ pub(crate) fn run(state: &mut State, commands: impl Into<String>) {
 }
 
 /// Takes the pointer; true when the camera must not have it.
-pub(crate) fn pointer(ui: &egui::Ui, response: &egui::Response, state: &mut State) -> bool {
+pub(crate) fn pointer(ui: &egui::Ui, response: &egui::Response, clicked: Option<Click>, state: &mut State) -> bool {
     let scale = state.edit.frame.scale;
     let pixel = |p: egui::Pos2| DVec2::new(f64::from(p.x), f64::from(p.y)) * scale;
     let (at, origin) = ui.input(|i| (i.pointer.latest_pos(), i.pointer.press_origin()));
@@ -81,7 +82,7 @@ pub(crate) fn pointer(ui: &egui::Ui, response: &egui::Response, state: &mut Stat
         drag(response, state, &way, modifiers(ui));
         return true;
     }
-    if let Some(at) = response.interact_pointer_pos().filter(|_| response.clicked() && !response.double_clicked()) {
+    if let Some(Click::Single(at)) = clicked {
         click(state, pixel(at), modifiers(ui));
         return true;
     }
