@@ -314,6 +314,11 @@ impl Gpu {
         Ok(self.finished()? >= submission.0)
     }
 
+    /// Whether the device has counted all submissions, once they were waited for.
+    pub(crate) fn counts_submissions(&self) -> Result<bool> {
+        Ok(self.finished()? >= self.0.submissions.load(Ordering::SeqCst))
+    }
+
     /// Turns a result code into an error; device loss is remembered.
     pub(super) fn vulkan_error(&self, call: &'static str, code: vk::Result) -> Error {
         if code == vk::Result::ERROR_DEVICE_LOST {

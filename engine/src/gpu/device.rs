@@ -313,8 +313,11 @@ impl Shared {
 
     /// Number of the last submission that has finished.
     pub(super) fn finished(&self) -> ash::prelude::VkResult<u64> {
+        // Some drivers that compute nothing leave it as it is.
+        let mut finished = 0;
+        let get = self.device.fp_v1_2().get_semaphore_counter_value;
         // SAFETY: the semaphore is live.
-        unsafe { self.device.get_semaphore_counter_value(self.timeline) }
+        unsafe { get(self.device.handle(), self.timeline, &mut finished) }.result_with_success(finished)
     }
 
     /// Waits for everything that the engine submitted; of its own device, for everything.

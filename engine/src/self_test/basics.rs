@@ -45,6 +45,9 @@ fn copy(gpu: &Gpu) -> Result<()> {
     r.copy(&device, &to)?;
     r.host_read(&to);
     gpu.run(r)?;
+    if !gpu.counts_submissions()? {
+        return Err(wrong_copy("it computes nothing: a submission that was waited for has not ended"));
+    }
     let mut copied = vec![0_u32; COPIED];
     to.read(0, bytemuck::cast_slice_mut(&mut copied))?;
     check_copy(&copied, &pattern)
@@ -64,7 +67,11 @@ fn check_copy(found: &[u32], expected: &[u32]) -> Result<()> {
             expected[first]
         )
     };
-    Err(Error::Kernel { kernel: "vkCmdCopyBuffer".into(), why })
+    Err(wrong_copy(why))
+}
+
+fn wrong_copy(why: impl Into<String>) -> Error {
+    Error::Kernel { kernel: "vkCmdCopyBuffer".into(), why: why.into() }
 }
 
 /// The passes of a sort of random keys with values, each fed by the twins of those before it, so that they are independent.

@@ -7,7 +7,7 @@ use glam::DVec3;
 use super::editing::input as editing;
 use super::editing::mode::Ask;
 use super::navigator::{Navigation, Thrust};
-use super::state::{Binding, Request, Show, State, binding};
+use super::state::{Binding, Click, Request, Show, State, binding};
 
 /// How far apart the clicks of a double click may be, points.
 const DOUBLE_CLICK_REACH: f32 = 6.0;
@@ -89,13 +89,6 @@ pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut 
     let typing = ui.ctx().wants_keyboard_input();
     let was_typing = std::mem::replace(&mut state.typing, typing);
     if typing || was_typing { Thrust::default() } else { keys(ui.ctx(), state) }
-}
-
-/// A click on the scene, points.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Click {
-    Single(egui::Pos2),
-    Double(egui::Pos2),
 }
 
 /// The click that ended in this frame. For egui two quick clicks are a double click wherever they are: here at one place only.

@@ -111,6 +111,13 @@ pub(super) enum Request {
     Quit,
 }
 
+/// A click on the scene, points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Click {
+    Single(egui::Pos2),
+    Double(egui::Pos2),
+}
+
 /// A line that goes by itself.
 #[derive(Debug, Clone)]
 pub(super) struct Message {

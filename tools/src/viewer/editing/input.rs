@@ -7,9 +7,8 @@ use super::gesture::{Gesture, Kind};
 use super::gizmo;
 use super::mode::{Ask, Tool};
 use super::words;
-use crate::viewer::input::Click;
 use crate::viewer::overlay::Projection;
-use crate::viewer::state::{Binding, Request, State, binding};
+use crate::viewer::state::{Binding, Click, Request, State, binding};
 
 /// Shortest side of a rectangle, and step of a lasso, pixels.
 const STEP: f64 = 3.0;
