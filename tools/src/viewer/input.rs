@@ -70,7 +70,7 @@ pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut 
     // A drag has moved in the frame of its release too.
     let delta = ui.input(|i| i.pointer.delta());
     let delta = [f64::from(delta.x), f64::from(delta.y)];
-    let click = click(response, state);
+    let click = click(ui, response, state);
     let is_taken = state.edit.on && editing::pointer(ui, response, click, state);
     if !is_taken {
         move_camera(response, state, delta, height, modifiers);
@@ -92,10 +92,17 @@ pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut 
 }
 
 /// The click that ended in this frame. For egui two quick clicks are a double click wherever they are: here at one place only.
-fn click(response: &egui::Response, state: &mut State) -> Option<Click> {
+fn click(ui: &egui::Ui, response: &egui::Response, state: &mut State) -> Option<Click> {
     let at = response.interact_pointer_pos().filter(|_| response.clicked())?;
-    let before = state.clicked.replace(at);
-    let is_double = response.double_clicked() && before.is_some_and(|b| b.distance(at) <= DOUBLE_CLICK_REACH);
+    let let_go = |event: &egui::Event| match event {
+        egui::Event::PointerButton { pos, button: PointerButton::Primary, pressed: false, .. } => Some(*pos),
+        _ => None,
+    };
+    // A slow frame may have both clicks.
+    let in_frame = ui.input(|i| i.events.iter().rev().filter_map(let_go).nth(1));
+    let before = in_frame.or(state.clicked.replace(at));
+    let is_quick = response.double_clicked() || response.triple_clicked();
+    let is_double = is_quick && before.is_some_and(|b| b.distance(at) <= DOUBLE_CLICK_REACH);
     Some(if is_double { Click::Double(at) } else { Click::Single(at) })
 }
 
