@@ -100,7 +100,8 @@ fn click(ui: &egui::Ui, response: &egui::Response, state: &mut State) -> Option<
     };
     // A slow frame may have both clicks.
     let in_frame = ui.input(|i| i.events.iter().rev().filter_map(let_go).nth(1));
-    let before = in_frame.or(state.clicked.replace(at));
+    let last = state.clicked.replace(at);
+    let before = in_frame.or(last);
     let is_quick = response.double_clicked() || response.triple_clicked();
     let is_double = is_quick && before.is_some_and(|b| b.distance(at) <= DOUBLE_CLICK_REACH);
     Some(if is_double { Click::Double(at) } else { Click::Single(at) })
