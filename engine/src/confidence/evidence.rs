@@ -1,6 +1,5 @@
 //! What training views say, and the images that follow from it.
 
-use super::contribution::Contributions;
 use crate::data::loader::ImageLoader;
 use crate::error::{Error, Result};
 use crate::file::codec::SH_C0;
@@ -8,6 +7,7 @@ use crate::gpu::Gpu;
 use crate::image::Image;
 use crate::render::{RenderOptions, Renderer};
 use crate::scene::{Camera, Gaussians, Scene};
+use crate::train::contribution::Contributions;
 
 /// Pixels that count as much as what is thought of a Gaussian that nobody saw.
 pub const PRIOR_PIXELS: f64 = 4.0;

@@ -10,11 +10,10 @@
 //! end, a few large errors decide: held-out images of `bending_creature`, 400×400 pixels, then had a rank correlation of −0.34
 //! with the true errors, with plain ones 0.88.)
 
-mod contribution;
 mod evidence;
 mod file;
 mod rank;
 
-pub use contribution::Contributions;
+pub use crate::train::contribution::Contributions;
 pub use evidence::{Confidence, Evidence, ExpectedErrors, PRIOR_ERROR, PRIOR_PIXELS};
 pub use rank::{correlation, rank_correlation};

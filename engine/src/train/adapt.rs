@@ -1,7 +1,9 @@
 //! Density control in the trainer: what a pass needs and what it replaces.
 
 use super::blend_backward::ROW_WORDS;
-use super::density::{Density, DensityBuffers, DensityChange, DensityOptions, NewRows, RowArray, reset_opacity};
+use super::density::{
+    Density, DensityBuffers, DensityChange, DensityOptions, DensityOutcome, NewRows, RowArray, reset_opacity,
+};
 use super::trainer::{Trainer, pose_gradient_bytes};
 use crate::data::dataset::View;
 use crate::error::{Error, Result};
@@ -23,7 +25,7 @@ impl Trainer {
     /// Whether [`Trainer::adapt_density`] does anything after `iteration`.
     pub(super) fn adapts_density(&self, iteration: u64) -> bool {
         let s = &self.schedule;
-        s.grows(iteration) || s.prunes(iteration) || s.resets_opacity(iteration)
+        s.grows(iteration) || s.prunes(iteration) || s.resets_opacity(iteration) || s.prunes_unseen(iteration)
     }
 
     /// Clone, split, prune and reset after `iteration`, as the schedule says.
@@ -32,7 +34,13 @@ impl Trainer {
         let n = self.parameters.count();
         let mut change = DensityChange { before: n, after: n, ..DensityChange::default() };
         if (grows || prunes) && n > 0 {
-            self.pass(iteration, grows, prunes, &mut change)?;
+            match self.pass(iteration, grows, prunes)? {
+                Some(o) => {
+                    (change.after, change.cloned, change.split) = (o.new_count, o.cloned, o.split);
+                    (change.pruned, change.refused) = (o.pruned, o.refused);
+                }
+                None => change.refused = n,
+            }
         }
         if self.schedule.resets_opacity(iteration) {
             let p = &self.parameters;
@@ -40,13 +48,18 @@ impl Trainer {
             reset_opacity(&self.gpu, &p.scene.parameter[OPACITY_LOGIT], moments, p.count(), RESET_OPACITY)?;
             change.opacity_reset = true;
         }
-        if change.opacity_reset || grows || prunes {
+        let unseen = self.schedule.prunes_unseen(iteration) && self.parameters.count() > 0;
+        if let Some(o) = if unseen { self.prune_unseen(iteration)? } else { None } {
+            (change.after, change.unseen) = (o.new_count, o.pruned);
+        }
+        if change.opacity_reset || grows || prunes || unseen {
             self.density_change = Some(change);
         }
         Ok(())
     }
 
-    fn pass(&mut self, iteration: u64, grows: bool, prunes: bool, change: &mut DensityChange) -> Result<()> {
+    /// `None` where there is no room for a second copy of an array: the Gaussians are as they were then.
+    pub(super) fn pass(&mut self, iteration: u64, grows: bool, prunes: bool) -> Result<Option<DensityOutcome>> {
         // Recorded commands hold the old buffers.
         self.targets.clear();
         let d = &self.schedule.config().density;
@@ -66,16 +79,11 @@ impl Trainer {
         let n = self.parameters.count();
         let outcome = match Density::new(&self.gpu).run(self.density_buffers(), n, &options) {
             Ok(outcome) => outcome,
-            // No room for a second copy of an array: go on with the Gaussians there are.
-            Err(Error::OutOfMemory { .. }) => {
-                change.refused = n;
-                return Ok(());
-            }
+            Err(Error::OutOfMemory { .. }) => return Ok(None),
             Err(e) => return Err(e),
         };
-        (change.after, change.cloned, change.split) = (outcome.new_count, outcome.cloned, outcome.split);
-        (change.pruned, change.refused) = (outcome.pruned, outcome.refused);
-        self.take(outcome.new_count, outcome.buffers)
+        self.take(outcome.new_count, outcome.buffers.clone())?;
+        Ok(Some(outcome))
     }
 
     /// The configured number, or fewer where the device's memory ends: of what is free now, the images of a step come off,

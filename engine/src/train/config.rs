@@ -253,6 +253,10 @@ pub struct DensityConfig {
     pub max_radius_px: f32,
     /// World size above which it goes then too, as a share of the scene's extent (0.1).
     pub max_extent: f32,
+    /// From `until` on, every so many iterations, those go that the photos show least; 0: never.
+    pub unseen_interval: u64,
+    /// They may be up to this share of what the photos show: of Σ αT over pixels, photos and Gaussians.
+    pub unseen_share: f64,
 }
 
 impl Config {
@@ -345,6 +349,7 @@ impl Config {
             ("loss.lambda_rotation", f64::from(self.loss.lambda_rotation), 0.0, 1e6),
             ("loss.lambda_translation", f64::from(self.loss.lambda_translation), 0.0, 1e6),
             ("schedule.time_window_centre", self.schedule.time_window_centre, 0.0, 1.0),
+            ("density.unseen_share", self.density.unseen_share, 0.0, 0.5),
             ("near", f64::from(self.near), 0.0, 1e6),
             ("gaussians.initial_opacity", f64::from(self.gaussians.initial_opacity), 1e-6, 0.999_999),
             ("gaussians.random_extent", f64::from(self.gaussians.random_extent), 1e-6, 1e9),
@@ -399,6 +404,7 @@ impl Config {
                 &mut c.density.until,
                 &mut c.density.opacity_reset_interval,
                 &mut c.density.prune_interval,
+                &mut c.density.unseen_interval,
                 &mut c.learning_rate.mean_iterations,
                 &mut c.learning_rate.deform_iterations,
             ]

@@ -77,6 +77,8 @@ pub struct DensityChange {
     pub split: u32,
     /// Removed.
     pub pruned: u32,
+    /// Removed because the photos hardly show them.
+    pub unseen: u32,
     /// Would have grown, but for the budget.
     pub refused: u32,
     /// Opacities were reset.

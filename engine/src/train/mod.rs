@@ -18,7 +18,8 @@
 //! bits as with one step at a time ([`trainer::flight`]). Nothing is applied when the view needs more tile instances than there is room for, and
 //! nothing of the steps behind it; they are repeated in order with larger buffers. Photos stay on the device where they fit
 //! (`photos`). Nothing that is not finite is ever applied (`status`). What happens when is [`schedule`]; every number of it
-//! is [`config`]; `adapt` is density control, [`checkpoint`] what a run goes on from, [`export`] and [`bake`] what is played.
+//! is [`config`]; `adapt` is density control, `unseen` what
+//! no photo shows, [`checkpoint`] what a run goes on from, [`export`] and [`bake`] what is played.
 
 #[doc(hidden)]
 pub mod adam;
@@ -33,6 +34,8 @@ pub mod blend_backward;
 pub mod check_finite;
 pub mod checkpoint;
 pub mod config;
+#[doc(hidden)]
+pub mod contribution;
 #[doc(hidden)]
 pub mod deform_project_backward;
 mod deformation;
@@ -73,6 +76,7 @@ pub mod step;
 mod target;
 mod time_window;
 pub mod trainer;
+mod unseen;
 pub mod usage;
 
 pub use association::{AssociationInit, AssociationOptions};

@@ -131,6 +131,13 @@ impl Schedule {
         }
     }
 
+    /// Whether what the photos show least goes after `iteration`; what is left has an interval to make up for it.
+    pub fn prunes_unseen(&self, iteration: u64) -> bool {
+        let (d, interval) = (&self.config.density, self.config.density.unseen_interval);
+        let is_late = iteration >= self.density_until() && iteration.saturating_add(interval) <= self.iterations();
+        d.enabled && self.stage != Stage::Nonrigid && interval > 0 && is_late && iteration.is_multiple_of(interval)
+    }
+
     /// Whether size limits apply when pruning: only once opacities were reset.
     pub fn prunes_large(&self, iteration: u64) -> bool {
         let interval = self.config.density.opacity_reset_interval;
@@ -242,6 +249,21 @@ mod tests {
         assert_eq!((grown[0], *grown.last().unwrap(), grown.len()), (600, 14_900, 144));
         assert_eq!((1..40_000).filter(|&i| s.resets_opacity(i)).collect::<Vec<_>>(), [3000, 6000, 9000, 12_000]);
         assert!(!s.prunes_large(3000) && s.prunes_large(3100));
+        assert!((1..=40_000).all(|i| !s.prunes_unseen(i)));
+    }
+
+    #[test]
+    fn what_is_hardly_seen_goes_after_growth_and_with_time_to_make_up_for_it() {
+        let unseen = |stage, interval| {
+            let mut config = Config::default();
+            config.density.unseen_interval = interval;
+            let s = Schedule::new(&config, stage, 4.0);
+            (1..=40_000).filter(|&i| s.prunes_unseen(i)).collect::<Vec<_>>()
+        };
+        for stage in [Stage::Static, Stage::Rigid] {
+            assert_eq!(unseen(stage, 5000), [15_000, 20_000, 25_000, 30_000, 35_000]);
+        }
+        assert_eq!([unseen(Stage::Nonrigid, 5000), unseen(Stage::Rigid, u64::MAX)], [[0; 0]; 2]);
     }
 
     #[test]

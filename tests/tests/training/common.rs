@@ -41,6 +41,7 @@ until = 35
 interval = 10
 opacity_reset_interval = 25
 gradient_threshold = 6e-4
+unseen_interval = 3
 [log]
 evaluate_interval = 0
 interval = 1

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use crate::common::{PosedOptions, config_file, log, newest, posed, succeed, train};
 
-/// 200 steps: warm-up, superpoints, motion, growth, pruning, opacity resets.
+/// 200 steps: warm-up, superpoints, motion, growth, pruning, opacity resets; what the photos hardly show.
 const LONG: &str = "
 iterations = 200
 [schedule]
@@ -17,6 +17,7 @@ interval = 20
 opacity_reset_interval = 90
 gradient_threshold = 1e-4
 min_opacity = 0.02
+unseen_interval = 5
 [motion]
 network_layers = 8
 network_width = 256
@@ -41,7 +42,7 @@ fn two_hundred_steps_give_the_same_bits_in_every_process() {
     };
     let (first, lines) = run("first", None);
     let sum = |key: &str| lines.iter().filter_map(|l| l["density"][key].as_u64()).sum::<u64>();
-    for key in ["cloned", "split", "pruned"] {
+    for key in ["cloned", "split", "pruned", "unseen"] {
         assert!(sum(key) > 0, "the run covers no `{key}`");
     }
     let passes_of_motion =

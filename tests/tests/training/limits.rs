@@ -86,7 +86,7 @@ fn a_byte_budget_ends_growth_or_is_one_clear_error() {
 fn every_allocation_may_fail() {
     let posed = posed(&PosedOptions { train: 2, test: 0, ..PosedOptions::default() });
     let (_, data) = load(&posed);
-    let density = "[density]\nfrom = 0\ninterval = 1\nopacity_reset_interval = 0";
+    let density = "[density]\nfrom = 0\ninterval = 1\nopacity_reset_interval = 0\nuntil = 2\nunseen_interval = 1";
     // Construction and two steps with density control, allocation by allocation; then with motion, every fifth.
     let still = fail_each(&data, &format!("[schedule]\nwarm_up = 100\n{density}"), 1);
     assert!(still > 60, "{still} allocations failed");

@@ -70,3 +70,33 @@ fn a_static_data_set_trains_without_motion() {
     assert!(log(&out).iter().all(|l| l["superpoints"].as_u64().unwrap_or(0) == 0));
     assert!(!newest(&out).is_empty());
 }
+
+#[test]
+fn what_no_photo_shows_goes_and_what_they_show_stays() {
+    let posed = posed(&PosedOptions { moving: false, test: 0, ..PosedOptions::default() });
+    let (_, data) = load(&posed);
+    let (mut first, hidden) = (posed.scene.gaussians.clone(), 7);
+    let far = (0..hidden).map(|i| [1000.0 + i as f32, 0.0, 0.0]);
+    first.mean.extend(far);
+    first.log_scale.extend_from_within(..hidden);
+    first.rotation.extend_from_within(..hidden);
+    first.opacity_logit.extend_from_within(..hidden);
+    let one = first.sh.len() / posed.scene.gaussians.len();
+    first.sh.extend_from_within(..hidden * one);
+    let after = |share: f64| {
+        let density =
+            format!("from = 0\nuntil = 2\ngradient_threshold = 1e9\nunseen_interval = 2\nunseen_share = {share}");
+        let config = config(&format!("[density]\nmin_opacity = 1e-6\nmax_extent = 1e9\n{density}"));
+        let mut trainer = Trainer::new(&gpu(), &config, &data, &first).unwrap();
+        advance(&mut trainer, 2).unwrap();
+        let change = trainer.take_density_change().unwrap();
+        assert_eq!(change.before - change.unseen, change.after);
+        let mean = trainer.scene().unwrap().gaussians.mean;
+        (change.unseen as usize, mean.iter().filter(|m| m[0] > 900.0).count(), mean.len())
+    };
+    let seen = posed.scene.gaussians.len();
+    assert_eq!(after(0.0), (0, hidden, seen + hidden));
+    let (gone, left, count) = after(0.01);
+    assert_eq!((left, count), (0, seen + hidden - gone));
+    assert!(gone >= hidden && gone - hidden < seen / 4, "{gone} of {} are gone", seen + hidden);
+}

@@ -84,6 +84,7 @@ impl Preset {
         let mut c = Config { method: Method::Best, ..self.config() };
         if self == Self::Dnerf {
             c.schedule.coarse_to_fine = 20_000;
+            c.density.unseen_interval = 5000;
         }
         c
     }
@@ -246,6 +247,8 @@ impl Default for DensityConfig {
             min_opacity: 0.005,
             max_radius_px: 20.0,
             max_extent: 0.1,
+            unseen_interval: 0,
+            unseen_share: 0.02,
         }
     }
 }

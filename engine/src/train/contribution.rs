@@ -1,5 +1,6 @@
 //! How much of an image each Gaussian makes up.
 
+use super::blend_backward::{self, BackwardInput, BackwardTarget, ROW_WORDS};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Memory, Slice};
 use crate::render::RenderOptions;
@@ -12,7 +13,6 @@ use crate::render::scene_buffers::SceneBuffers;
 use crate::render::tiles::SlotBuffers;
 use crate::render::work_buffers::{COUNTER_WORDS, DEPTH_KEY_BITS, WorkBuffers};
 use crate::scene::{Camera, Scene};
-use crate::train::blend_backward::{self, BackwardInput, BackwardTarget, ROW_WORDS};
 
 /// Where a row of `splat_gradient` has what it makes up of the three channels.
 const CHANNELS: usize = 6;
