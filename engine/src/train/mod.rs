@@ -18,8 +18,8 @@
 //! bits as with one step at a time ([`trainer::flight`]). Nothing is applied when the view needs more tile instances than there is room for, and
 //! nothing of the steps behind it; they are repeated in order with larger buffers. Photos stay on the device where they fit
 //! (`photos`). Nothing that is not finite is ever applied (`status`). What happens when is [`schedule`]; every number of it
-//! is [`config`]; `adapt` is density control, `unseen` what
-//! no photo shows, [`checkpoint`] what a run goes on from, [`export`] and [`bake`] what is played.
+//! is [`config`]; `adapt` is density control, `unseen` removes what no photo shows, [`checkpoint`] is what a run goes on from,
+//! [`export`] and [`bake`] what is played.
 
 #[doc(hidden)]
 pub mod adam;

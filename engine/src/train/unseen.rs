@@ -19,8 +19,10 @@ const GONE: f32 = -80.0;
 impl Trainer {
     /// Removes those that the photos show least; `None` where there was no room to.
     pub(super) fn prune_unseen(&mut self, iteration: u64) -> Result<Option<DensityOutcome>> {
+        // What a step needs besides is made again: its memory is wanted here.
+        self.targets.clear();
         let contributions = match self.contributions(iteration) {
-            Err(Error::OutOfMemory { .. }) => return Ok(None),
+            Err(Error::OutOfMemory { .. } | Error::Limit { .. }) => return Ok(None),
             other => other?,
         };
         let least = least_seen(&contributions, self.schedule.config().density.unseen_share);
