@@ -18,6 +18,7 @@ opacity_reset_interval = 90
 gradient_threshold = 1e-4
 min_opacity = 0.02
 unseen_interval = 5
+unseen_share = 0.02
 [motion]
 network_layers = 8
 network_width = 256

@@ -248,7 +248,7 @@ impl Default for DensityConfig {
             max_radius_px: 20.0,
             max_extent: 0.1,
             unseen_interval: 0,
-            unseen_share: 0.02,
+            unseen_share: 0.01,
         }
     }
 }
