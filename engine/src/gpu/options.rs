@@ -32,7 +32,9 @@ pub enum SelfTest {
 pub struct GpuOptions {
     /// Index in `spgs devices`, or part of the device's name. `None`: discrete before integrated before virtual before CPU.
     pub device: Option<String>,
-    /// Enable the Khronos validation layer with synchronisation validation; its messages are collected.
+    /// Enable the Khronos validation layer with synchronisation validation; its messages are collected. A process should have one
+    /// device at a time then: a layer up to version 1.3.296 can crash when a thread opens or closes a device while another uses
+    /// its own.
     pub validation: bool,
     /// With `validation`: GPU-assisted checks (reads and writes past the end of a buffer) instead of synchronisation
     /// validation. `SPGS_GPU_ASSISTED=1`.
