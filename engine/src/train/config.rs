@@ -178,6 +178,9 @@ pub struct LearningRates {
     pub sh_0: f64,
     /// SH degrees 1–3 (2.5e-3 / 20).
     pub sh_rest: f64,
+    /// A run shorter than `schedule.reference_iterations` has its SH rates multiplied by (reference / iterations)^this: with
+    /// Adam they are what a colour moves by in a step, and it has as far to go. 0: they stay (paper and code).
+    pub sh_length_exponent: f64,
     /// What is left of the rates of scales, quaternions, opacities and SH when the centres' has fallen (3DGS: 1, they stay).
     pub final_share: f64,
     /// Those of optional parameters, by name; the table of parameters has one for each that is not here.
@@ -364,6 +367,7 @@ impl Config {
             ("learning_rate.opacity_logit", self.learning_rate.opacity_logit, 0.0, 10.0),
             ("learning_rate.sh_0", self.learning_rate.sh_0, 0.0, 1.0),
             ("learning_rate.sh_rest", self.learning_rate.sh_rest, 0.0, 1.0),
+            ("learning_rate.sh_length_exponent", self.learning_rate.sh_length_exponent, 0.0, 1.0),
             ("learning_rate.final_share", self.learning_rate.final_share, 1e-6, 1.0),
             ("learning_rate.deform", self.learning_rate.deform, 0.0, 1.0),
             ("learning_rate.deform_final", self.learning_rate.deform_final, 0.0, 1.0),
@@ -383,8 +387,8 @@ impl Config {
     }
 
     /// The configuration with its schedule in iterations of this run: every one that is given for
-    /// `schedule.reference_iterations` times `iterations / reference_iterations`. Intervals of density control, logs and
-    /// checkpoints stay.
+    /// `schedule.reference_iterations` times `iterations / reference_iterations`, and with its rates of SH
+    /// ([`LearningRates::sh_length_exponent`]). Intervals of density control, logs and checkpoints stay.
     pub fn scaled(&self) -> Self {
         let mut c = self.clone();
         if self.schedule.scale && self.iterations != self.schedule.reference_iterations {
@@ -410,6 +414,9 @@ impl Config {
             ]
             .into_iter()
             .for_each(scale);
+            let faster = ratio.min(1.0).powf(-self.learning_rate.sh_length_exponent);
+            c.learning_rate.sh_0 *= faster;
+            c.learning_rate.sh_rest *= faster;
             c.schedule.reference_iterations = self.iterations;
         }
         c

@@ -85,6 +85,7 @@ impl Preset {
         if self == Self::Dnerf {
             c.schedule.coarse_to_fine = 20_000;
             c.density.unseen_interval = 5000;
+            c.learning_rate.sh_length_exponent = 0.5;
         }
         c
     }
@@ -216,6 +217,7 @@ impl Default for LearningRates {
             opacity_logit: 0.05,
             sh_0: 2.5e-3,
             sh_rest: 1.25e-4,
+            sh_length_exponent: 0.0,
             final_share: 1.0,
             optional: BTreeMap::new(),
             deform: 1e-3,

@@ -66,6 +66,24 @@ fn the_schedule_scales_with_the_length_of_the_run() {
 }
 
 #[test]
+fn shorter_runs_learn_colours_faster() {
+    let rates = |iterations, exponent| {
+        let mut c = Config { iterations, ..Config::default() };
+        c.learning_rate.sh_length_exponent = exponent;
+        let scaled = c.scaled();
+        assert_eq!(scaled.scaled(), scaled, "scaling twice is scaling once");
+        let faster = scaled.learning_rate.sh_0 / c.learning_rate.sh_0;
+        assert!((scaled.learning_rate.sh_rest / c.learning_rate.sh_rest - faster).abs() < 1e-9);
+        assert_eq!(scaled.learning_rate.opacity_logit, c.learning_rate.opacity_logit);
+        faster
+    };
+    assert!((rates(10_000, 0.5) - 2.0).abs() < 1e-9);
+    assert_eq!([rates(10_000, 0.0), rates(40_000, 0.5), rates(80_000, 0.5)], [1.0; 3]);
+    assert!(Preset::Dnerf.best().learning_rate.sh_length_exponent > 0.0);
+    assert_eq!(Preset::Dnerf.config().learning_rate.sh_length_exponent, 0.0);
+}
+
+#[test]
 fn rates_decay_log_linearly() {
     assert!((decayed(1e-2, 1e-4, 50, 100) - 1e-3).abs() < 1e-12);
     assert_eq!(decayed(1e-2, 1e-4, 500, 100), decayed(1e-2, 1e-4, 100, 100));
