@@ -68,9 +68,8 @@ fn use_while_others_come_and_go(options: &GpuOptions, rounds: u32) {
         for _ in 0..THREADS / 2 {
             threads.spawn(|| use_until(options, &over));
         }
-        let others: Vec<_> = (0..THREADS / 2)
-            .map(|_| threads.spawn(move || (0..rounds).for_each(|i| use_once(options, i))))
-            .collect();
+        let others: Vec<_> =
+            (0..THREADS / 2).map(|_| threads.spawn(move || (0..rounds).for_each(|i| use_once(options, i)))).collect();
         // The others end in any case.
         let ended: Vec<_> = others.into_iter().map(|t| t.join()).collect();
         over.store(true, Relaxed);
