@@ -49,7 +49,7 @@ fn compile(source: &Path, folder: &Path, libraries: &[&str]) -> PathBuf {
     // What the program asks for is the library's soname.
     let named = folder.join("libspgs.so.0");
     if !named.exists() {
-        std::os::unix::fs::symlink(library_folder().join("libspgs.so"), named).unwrap();
+        std::fs::copy(library_folder().join("libspgs.so"), named).unwrap();
     }
     program
 }

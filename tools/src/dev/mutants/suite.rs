@@ -128,7 +128,7 @@ fn listen(lines: &Receiver<String>, end: Instant) -> Option<Verdict> {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, unix))] // The programs are shell scripts.
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
