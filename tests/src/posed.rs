@@ -30,6 +30,8 @@ pub struct PosedOptions {
     pub moving: bool,
     /// How far superpoints swing, world units; beside the scene's own rocking.
     pub swing: f32,
+    /// Whether the last superpoint is a ball that circles above the others, by more than its size from image to image.
+    pub ball: bool,
     /// Whether every other Gaussian is seen early, and the others late.
     pub comes_and_goes: bool,
 }
@@ -44,6 +46,7 @@ impl Default for PosedOptions {
             superpoints: 3,
             moving: true,
             swing: 0.3,
+            ball: false,
             comes_and_goes: false,
         }
     }
@@ -96,11 +99,40 @@ fn scene(options: &PosedOptions) -> Scene {
             translation[j % 3] += options.swing * (std::f32::consts::TAU * time).sin();
         }
     }
+    if options.ball {
+        throw_ball(&mut scene, options.superpoints - 1);
+    }
     if options.comes_and_goes {
         let lifespan = |i: usize| [[0.1_f32, -1.6], [0.9, -1.6]][i % 2];
         scene.gaussians.optional.set(LIFESPAN, (0..options.gaussians).flat_map(lifespan).collect());
     }
     scene
+}
+
+/// Makes a ball of a superpoint's Gaussians: red, 0.2 in radius, on a circle of radius 0.9 above the others, once around in two
+/// thirds of the time.
+fn throw_ball(scene: &mut Scene, ball: usize) {
+    let of_gaussian = scene.deformation.superpoint_of_gaussian().to_vec();
+    let start = DVec3::new(0.9, 1.15, 0.0);
+    let k3 = scene.gaussians.sh_coefficients() * 3;
+    let g = &mut scene.gaussians;
+    for (at, i) in (0..g.len()).filter(|&i| of_gaussian[i] as usize == ball).enumerate() {
+        let angles = DVec3::new(1.0, 2.3, 3.7) * at as f64;
+        let inside = 0.15 * DVec3::new(angles.x.sin(), angles.y.sin(), angles.z.sin());
+        g.mean[i] = (start + inside).as_vec3().to_array();
+        (g.log_scale[i], g.opacity_logit[i]) = ([-2.8; 3], 3.0);
+        g.sh[i * k3..(i + 1) * k3].fill(0.0);
+        g.sh[i * k3] = 1.5;
+    }
+    if let Some(motion) = scene.deformation.table_mut() {
+        let superpoints = motion.translation.len() / motion.times.len();
+        for (time, at) in motion.times.iter().zip((ball..).step_by(superpoints)) {
+            let angle = 1.5 * std::f64::consts::TAU * f64::from(*time);
+            let place = DVec3::new(0.9 * angle.cos(), 1.15 + 0.15 * (2.0 * angle).sin(), 0.9 * angle.sin());
+            motion.rotation[at] = [0.0; 3];
+            motion.translation[at] = (place - start).as_vec3().to_array();
+        }
+    }
 }
 
 /// Writes both splits with the pictures that `render` makes.

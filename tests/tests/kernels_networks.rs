@@ -9,6 +9,7 @@ use engine::train::linear::linear_backward_input::*;
 use engine::train::linear::linear_backward_weight::*;
 use engine::train::linear::linear_update::*;
 use engine::train::linear::{self, LinearConstants, Output, Stage};
+use engine::train::lost::add_path::*;
 use engine::train::network_f::encode_superpoints::*;
 use engine::train::network_g::encode_gaussians::*;
 use engine::train::status;
@@ -235,6 +236,32 @@ fn encoding_matches_its_twin() {
         let (push, groups) = (EncodeSuperpointsPush { rows }, (76 * rows).div_ceil(256));
         let case = KernelCase { kernel: &ENCODE_SUPERPOINTS, constants: (), push, buffers, groups };
         case.check(&gpu, &format!("{rows} rows"));
+    }
+}
+
+#[test]
+fn a_path_is_added_as_its_twin_does() {
+    let gpu = tests_harness::shared_gpu();
+    let mut r = Random(6);
+    // Before, between, at and after the path's times; one time alone; more superpoints than a workgroup has threads.
+    for (superpoints, times) in
+        [(1_u32, vec![0.9_f32]), (20, vec![0.4, 0.6]), (300, vec![0.0, 0.1, 0.37, 1.0]), (7, vec![0.1, 0.2, 0.3])]
+    {
+        let follows: Vec<u32> = (0..superpoints).map(|m| m % 3).collect();
+        let buffers = AddPathBuffers {
+            step: step_words(),
+            path_time: times.iter().map(|t| t.to_bits()).collect(),
+            path_offset: floats(&mut r, 3 * times.len(), 2.0),
+            follows: follows.clone(),
+            pose: floats(&mut r, 8 * superpoints as usize, 1.0),
+        };
+        let before = buffers.pose.clone();
+        let push = AddPathPush { superpoints, times: times.len() as u32 };
+        let case = KernelCase { kernel: &ADD_PATH, constants: (), push, buffers, groups: superpoints.div_ceil(256) };
+        let done = case.check(&gpu, &format!("{superpoints} superpoints, {} times", times.len()));
+        for (m, (old, new)) in before.chunks(8).zip(done.pose.chunks(8)).enumerate() {
+            assert_eq!(old == new, follows[m] == 0, "superpoint {m}");
+        }
     }
 }
 

@@ -237,8 +237,8 @@ fn demo_and_bench_report_what_they_measured() {
 fn prediction(predicted: &serde_json::Value, measured: &serde_json::Value) {
     assert_eq!(predicted["dispatches"], measured["dispatches"]);
     assert_eq!(predicted["barriers"], measured["barriers"]);
-    let share = predicted["subtile_share"].as_f64().unwrap();
-    assert!((0.25..=1.0).contains(&share), "{share}");
+    let share = |name: &str| predicted["subtiles"][name].as_f64().unwrap();
+    assert!((0.25..=1.0).contains(&share("reached")) && (0.0..=1.0).contains(&share("blended")), "{predicted}");
     let gpus = predicted["gpus"].as_array().unwrap();
     assert_eq!(
         gpus.iter().map(|g| g["gpu"].as_str().unwrap()).collect::<Vec<_>>(),

@@ -8,6 +8,7 @@ mod table;
 use super::association::AssociationOptions;
 use super::config::Config;
 use super::density::RowArray;
+use super::lost::path::Path;
 use super::saved::{Saved, Stored};
 use super::step::Step;
 use super::usage::TrainingMemory;
@@ -133,6 +134,11 @@ pub(super) trait TrainedDeformation: std::fmt::Debug + Send + Sync {
 
     /// Writes its state into a checkpoint.
     fn save(&self, gpu: &Gpu, scene: &SceneBuffers, saved: &mut Saved) -> Result<()>;
+
+    /// From here on the superpoints that belong to an object follow its path.
+    fn follow(&mut self, _: &Gpu, _: Path) -> Result<()> {
+        Ok(())
+    }
 
     /// Poses of superpoints at `times`, through the buffer `step`; `None` where the model has none.
     fn table_at(&self, _: &Gpu, _: &Buffer, _: &[f32]) -> Result<Option<Motion>> {

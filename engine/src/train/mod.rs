@@ -51,6 +51,7 @@ pub mod image_loss;
 pub mod init;
 #[doc(hidden)]
 pub mod linear;
+pub mod lost;
 #[doc(hidden)]
 pub mod network_f;
 #[doc(hidden)]
@@ -95,6 +96,7 @@ static BY_MODULE: &[&[&Kernel]] = &[
     check_finite::KERNELS,
     linear::KERNELS,
     network_f::KERNELS,
+    lost::KERNELS,
     network_g::KERNELS,
     association::KERNELS,
     property_loss::KERNELS,

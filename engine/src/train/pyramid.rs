@@ -43,6 +43,14 @@ impl Pyramid {
         photo + self.photos * (left * levels).div_ceil(self.iterations.max(1)) as usize
     }
 
+    /// Places of the photos at the smallest size whose shorter side has this many pixels; the full ones where none has.
+    pub(super) fn smallest(&self, side: u32) -> std::ops::Range<usize> {
+        let sizes = self.views.chunks(self.photos.max(1));
+        let large = sizes.take_while(|views| views.iter().all(|v| v.camera.width.min(v.camera.height) >= side));
+        let first = self.photos * large.count().saturating_sub(1);
+        first..first + self.photos
+    }
+
     /// Which photo a place in `views` is.
     pub(super) fn photo(&self, place: usize) -> usize {
         place % self.photos.max(1)

@@ -10,6 +10,7 @@ use super::config::Config;
 use super::deform_project_backward::SLOT_PLANES;
 use super::deformation::{self, Trained};
 use super::density::DensityChange;
+use super::lost::LostObject;
 use super::parameters::{ParameterState, Parameters};
 use super::photos::Photos;
 use super::pyramid::Pyramid;
@@ -146,6 +147,7 @@ pub struct Trainer {
     /// Of the last step that [`Trainer::step`] ran.
     timings: Vec<Timing>,
     repeated: u64,
+    lost_object: Option<LostObject>,
 }
 
 impl Trainer {
@@ -224,6 +226,7 @@ impl Trainer {
             profile: Profile::Off,
             timings: Vec::new(),
             repeated: 0,
+            lost_object: None,
         })
     }
 
@@ -322,7 +325,12 @@ impl Trainer {
         if self.parameters.count() == 0 {
             return Ok(());
         }
-        let model = deformation::begin(&self.gpu, &self.config, &self.parameters.scene)?;
+        let lost = if self.config.motion.lost_objects { self.find_lost_object()? } else { None };
+        let mut model = deformation::begin(&self.gpu, &self.config, &self.parameters.scene)?;
+        if let Some((found, path)) = lost {
+            model.follow(&self.gpu, path)?;
+            self.lost_object = Some(found);
+        }
         self.set_deformation(model);
         Ok(())
     }
@@ -406,6 +414,11 @@ impl Trainer {
     /// Device time of each operation of the last [`Trainer::step`], in order; empty where none were taken.
     pub fn timings(&self) -> &[Timing] {
         &self.timings
+    }
+
+    /// The object that was found lost when motion began, unless it was taken already.
+    pub fn take_lost_object(&mut self) -> Option<LostObject> {
+        self.lost_object.take()
     }
 
     /// What density control did after the last [`Trainer::step`], unless it was taken already.

@@ -11,6 +11,7 @@ mod flight;
 mod interrupted;
 mod lifespan;
 mod limits;
+mod lost;
 mod nonrigid;
 mod numbers;
 mod quality;

@@ -8,7 +8,7 @@ use engine::render::{RenderOptions, Renderer};
 use engine::scene::{Camera, Scene};
 use serde_json::{Value, json};
 
-use super::prediction::{self, Kind, Predicted, predict, subtiles};
+use super::prediction::{self, Kind, Predicted, Subtiles, predict};
 use super::scene::{self, DEFAULT_SIZE};
 use crate::cli::args::{FrameArgs, Global};
 use crate::cli::{camera, gpu_session, model, output, progress};
@@ -37,9 +37,9 @@ pub(super) fn measure_scene(
 ) -> Result<Found> {
     let measured = measure::measure(gpu, scene, options, plan, tick)?;
     // Where the reference rejects what the renderer only leaves out, every subtile counts.
-    let share = subtiles::share(scene, &plan.camera, plan.times[1], options);
-    let share = share.inspect_err(|e| log::warn!("prediction without subtiles: {e}")).unwrap_or(1.0);
-    let predicted = predict(Kind::Frame, &measured.recorded, share);
+    let counted = Subtiles::count(scene, &plan.camera, plan.times[1], options);
+    let counted = counted.inspect_err(|e| log::warn!("prediction without subtiles: {e}")).unwrap_or(Subtiles::ALL);
+    let predicted = predict(Kind::Frame, &measured.recorded, counted);
     let (width, height) = (plan.camera.width, plan.camera.height);
     let numbers = json!({
         "scene": provenance::scene(name, scene),

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! measured here      operations, barriers, workgroups, bytes, counts of instances and keys      report::measure::Recorded
-//! counted            instructions by the tables of `spgs-dev isa`; subtiles that splats reach   instructions, subtiles
+//! counted            instructions by the tables of `spgs-dev isa`; splats blended per subtile    instructions, subtiles
 //! assumed, stated    rounds of loops, atomics, what a data sheet does not say                   loops, profile
 //! ────────────────►  demand of each operation ──► model ──► time on each GPU of `profile`
 //! ```
@@ -17,7 +17,8 @@ mod loops;
 mod model;
 mod profile;
 pub(crate) mod report;
-pub(crate) mod subtiles;
+mod subtiles;
 mod times;
 
+pub(crate) use subtiles::Subtiles;
 pub(crate) use times::{Kind, Predicted, predict};

@@ -85,6 +85,7 @@ impl Preset {
         if self == Self::Dnerf {
             c.schedule.coarse_to_fine = 20_000;
             c.density.unseen_interval = 5000;
+            c.motion.lost_objects = true;
             c.learning_rate.sh_length_exponent = 0.5;
         }
         c
@@ -182,6 +183,7 @@ impl Default for MotionConfig {
             network_layers: 8,
             network_width: 256,
             time_noise: false,
+            lost_objects: false,
             time_noise_scale: 0.1,
         }
     }

@@ -7,6 +7,7 @@ use super::super::association::{
 use super::super::config::{Config, Form};
 use super::super::density::{NewRows, RowArray};
 use super::super::linear::Output;
+use super::super::lost::path::{self, FollowedPath, Path};
 use super::super::network_f::{Backward, NetworkF};
 use super::super::property_loss::PropertyLoss;
 use super::super::saved::{NetworkState, Saved, Stored};
@@ -26,6 +27,8 @@ pub(super) struct SuperpointTraining {
     superpoints: SuperpointState,
     network: NetworkF,
     pose: Buffer,
+    /// Of an object that was found lost; network F learns what is left.
+    path: Option<FollowedPath>,
 }
 
 fn association_options(config: &Config) -> AssociationOptions {
@@ -102,10 +105,22 @@ impl State {
 /// The model that a checkpoint holds, without the association; `None` before motion begins.
 pub(super) fn of_checkpoint(stored: &Stored<'_>) -> Result<Deformation> {
     let Some(state) = State::read(stored)? else { return Ok(Deformation::None) };
-    let network = Some(state.network.deform(stored.config.motion.network_size())?);
+    // What follows a path is where network F does not say: the checkpoint has a table then.
+    let table = table_of(stored.saved, state.position.len())?;
+    let network = state.network.deform(stored.config.motion.network_size())?;
+    let network = table.is_none().then_some(network);
     let of_gaussian = stored.parameters.superpoint_of_gaussian.clone();
     let superpoints = Superpoints { of_gaussian, position: state.position };
-    Ok(SuperpointDeformation { superpoints, network, ..SuperpointDeformation::default() }.into())
+    Ok(SuperpointDeformation { superpoints, network, table, ..SuperpointDeformation::default() }.into())
+}
+
+/// The key-time table of a checkpoint in which superpoints follow a path.
+fn table_of(saved: &Saved, superpoints: usize) -> Result<Option<Motion>> {
+    let Some(times) = path::times_of(saved)? else { return Ok(None) };
+    let values = Some(3 * superpoints * times.len());
+    let rotation = saved.floats("path.table_rotation", values)?.as_chunks().0.to_vec();
+    let translation = saved.floats("path.table_translation", values)?.as_chunks().0.to_vec();
+    Ok(Some(Motion { times, rotation, translation }))
 }
 
 impl SuperpointTraining {
@@ -133,18 +148,27 @@ impl SuperpointTraining {
         let weights = saved.network.deform(config.motion.network_size())?;
         let network = NetworkF::new(gpu, &weights, saved.position.len() as u32)?;
         network.upload_moments([&saved.network.moment_1, &saved.network.moment_2])?;
-        Self::new(gpu, superpoints, network).map(Some)
+        let path = FollowedPath::restore(gpu, stored.saved, saved.position.len())?;
+        Ok(Some(Self { path, ..Self::new(gpu, superpoints, network)? }))
     }
 
     fn new(gpu: &Gpu, superpoints: SuperpointState, network: NetworkF) -> Result<Self> {
         let pose = gpu.buffer("pose", u64::from(superpoints.superpoints()) * 32, Memory::Device)?;
-        Ok(Self { superpoints, network, pose })
+        Ok(Self { superpoints, network, pose, path: None })
+    }
+
+    /// Poses at the times of the path; `None` where nothing follows one.
+    fn table_along_path(&self, gpu: &Gpu) -> Result<Option<Motion>> {
+        let Some(path) = &self.path else { return Ok(None) };
+        let step = gpu.buffer("path step", size_of::<Step>() as u64, Memory::Constants)?;
+        self.table_at(gpu, &step, path.times())
     }
 
     fn record_poses(&self, r: &mut Recorder, step: &Buffer) -> Result<()> {
         let position = Slice::from(&self.superpoints.position);
         let (step, pose) = (Slice::from(step), Slice::from(&self.pose));
-        self.network.record_forward(r, self.superpoints.superpoints(), &step, &position, &pose)
+        self.network.record_forward(r, self.superpoints.superpoints(), &step, &position, &pose)?;
+        self.path.as_ref().map_or(Ok(()), |path| path.record(r, &step, &pose))
     }
 
     fn step_buffers(inputs: &StepInputs<'_>) -> StepBuffers {
@@ -250,6 +274,7 @@ impl TrainedDeformation for SuperpointTraining {
         used.parameters += self.superpoints.position.bytes() + rows.neighbor.bytes() + rows.logit.bytes();
         used.moments += rows.moment_1.bytes() + rows.moment_2.bytes();
         used.gradients += self.superpoints.gradient.bytes();
+        used.parameters += self.path.as_ref().map_or(0, FollowedPath::bytes);
         used.add_network(self.network.bytes()[0]);
     }
 
@@ -262,10 +287,13 @@ impl TrainedDeformation for SuperpointTraining {
         if let Some(blend) = &blend {
             superpoints.of_gaussian = blend.of_gaussian();
         }
+        let table = self.table_along_path(gpu)?;
+        let network = if table.is_none() { Some(self.network.download()?) } else { None };
         Ok(Deformation::from(SuperpointDeformation {
             superpoints,
             blend,
-            network: Some(self.network.download()?),
+            table,
+            network,
             association: Some(association),
             ..SuperpointDeformation::default()
         }))
@@ -282,6 +310,19 @@ impl TrainedDeformation for SuperpointTraining {
             network: NetworkState { weights: self.network.download()?.flatten(), moment_1, moment_2 },
         };
         state.write(saved);
+        if let (Some(path), Some(table)) = (&self.path, self.table_along_path(gpu)?) {
+            path.save(saved);
+            let shape = || vec![table.times.len(), table.rotation.len() / table.times.len().max(1), 3];
+            saved.put_floats("path.table_rotation", shape(), table.rotation.as_flattened());
+            saved.put_floats("path.table_translation", shape(), table.translation.as_flattened());
+        }
+        Ok(())
+    }
+
+    fn follow(&mut self, gpu: &Gpu, path: Path) -> Result<()> {
+        let position: Vec<f32> = bytemuck::pod_collect_to_vec(&gpu.download(&self.superpoints.position)?);
+        let count = self.superpoints.superpoints() as usize;
+        self.path = Some(FollowedPath::new(gpu, path, &position.as_chunks().0[..count])?);
         Ok(())
     }
 

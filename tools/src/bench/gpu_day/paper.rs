@@ -6,7 +6,7 @@ use super::clock::Context;
 use super::frames::{SYNTHETIC, options, smaller};
 use super::outcome::{Done, Figure, Outcome};
 use crate::bench::paper::{self, Subject};
-use crate::bench::prediction::{Kind, predict, subtiles};
+use crate::bench::prediction::{Kind, Subtiles, predict};
 use crate::bench::scene::{synthetic, synthetic_name};
 use crate::report::page::Page;
 use crate::report::provenance;
@@ -45,8 +45,8 @@ pub(super) fn run(context: &Context<'_>) -> Result<Done> {
         reduced.push("no scaling curves".into());
     }
     let view = &subject.path[0].0;
-    let share = subtiles::share(&scene, view, scene.time_range()[1], &subject.options)?;
-    let predicted = predict(Kind::Frame, &found.measured.recorded, share);
+    let counted = Subtiles::count(&scene, view, scene.time_range()[1], &subject.options)?;
+    let predicted = predict(Kind::Frame, &found.measured.recorded, counted);
     let (beside, same) = predicted.as_ref().and_then(|p| p.beside(&gpu.info().name)).unzip();
     let figure = |what: &str, measured: f64, predicted: Option<f64>| Figure {
         predicted,

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::instructions::{Table, has_loop};
 use super::loops::{self, Body, Known, SUBTILES};
+use super::subtiles::Subtiles;
 use crate::report::measure::Recorded;
 
 /// Round trips to memory of every kernel: one for counts or indices, one for the data that they lead to. Assumption.
@@ -66,10 +67,10 @@ pub(super) struct DispatchDemand {
 }
 
 /// The demand of each operation of a recording.
-pub(super) fn of_recording(recorded: &[Recorded], table: Table, subtile_share: f64) -> Vec<Demand> {
+pub(super) fn of_recording(recorded: &[Recorded], table: Table, subtiles: Subtiles) -> Vec<Demand> {
     let native = recorded.iter().any(is_by_instance);
     let carried = recorded.iter().filter(|r| !(native && sums_instances(r)));
-    carried.filter_map(|r| demand(r, table, subtile_share)).collect()
+    carried.filter_map(|r| demand(r, table, subtiles)).collect()
 }
 
 /// Gradients by instance, which a CPU and `--deterministic` have; the GPUs predicted here add them with float atomics.
@@ -82,7 +83,7 @@ fn sums_instances(r: &Recorded) -> bool {
     matches!(&r.operation.task, RecordedTask::Dispatch { kernel, .. } if kernel.name == "sum_instance_gradients")
 }
 
-fn demand(r: &Recorded, table: Table, subtile_share: f64) -> Option<Demand> {
+fn demand(r: &Recorded, table: Table, subtiles: Subtiles) -> Option<Demand> {
     let plain = |bytes: u64, over_bus| Demand {
         label: r.operation.label.clone(),
         barrier: r.operation.barrier,
@@ -114,7 +115,7 @@ fn demand(r: &Recorded, table: Table, subtile_share: f64) -> Option<Demand> {
                 *rounds = loops::sort_rounds(&r.work);
             }
             let uncounted = loops::of_kernel(name).next().is_none() && has_loop(kernel.spirv);
-            demand.dispatch = dispatch(r, (name, &constants), table, (workgroups, kernel.local_size), subtile_share)
+            demand.dispatch = dispatch(r, (name, &constants), table, (workgroups, kernel.local_size), subtiles)
                 .map(|d| DispatchDemand { uncounted_loop: uncounted, ..d });
             Some(demand)
         }
@@ -127,12 +128,12 @@ fn dispatch(
     (name, constants): (&str, &[u32]),
     table: Table,
     (workgroups, local_size): (f64, u32),
-    subtile_share: f64,
+    subtiles: Subtiles,
 ) -> Option<DispatchDemand> {
     let lanes = f64::from(table.subgroup_size(name));
     let subgroups = workgroups * (f64::from(local_size) / lanes).ceil();
     let compiled = table.compiled(name, constants)?;
-    let known = Known { work: &r.work, subgroups, lanes, subtile_share };
+    let known = Known { work: &r.work, subgroups, lanes, subtiles };
     let (mut total, mut longest) = (subgroups * compiled.instructions, compiled.instructions);
     let (mut round_trips, mut mean_round_trips) = (ROUND_TRIPS, ROUND_TRIPS);
     for l in loops::of_kernel(name) {

@@ -8,8 +8,10 @@ use engine::gpu::kernel::Workload;
 use engine::render::limits::SORT_THREADS;
 use engine::render::radix_sort::rounds_of;
 
-/// How much longer the longest list of a tile is than the mean one: assumption.
-const LONGEST_TILE: f64 = 3.0;
+use super::subtiles::Subtiles;
+
+/// How many more pairs the superpoint with most Gaussians has than the mean one: assumption.
+const LARGEST_SUPERPOINT: f64 = 3.0;
 /// How much more work the busiest lane of a subgroup has than the mean one: assumption.
 const BUSIEST_LANE: f64 = 3.0;
 /// Subtiles of 8×8 pixels, one per subgroup of 32 lanes with two pixels each, in a tile.
@@ -42,8 +44,8 @@ pub(super) struct Known<'a> {
     pub(super) subgroups: f64,
     /// Lanes of a subgroup.
     pub(super) lanes: f64,
-    /// Of the four subtiles of a tile that a splat's ellipse reaches, the share that it reaches.
-    pub(super) subtile_share: f64,
+    /// What blending does with the lists of tiles.
+    pub(super) subtiles: Subtiles,
 }
 
 impl Known<'_> {
@@ -120,17 +122,17 @@ const BLEND_BACKWARD: &[&str] = &["blend_backward", "blend_backward_native"];
 
 fn batches(k: &Known<'_>) -> Trips {
     let total = SUBTILES * (k.of("instances") / k.lanes + 0.5 * k.of("tiles"));
-    Trips { total, longest: (LONGEST_TILE * k.splats_per_tile() / k.lanes).ceil() }
+    Trips { total, longest: (k.subtiles.longest * k.splats_per_tile() / k.lanes).ceil() }
 }
 
 fn hits(k: &Known<'_>) -> Trips {
-    let total = SUBTILES * k.of("instances") * k.subtile_share;
-    Trips { total, longest: LONGEST_TILE * k.splats_per_tile() * k.subtile_share }
+    let total = SUBTILES * k.of("instances") * k.subtiles.reached * k.subtiles.blended;
+    Trips { total, longest: k.subtiles.most * k.splats_per_tile() }
 }
 
 fn pairs(k: &Known<'_>) -> Trips {
     let pairs = k.of("gaussians") * k.of("neighbors").max(1.0);
-    let longest = LONGEST_TILE * pairs / k.of("superpoints").max(1.0) / 256.0;
+    let longest = LARGEST_SUPERPOINT * pairs / k.of("superpoints").max(1.0) / 256.0;
     Trips { total: pairs / k.lanes, longest }
 }
 
@@ -145,7 +147,7 @@ pub(super) const LOOPS: &[Loop] = &[
     },
     Loop {
         kernels: BLEND,
-        round: "a splat blended into a subtile's pixels, none left out for being hidden (counted: 104 for two)",
+        round: "a splat blended into a subtile's pixels (counted: 104 for two)",
         body: Body::Of(54.0),
         loads: 0.0,
         trips: hits,
@@ -275,6 +277,11 @@ mod tests {
         Workload([("instances", 6400), ("tiles", 100), ("visible", 1600), ("keys", 5000), ("superpoints", 7)].into())
     }
 
+    fn known(work: &Workload) -> Known<'_> {
+        let subtiles = Subtiles { reached: 0.5, blended: 0.75, longest: 3.0, most: 2.0 };
+        Known { work, subgroups: 10.0, lanes: 32.0, subtiles }
+    }
+
     #[test]
     fn loops_are_of_kernels_of_the_engine() {
         for l in LOOPS {
@@ -282,7 +289,7 @@ mod tests {
                 assert!(engine::kernels().any(|k| k.name == *kernel), "{kernel}");
             }
             let work = work();
-            let known = Known { work: &work, subgroups: 10.0, lanes: 32.0, subtile_share: 0.5 };
+            let known = known(&work);
             let trips = (l.trips)(&known);
             assert!(trips.total >= 0.0 && trips.longest.is_finite(), "{}: {trips:?}", l.round);
         }
@@ -291,12 +298,12 @@ mod tests {
     #[test]
     fn trips_follow_the_counted_work() {
         let work = work();
-        let known = Known { work: &work, subgroups: 10.0, lanes: 32.0, subtile_share: 0.5 };
-        assert_eq!(hits(&known), Trips { total: 4.0 * 6400.0 * 0.5, longest: 96.0 });
+        let known = known(&work);
+        assert_eq!(hits(&known), Trips { total: 4.0 * 6400.0 * 0.5 * 0.75, longest: 128.0 });
         assert_eq!(batches(&known), Trips { total: 4.0 * 250.0, longest: 6.0 });
         assert_eq!(atomics("sort_scatter", &[1, 1, 1], &known), 5000.0);
         assert_eq!(atomics("sort_scatter", &[1, 0, 1], &known), 0.0);
-        assert_eq!(atomics("blend_backward_native", &[], &known), 10.0 * 12800.0);
+        assert_eq!(atomics("blend_backward_native", &[], &known), 10.0 * 9600.0);
         let partitions = of_kernel("sort_scatter").next().unwrap();
         // 5,000 keys are five partitions of 1,024: one round.
         assert_eq!((partitions.trips)(&known).longest, 1.0);

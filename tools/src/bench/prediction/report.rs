@@ -10,7 +10,7 @@ use crate::report::page::{Align, Page, Table};
 const MODEL: &str = "A model, not a measurement: bytes over bandwidth, instructions over issue rate, atomics, latency of one \
                      subgroup, and the time from an operation to one that depends on it. Instructions are those of Mesa's \
                      compilers for Turing and Navi 31 (spgs-dev isa). Work and grids were recorded on this device; where a CPU keeps \
-                     gradients by instance, the GPUs get the kernel with float atomics. Splats that others hide are not left out.";
+                     gradients by instance, the GPUs get the kernel with float atomics.";
 
 /// A line for each GPU; with `inputs` all that the model was given.
 pub(crate) fn text(p: &Predicted, inputs: bool) -> String {
@@ -103,10 +103,12 @@ fn verdict(goal: &Goal) -> String {
 fn facts(p: &Predicted) -> String {
     let uncounted = p.gpus.first().map_or(Vec::new(), |g| uncounted(&g.operations));
     let mut text = format!(
-        "Recorded: {} dispatches, {} barriers. Counted on the CPU for the first view: splats reach {:.0} % of the 8×8 subtiles of their tiles.",
+        "Recorded: {} dispatches, {} barriers. Counted on the CPU for the first view: splats reach {:.0} % of the 8×8 subtiles of their tiles, and {:.0} % of these pairs are blended before the subtile is opaque; the longest list of a tile is {:.1} times the mean one.",
         p.dispatches,
         p.barriers,
-        100.0 * p.subtile_share
+        100.0 * p.subtiles.reached,
+        100.0 * p.subtiles.blended,
+        p.subtiles.longest
     );
     if !uncounted.is_empty() {
         let _ = write!(text, " Rounds of loops were not counted in {}: a lower bound.", uncounted.join(", "));

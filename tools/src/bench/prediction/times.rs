@@ -6,6 +6,7 @@ use super::demand::{self, Demand};
 use super::loops::LOOPS;
 use super::model::{Cost, costs};
 use super::profile::{Constant, HOST_US, HOST_WRITES_GB_PER_S, PROFILES, Profile};
+use super::subtiles::Subtiles;
 use crate::report::measure::Recorded;
 
 /// What was recorded.
@@ -82,8 +83,8 @@ pub(crate) struct Predicted {
     /// Dispatches, and barriers with the one at the beginning, of the recording.
     pub(crate) dispatches: usize,
     pub(crate) barriers: usize,
-    /// Share of a tile's subtiles that its splats reach, counted for the first measured view.
-    pub(crate) subtile_share: f64,
+    /// What blending does with the lists of tiles, counted for the first measured view.
+    pub(crate) subtiles: Subtiles,
     /// One per GPU.
     pub(crate) gpus: Vec<OnGpu>,
     /// Loops of these operations.
@@ -98,13 +99,13 @@ impl Predicted {
     }
 }
 
-/// Predicts a recording, whose splats reach `subtile_share` of their tiles' subtiles. `None` where nothing was recorded.
-pub(crate) fn predict(of: Kind, recorded: &[Recorded], subtile_share: f64) -> Option<Predicted> {
+/// Predicts a recording. subtiles: what was counted of its view. `None` where nothing was recorded.
+pub(crate) fn predict(of: Kind, recorded: &[Recorded], subtiles: Subtiles) -> Option<Predicted> {
     let first = recorded.first()?;
     let is_goal = first.work.get("gaussians") == GOAL_GAUSSIANS
         && first.work.get("pixels") == GOAL_PIXELS
         && first.work.get("moving") > 0;
-    let gpus: Vec<OnGpu> = PROFILES.iter().map(|p| on_gpu(of, p, recorded, subtile_share, is_goal)).collect();
+    let gpus: Vec<OnGpu> = PROFILES.iter().map(|p| on_gpu(of, p, recorded, subtiles, is_goal)).collect();
     let compiled = |name: &str| gpus.iter().flat_map(|g| &g.operations).any(|o| o.demand.is_of(name));
     let used = LOOPS.iter().filter(|l| l.kernels().iter().any(|k| compiled(k)));
     let loops = used.map(|l| Assumed { round: l.round, instructions: l.body.describe() }).collect();
@@ -113,14 +114,14 @@ pub(crate) fn predict(of: Kind, recorded: &[Recorded], subtile_share: f64) -> Op
         of,
         dispatches: recorded.iter().filter(is_dispatch).count(),
         barriers: 1 + recorded.iter().filter(|r| r.operation.barrier).count(),
-        subtile_share,
+        subtiles,
         loops,
         gpus,
     })
 }
 
-fn on_gpu(of: Kind, profile: &'static Profile, recorded: &[Recorded], share: f64, is_goal: bool) -> OnGpu {
-    let demands = demand::of_recording(recorded, profile.table, share);
+fn on_gpu(of: Kind, profile: &'static Profile, recorded: &[Recorded], subtiles: Subtiles, is_goal: bool) -> OnGpu {
+    let demands = demand::of_recording(recorded, profile.table, subtiles);
     let costs = costs(profile, &demands);
     let device_us: f64 = costs.iter().map(|c| c.us).sum();
     let by_host: f64 = demands.iter().map(|d| d.by_host).sum();

@@ -13,7 +13,7 @@ use engine::train::trainer::{Profile, StepReport, Trainer, TrainingData};
 use engine::train::usage::TrainingMemory;
 use serde::Serialize;
 
-use crate::bench::prediction::{Kind, Predicted, predict, subtiles};
+use crate::bench::prediction::{Kind, Predicted, Subtiles, predict};
 use crate::report::measure::{OperationRow, Quantiles, operation_rows, recorded, with_push};
 use crate::report::processor::processor_seconds;
 
@@ -126,9 +126,9 @@ pub(crate) fn predicted(
     let recorded = recorded(trainer.commands(), &work, &of_dispatch);
     let view = data.views.first()?;
     let still = Scene { gaussians: gaussians.clone(), ..Scene::default() };
-    let share = subtiles::share(&still, &view.camera, view.time, &RenderOptions::default());
-    let share = share.inspect_err(|e| log::warn!("prediction without subtiles: {e}")).unwrap_or(1.0);
-    predict(Kind::Step, &recorded, share)
+    let counted = Subtiles::count(&still, &view.camera, view.time, &RenderOptions::default());
+    let counted = counted.inspect_err(|e| log::warn!("prediction without subtiles: {e}")).unwrap_or(Subtiles::ALL);
+    predict(Kind::Step, &recorded, counted)
 }
 
 /// The first step and those of the warm-up, in which buffers grow and photos are decoded; returns the first.

@@ -104,6 +104,9 @@ impl Run<'_> {
         let n = step.gaussians;
         self.bar.set_message(format!("loss {loss:.4}, PSNR {psnr:.2} dB, {n} Gaussians"));
         self.bar.inc(1);
+        if let Some(found) = self.trainer.take_lost_object() {
+            self.log.line(i, json!({ "lost_object": found }))?;
+        }
         if let Some(change) = done.density {
             self.log.line(i, json!({ "density": change }))?;
         }

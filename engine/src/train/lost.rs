@@ -1,0 +1,215 @@
+//! Objects that the static warm-up loses: what moves by more than its size stands nowhere long enough to be built up, and a
+//! network that moves Gaussians has none of its to move.
+//!
+//! Cut-out photos show where something is missing: opaque pixels that the model leaves empty. When motion begins, the largest disc
+//! of them in each photo is a line of sight; where most of these lie on one smooth path (`track`), there is an object. It
+//! gets points where the photos, moved along the path, are all opaque (`seed`), and their superpoints follow the path (`path`);
+//! network F learns what is left, as of all others.
+
+pub mod add_path;
+mod disc;
+pub(super) mod path;
+mod seed;
+mod track;
+
+use glam::{DVec2, DVec3};
+
+use self::disc::Disc;
+use self::path::Path;
+use self::seed::Shown;
+use self::track::{Candidate, Sight, Track};
+use super::init::from_points;
+use super::parameters::{ParameterState, Parameters, with_sh_degree};
+use super::trainer::Trainer;
+use crate::data::pixels::Pixels;
+use crate::error::Result;
+use crate::gpu::kernel::Kernel;
+use crate::image::Image;
+use crate::render::{RenderOptions, Renderer};
+use crate::scene::{Camera, Gaussians};
+
+/// Kernels of this module.
+pub static KERNELS: &[&Kernel] = &[&add_path::ADD_PATH.kernel];
+
+/// Photos that are looked at; of more, so many at equal distances.
+const MOST_PHOTOS: usize = 200;
+/// The smallest size of the photos that has this many pixels on its shorter side is looked at.
+const SIDE: u32 = 96;
+/// Smallest radius of an object, as a share of the photo's shorter side.
+const SMALLEST: f64 = 0.02;
+/// A pixel is opaque from this alpha on, and empty below that one.
+const OPAQUE: f32 = 0.9;
+const EMPTY: f32 = 0.5;
+/// The object moves by this many of its radii, or the warm-up does not lose it.
+const MOVES: f64 = 2.0;
+/// Opacity of its first Gaussians: it is known to be there.
+const OPACITY: f32 = 0.5;
+/// Fewest Gaussians of an object, and most of them as a share of all.
+const FEWEST: usize = 100;
+const LARGEST_SHARE: f64 = 0.2;
+/// Superpoints within this many radii of it are its own.
+const REACH: f64 = 1.6;
+
+/// An object that was found.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct LostObject {
+    /// Photos that show it.
+    pub seen: usize,
+    /// Photos that were looked at.
+    pub photos: usize,
+    /// Its radius, world units.
+    pub radius: f64,
+    /// The longest side of the box around its path, world units.
+    pub path: f64,
+    /// Gaussians that it starts with.
+    pub gaussians: usize,
+}
+
+/// A photo that is looked at, and what is missing in it.
+struct Look {
+    camera: Camera,
+    photo: std::sync::Arc<Pixels>,
+    time: usize,
+    discs: Vec<Disc>,
+    opaque: usize,
+}
+
+impl Trainer {
+    /// Looks for an object that the model has lost, and adds it to the Gaussians; returns its path for network F.
+    pub(super) fn find_lost_object(&mut self) -> Result<Option<(LostObject, Path)>> {
+        let mut times: Vec<f64> = self.looked_at().map(|place| self.pyramid.views[place].time).collect();
+        times.sort_by(f64::total_cmp);
+        times.dedup();
+        let looks = self.looks(&times)?;
+        let sights: Vec<Sight> = looks.iter().map(Look::sight).collect();
+        let Some(track) = track::track(&sights, times.len()) else { return Ok(None) };
+        let path = extent(&track.places);
+        if path < MOVES * track.radius {
+            return Ok(None);
+        }
+        let mut state = self.parameters.download(&self.gpu)?;
+        let reference = loneliest(&track, &state.gaussians);
+        let most = most_gaussians(&track, &looks, state.gaussians.len());
+        let images: Vec<Shown> = track.seen.iter().map(|(i, _)| looks[*i].shown()).collect();
+        let points = seed::points(&track, &images, reference, most, self.config.seed);
+        if points.len() < FEWEST.min(most) {
+            return Ok(None);
+        }
+        let mut added = from_points(&points, 0);
+        added.opacity_logit.fill((OPACITY / (1.0 - OPACITY)).ln());
+        append(&mut state, added);
+        self.targets.clear();
+        self.parameters = Parameters::upload(&self.gpu, &state)?;
+        self.allocate_gradients()?;
+        let centre = track.places[reference];
+        let found = LostObject {
+            seen: track.seen.len(),
+            photos: looks.len(),
+            radius: track.radius,
+            path,
+            gaussians: points.len(),
+        };
+        let offsets = track.places.iter().map(|place| (*place - centre).as_vec3().to_array()).collect();
+        let times = times.iter().map(|t| *t as f32).collect();
+        Ok(Some((found, Path { centre, reach: REACH * track.radius, times, offsets })))
+    }
+
+    /// Places of the photos that are looked at.
+    fn looked_at(&self) -> impl Iterator<Item = usize> + use<> {
+        let first = self.pyramid.smallest(SIDE);
+        let photos = first.len();
+        first.step_by(photos.div_ceil(MOST_PHOTOS).max(1))
+    }
+
+    fn looks(&self, times: &[f64]) -> Result<Vec<Look>> {
+        let mut gaussians = self.parameters.download_gaussians(&self.gpu)?;
+        gaussians = with_sh_degree(&gaussians, self.parameters.scene.sh_degree.min(gaussians.sh_degree));
+        let scene = crate::scene::Scene { gaussians, ..crate::scene::Scene::default() };
+        let options = RenderOptions { near: self.config.near, ..RenderOptions::default() };
+        let mut renderer = Renderer::new(&self.gpu, &scene, &options)?;
+        let places: Vec<usize> = self.looked_at().collect();
+        self.loader.prefetch(&places);
+        let mut looks = Vec::with_capacity(places.len());
+        for place in places {
+            let view = &self.pyramid.views[place];
+            let photo = self.loader.get(place)?;
+            let rendered = renderer.render(&view.camera, view.time)?;
+            let (missing, opaque) = missing(&rendered, &photo);
+            let size = [view.camera.width, view.camera.height];
+            let discs = disc::largest(&missing, size, SMALLEST * f64::from(size[0].min(size[1])));
+            let time = times.partition_point(|t| *t < view.time);
+            looks.push(Look { camera: view.camera.clone(), photo, time, discs, opaque });
+        }
+        Ok(looks)
+    }
+}
+
+impl Look {
+    fn sight(&self) -> Sight {
+        let c = &self.camera;
+        let candidate = |disc: &Disc| {
+            let DVec2 { x, y } = disc.centre;
+            let ahead = DVec3::new((x - c.cx) / c.fx, (y - c.cy) / c.fy, 1.0);
+            Candidate { direction: c.rotation.transpose() * ahead, radius: disc.radius / c.fx }
+        };
+        Sight { time: self.time, origin: c.position, candidates: self.discs.iter().map(candidate).collect() }
+    }
+
+    fn shown(&self) -> Shown {
+        Shown { camera: self.camera.clone(), photo: self.photo.clone(), time: self.time }
+    }
+}
+
+/// `[H,W]` pixels of the photo that are opaque and that the model leaves empty, and how many are opaque; none of a photo
+/// that is not cut out.
+fn missing(rendered: &Image, photo: &Pixels) -> (Vec<bool>, usize) {
+    let alpha = |p: &u32| f32::from(p.to_le_bytes()[3]) / 255.0;
+    let opaque = photo.rgba.iter().filter(|p| alpha(p) >= OPAQUE).count();
+    let is_cut_out = photo.rgba.iter().any(|p| alpha(p) < EMPTY);
+    let ours = rendered.rgba.as_chunks::<4>().0;
+    let missing = photo.rgba.iter().zip(ours).map(|(p, [.., ours])| is_cut_out && alpha(p) >= OPAQUE && *ours < EMPTY);
+    (missing.collect(), opaque)
+}
+
+/// Longest side of the box around places.
+fn extent(places: &[DVec3]) -> f64 {
+    let low = places.iter().copied().reduce(DVec3::min).unwrap_or_default();
+    let high = places.iter().copied().reduce(DVec3::max).unwrap_or_default();
+    (high - low).max_element()
+}
+
+/// The time, of those that a photo shows, at which the object is farthest from the Gaussians there are: its superpoints are its
+/// own there.
+fn loneliest(track: &Track, gaussians: &Gaussians) -> usize {
+    let distance = |place: DVec3| {
+        let to = |mean: &[f32; 3]| (DVec3::from_array(mean.map(f64::from)) - place).length_squared();
+        gaussians.mean.iter().map(to).fold(f64::INFINITY, f64::min)
+    };
+    let times = 0..track.places.len();
+    times.max_by(|a, b| distance(track.places[*a]).total_cmp(&distance(track.places[*b]))).unwrap_or(0)
+}
+
+/// As many of all as it has of the opaque pixels.
+fn most_gaussians(track: &Track, looks: &[Look], all: usize) -> usize {
+    let of = |&(i, k): &(usize, usize)| std::f64::consts::PI * looks[i].discs[k].radius.powi(2);
+    let opaque: usize = track.seen.iter().map(|(i, _)| looks[*i].opaque).sum();
+    let share = track.seen.iter().map(of).sum::<f64>() / opaque.max(1) as f64;
+    ((share.min(LARGEST_SHARE) * all as f64) as usize).max(FEWEST)
+}
+
+/// Adds Gaussians without a history.
+fn append(state: &mut ParameterState, added: Gaussians) {
+    let (n, k) = (state.gaussians.len(), added.len());
+    let mut added = added;
+    added.optional.add(state.gaussians.optional.present(), k);
+    state.gaussians.append(&added, 0..k);
+    let longer = |planes: &[f32]| -> Vec<f32> {
+        let rows = planes.chunks_exact(n.max(1));
+        rows.flat_map(|row| row.iter().copied().chain(std::iter::repeat_n(0.0, k))).collect()
+    };
+    state.moment_1 = longer(&state.moment_1);
+    state.moment_2 = longer(&state.moment_2);
+    state.density = longer(&state.density);
+    state.max_radius = longer(&state.max_radius);
+    state.superpoint_of_gaussian.resize(n + k, 0);
+}
