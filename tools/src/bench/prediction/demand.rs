@@ -55,8 +55,12 @@ pub(super) struct DispatchDemand {
     pub(super) resident: f64,
     /// Instructions of all subgroups, in units of 32 lanes, with the rounds of loops.
     pub(super) issued: f64,
-    /// Instructions of the subgroup that has most.
+    /// Instructions of the subgroup that has most, and of the mean one, but for rounds whose cycles were counted.
     pub(super) longest: f64,
+    pub(super) mean: f64,
+    /// Cycles of those rounds.
+    pub(super) longest_cycles: f64,
+    pub(super) mean_cycles: f64,
     /// Round trips to memory, one after the other, of the subgroup that has most, and of the mean one.
     pub(super) round_trips: f64,
     pub(super) mean_round_trips: f64,
@@ -135,6 +139,7 @@ fn dispatch(
     let compiled = table.compiled(name, constants)?;
     let known = Known { work: &r.work, subgroups, lanes, subtiles };
     let (mut total, mut longest) = (subgroups * compiled.instructions, compiled.instructions);
+    let (mut counted, mut longest_cycles, mut mean_cycles) = (0.0, 0.0, 0.0);
     let (mut round_trips, mut mean_round_trips) = (ROUND_TRIPS, ROUND_TRIPS);
     for l in loops::of_kernel(name) {
         let body = match l.body {
@@ -143,8 +148,16 @@ fn dispatch(
         };
         let trips = (l.trips)(&known);
         // The first round is in the program's own count.
-        total += body * (trips.total - subgroups).max(0.0);
-        longest += body * (trips.longest - 1.0).max(0.0);
+        let more = [trips.total - subgroups, trips.longest - 1.0].map(|rounds| rounds.max(0.0));
+        total += body * more[0];
+        match l.alone.filter(|_| table == Table::Nvidia) {
+            Some(cycles) => {
+                counted += body * more[0];
+                longest_cycles += cycles * more[1];
+                mean_cycles += cycles * more[0] / subgroups.max(1.0);
+            }
+            None => longest += body * more[1],
+        }
         round_trips += l.loads * trips.longest;
         mean_round_trips += l.loads * (trips.total / subgroups.max(1.0)).min(trips.longest);
     }
@@ -157,6 +170,9 @@ fn dispatch(
         resident: compiled.resident.max(1.0),
         issued: total * lanes / 32.0,
         longest: longest * lanes / 32.0,
+        mean: (total - counted) * lanes / 32.0 / subgroups.max(1.0),
+        longest_cycles,
+        mean_cycles: mean_cycles.min(longest_cycles),
         round_trips,
         mean_round_trips,
         atomics: loops::atomics(name, constants, &known),

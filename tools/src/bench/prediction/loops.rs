@@ -16,6 +16,9 @@ const LARGEST_SUPERPOINT: f64 = 3.0;
 const BUSIEST_LANE: f64 = 3.0;
 /// Subtiles of 8×8 pixels, one per subgroup of 32 lanes with two pixels each, in a tile.
 pub(super) const SUBTILES: f64 = 4.0;
+/// Of a splat: half of 125 by the delays in NAK's assembly for two, and half of 90 of waits, an assumption: 30 for shared memory,
+/// 60 for four times exp2, partly hidden.
+const BLEND_CYCLES: f64 = 107.0;
 /// Rows of a histogram that a workgroup of `sort_scatter` adds up in a round.
 const ROWS_OF_ROUND: f64 = 32.0;
 /// The push constant `totals_row` of a sort without `sort_spine`.
@@ -95,6 +98,9 @@ pub(super) struct Loop {
     /// A round, in words.
     pub(super) round: &'static str,
     pub(super) body: Body,
+    /// Cycles of a round of a subgroup that is alone, by NAK's delays and waits; without, as many as an instruction takes in
+    /// code without loops.
+    pub(super) alone: Option<f64>,
     /// Round trips to memory that one round waits for.
     pub(super) loads: f64,
     pub(super) trips: fn(&Known<'_>) -> Trips,
@@ -142,6 +148,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: BLEND,
         round: "a batch of splats chosen for a subtile (counted)",
         body: Body::Of(120.0),
+        alone: None,
         loads: 2.0,
         trips: batches,
     },
@@ -149,6 +156,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: BLEND,
         round: "a splat blended into a subtile's pixels (counted: 104 for two)",
         body: Body::Of(54.0),
+        alone: Some(BLEND_CYCLES),
         loads: 0.0,
         trips: hits,
     },
@@ -156,6 +164,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: BLEND_BACKWARD,
         round: "a batch of splats tested against a subtile",
         body: Body::Of(90.0),
+        alone: None,
         loads: 3.0,
         trips: batches,
     },
@@ -163,6 +172,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: BLEND_BACKWARD,
         round: "a splat replayed on a subtile's pixels and summed over the subgroup",
         body: Body::Of(125.0),
+        alone: None,
         loads: 0.0,
         trips: hits,
     },
@@ -170,6 +180,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: &["deform_project"],
         round: "a row of tiles counted, as many as the busiest lane has",
         body: Body::Of(45.0),
+        alone: None,
         loads: 0.0,
         trips: |k| each(k.subgroups, BUSIEST_LANE * k.tiles_per_splat().sqrt()),
     },
@@ -177,6 +188,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: &["emit_tiles"],
         round: "a tile instance written, as many as the busiest lane has",
         body: Body::Of(45.0),
+        alone: None,
         loads: 0.0,
         trips: |k| each(k.subgroups, (BUSIEST_LANE * k.tiles_per_splat()).min(SERIAL_TILES)),
     },
@@ -184,6 +196,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: &["sort_scatter"],
         round: "the digit counts of 32 partitions added up, eight loads of a thread at a time",
         body: Body::Of(180.0),
+        alone: None,
         loads: 1.0,
         trips: |k| {
             each(k.subgroups, if k.is_prescanned() { 0.0 } else { (sort_partitions(k.work) / ROWS_OF_ROUND).ceil() })
@@ -193,6 +206,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: &["sort_histogram"],
         round: "a key counted",
         body: Body::Of(12.0),
+        alone: None,
         loads: 0.25,
         trips: |k| each(k.subgroups, f64::from(sort_rounds(k.work))),
     },
@@ -200,6 +214,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: &["nearest_superpoints"],
         round: "a superpoint tried; a shuffle takes four issue slots",
         body: Body::Of(35.0),
+        alone: None,
         loads: 1.0 / 32.0,
         trips: |k| each(k.subgroups, k.of("superpoints")),
     },
@@ -207,6 +222,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: &["superpoint_sum"],
         round: "a pair of a Gaussian and a superpoint added",
         body: Body::Of(60.0),
+        alone: None,
         loads: 2.0,
         trips: pairs,
     },
@@ -214,6 +230,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: &["sum_instance_gradients"],
         round: "an instance's row added, as many as the busiest lane has",
         body: Body::Of(8.0),
+        alone: None,
         loads: 1.0,
         trips: |k| each(k.subgroups, BUSIEST_LANE * k.tiles_per_splat()),
     },
@@ -221,6 +238,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: &["linear_forward"],
         round: "64 inputs of a layer",
         body: Body::Share(0.5),
+        alone: None,
         loads: 1.0,
         trips: |k| each(k.subgroups, (k.of("inputs") / PRODUCT_DEPTH).ceil()),
     },
@@ -228,6 +246,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: &["linear_backward_input"],
         round: "64 outputs of a layer",
         body: Body::Share(0.5),
+        alone: None,
         loads: 1.0,
         trips: |k| each(k.subgroups, (k.of("outputs") / PRODUCT_DEPTH).ceil()),
     },
@@ -235,6 +254,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: &["linear_backward_weight"],
         round: "64 rows of a batch",
         body: Body::Share(0.5),
+        alone: None,
         loads: 1.0,
         trips: |k| each(k.subgroups, (k.of("rows_per_slice") / PRODUCT_DEPTH).ceil()),
     },
@@ -242,6 +262,7 @@ pub(super) const LOOPS: &[Loop] = &[
         kernels: &["deform_network"],
         round: "a multiply-add of network F",
         body: Body::Of(1.5),
+        alone: None,
         loads: 0.0,
         trips: |k| {
             let total = k.of("network_products") * k.of("superpoints") / k.lanes;

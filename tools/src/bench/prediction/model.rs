@@ -47,12 +47,12 @@ fn issue_us(profile: &Profile, d: &DispatchDemand) -> f64 {
 
 fn latency_us(profile: &Profile, d: &DispatchDemand) -> f64 {
     let rounds = (d.subgroups / (profile.all_schedulers() * d.resident)).max(1.0);
-    let typical = d.issued / d.subgroups.max(1.0);
-    let round_us = |instructions: f64, round_trips: f64| {
-        instructions * profile.cycles_alone / profile.clock_ghz / 1e3 + round_trips * MEMORY_US
+    let round_us = |instructions: f64, cycles: f64, round_trips: f64| {
+        (instructions * profile.cycles_alone + cycles) / profile.clock_ghz / 1e3 + round_trips * MEMORY_US
     };
     // The longest subgroup is in the last round at worst; those before it are mean ones.
-    round_us(d.longest, d.round_trips) + (rounds - 1.0) * round_us(typical.min(d.longest), d.mean_round_trips)
+    let mean = round_us(d.mean.min(d.longest), d.mean_cycles, d.mean_round_trips);
+    round_us(d.longest, d.longest_cycles, d.round_trips) + (rounds - 1.0) * mean
 }
 
 impl Cost {
@@ -114,6 +114,9 @@ mod tests {
             resident: 8.0,
             issued: 8.0 * workgroups * instructions,
             longest: instructions,
+            mean: instructions,
+            longest_cycles: 0.0,
+            mean_cycles: 0.0,
             round_trips: 2.0,
             mean_round_trips: 2.0,
             atomics: 0.0,
