@@ -63,6 +63,9 @@ pub fn export(gpu: &Gpu, trainer: &Trainer, cameras: &[Camera]) -> Result<Export
                 "left out: network F, association (play-back needs neither; export.keep_network keeps them)".into(),
             );
         }
+        if keep && trained.network.is_none() {
+            decisions.push("left out: network F, which does not know the path that superpoints follow".into());
+        }
         replace_motion(&mut scene, baked.deformation, keep)?;
     }
     drop_sh(gpu, &mut scene, cameras, trainer, &mut decisions)?;

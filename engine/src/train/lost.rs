@@ -1,5 +1,5 @@
-//! Objects that the static warm-up loses: what moves by more than its size stands nowhere long enough to be built up, and a
-//! network that moves Gaussians has none of its to move.
+//! Objects that the static warm-up loses: what goes far beyond its size in the course of the photos stands nowhere long enough
+//! to be built up, and a network that moves Gaussians has none of its to move.
 //!
 //! Cut-out photos show where something is missing: opaque pixels that the model leaves empty. When motion begins, the largest disc
 //! of them in each photo is a line of sight; where most of these lie on one smooth path (`track`), there is an object. It
@@ -18,15 +18,15 @@ use self::disc::Disc;
 use self::path::Path;
 use self::seed::Shown;
 use self::track::{Candidate, Sight, Track};
-use super::init::from_points;
+use super::init::{Point, from_points};
 use super::parameters::{ParameterState, Parameters, with_sh_degree};
 use super::trainer::Trainer;
 use crate::data::pixels::Pixels;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gpu::kernel::Kernel;
 use crate::image::Image;
 use crate::render::{RenderOptions, Renderer};
-use crate::scene::{Camera, Gaussians};
+use crate::scene::{Camera, Gaussians, Scene};
 
 /// Kernels of this module.
 pub static KERNELS: &[&Kernel] = &[&add_path::ADD_PATH.kernel];
@@ -75,43 +75,49 @@ struct Look {
 }
 
 impl Trainer {
-    /// Looks for an object that the model has lost, and adds it to the Gaussians; returns its path for network F.
+    /// Looks for an object that the model has lost, and adds it to the Gaussians; returns its path. `None` too where there was no
+    /// room to look, or for it.
     pub(super) fn find_lost_object(&mut self) -> Result<Option<(LostObject, Path)>> {
-        let mut times: Vec<f64> = self.looked_at().map(|place| self.pyramid.views[place].time).collect();
-        times.sort_by(f64::total_cmp);
+        let before = self.parameters.count();
+        match self.find_and_add() {
+            Err(Error::OutOfMemory { .. } | Error::Limit { .. }) if self.parameters.count() == before => Ok(None),
+            other => other,
+        }
+    }
+
+    fn find_and_add(&mut self) -> Result<Option<(LostObject, Path)>> {
+        let mut times: Vec<f32> = self.looked_at().map(|place| self.pyramid.views[place].time as f32).collect();
+        times.sort_by(f32::total_cmp);
         times.dedup();
         let looks = self.looks(&times)?;
         let sights: Vec<Sight> = looks.iter().map(Look::sight).collect();
-        let Some(track) = track::track(&sights, times.len()) else { return Ok(None) };
-        let path = extent(&track.places);
-        if path < MOVES * track.radius {
-            return Ok(None);
-        }
-        let mut state = self.parameters.download(&self.gpu)?;
-        let reference = loneliest(&track, &state.gaussians);
-        let most = most_gaussians(&track, &looks, state.gaussians.len());
+        let found = track::track(&sights, times.len()).map(|track| (extent(&track.places), track));
+        let Some((path, track)) = found.filter(|(path, track)| *path >= MOVES * track.radius) else { return Ok(None) };
+        let state = self.parameters.download(&self.gpu)?;
+        let reference = loneliest(&track, &looks, &state.gaussians);
+        let room = self.config.budget.max_gaussians.saturating_sub(self.parameters.count()) as usize;
+        let most = most_gaussians(&track, &looks, state.gaussians.len()).min(room);
         let images: Vec<Shown> = track.seen.iter().map(|(i, _)| looks[*i].shown()).collect();
         let points = seed::points(&track, &images, reference, most, self.config.seed);
-        if points.len() < FEWEST.min(most) {
+        if points.len() < FEWEST {
             return Ok(None);
         }
-        let mut added = from_points(&points, 0);
+        self.add_points(state, &points)?;
+        let centre = track.places[reference];
+        let (seen, photos, gaussians) = (track.seen.len(), looks.len(), points.len());
+        let offsets = track.places.iter().map(|place| (*place - centre).as_vec3().to_array()).collect();
+        let object = LostObject { seen, photos, radius: track.radius, path, gaussians };
+        Ok(Some((object, Path { centre, reach: REACH * track.radius, times, offsets })))
+    }
+
+    fn add_points(&mut self, mut state: ParameterState, points: &[Point]) -> Result<()> {
+        let mut added = from_points(points, 0);
         added.opacity_logit.fill((OPACITY / (1.0 - OPACITY)).ln());
         append(&mut state, added);
+        // Recorded commands hold the old buffers.
         self.targets.clear();
         self.parameters = Parameters::upload(&self.gpu, &state)?;
-        self.allocate_gradients()?;
-        let centre = track.places[reference];
-        let found = LostObject {
-            seen: track.seen.len(),
-            photos: looks.len(),
-            radius: track.radius,
-            path,
-            gaussians: points.len(),
-        };
-        let offsets = track.places.iter().map(|place| (*place - centre).as_vec3().to_array()).collect();
-        let times = times.iter().map(|t| *t as f32).collect();
-        Ok(Some((found, Path { centre, reach: REACH * track.radius, times, offsets })))
+        self.allocate_gradients()
     }
 
     /// Places of the photos that are looked at.
@@ -121,10 +127,10 @@ impl Trainer {
         first.step_by(photos.div_ceil(MOST_PHOTOS).max(1))
     }
 
-    fn looks(&self, times: &[f64]) -> Result<Vec<Look>> {
+    fn looks(&self, times: &[f32]) -> Result<Vec<Look>> {
         let mut gaussians = self.parameters.download_gaussians(&self.gpu)?;
         gaussians = with_sh_degree(&gaussians, self.parameters.scene.sh_degree.min(gaussians.sh_degree));
-        let scene = crate::scene::Scene { gaussians, ..crate::scene::Scene::default() };
+        let scene = Scene { gaussians, ..Scene::default() };
         let options = RenderOptions { near: self.config.near, ..RenderOptions::default() };
         let mut renderer = Renderer::new(&self.gpu, &scene, &options)?;
         let places: Vec<usize> = self.looked_at().collect();
@@ -137,7 +143,7 @@ impl Trainer {
             let (missing, opaque) = missing(&rendered, &photo);
             let size = [view.camera.width, view.camera.height];
             let discs = disc::largest(&missing, size, SMALLEST * f64::from(size[0].min(size[1])));
-            let time = times.partition_point(|t| *t < view.time);
+            let time = times.partition_point(|t| *t < view.time as f32);
             looks.push(Look { camera: view.camera.clone(), photo, time, discs, opaque });
         }
         Ok(looks)
@@ -180,13 +186,13 @@ fn extent(places: &[DVec3]) -> f64 {
 
 /// The time, of those that a photo shows, at which the object is farthest from the Gaussians there are: its superpoints are its
 /// own there.
-fn loneliest(track: &Track, gaussians: &Gaussians) -> usize {
-    let distance = |place: DVec3| {
-        let to = |mean: &[f32; 3]| (DVec3::from_array(mean.map(f64::from)) - place).length_squared();
+fn loneliest(track: &Track, looks: &[Look], gaussians: &Gaussians) -> usize {
+    let distance = |time: usize| {
+        let to = |mean: &[f32; 3]| (DVec3::from_array(mean.map(f64::from)) - track.places[time]).length_squared();
         gaussians.mean.iter().map(to).fold(f64::INFINITY, f64::min)
     };
-    let times = 0..track.places.len();
-    times.max_by(|a, b| distance(track.places[*a]).total_cmp(&distance(track.places[*b]))).unwrap_or(0)
+    let times = track.seen.iter().map(|(i, _)| looks[*i].time);
+    times.map(|time| (time, distance(time))).max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(time, _)| time)
 }
 
 /// As many of all as it has of the opaque pixels.

@@ -77,6 +77,14 @@ mod tests {
     }
 
     #[test]
+    fn the_smallest_photos_of_a_size_are_found() {
+        let p = Pyramid::new(&views([200, 120]), 100);
+        let side = |side: u32| p.views[p.smallest(side).start].image.size;
+        assert_eq!([side(24), side(31), side(61), side(500)], [[50, 30], [100, 60], [200, 120], [200, 120]]);
+        assert_eq!(Pyramid::new(&views([200, 120]), 0).smallest(24), 0..3);
+    }
+
+    #[test]
     fn photos_double_until_they_are_full() {
         let p = Pyramid::new(&views([200, 120]), 100);
         let sides = |i: u64| p.views[p.at(2, i)].image.size;

@@ -49,7 +49,7 @@ pub struct MotionConfig {
     /// captures, no for synthetic data (see the presets), where times are exact.
     pub time_noise: bool,
     /// Whether an object that the static warm-up loses is looked for when motion begins (photos that are cut out only): what
-    /// moves by more than its size between photos is otherwise never found. Not in paper or code.
+    /// goes far beyond its size in the course of the photos is otherwise never found. Not in paper or code.
     pub lost_objects: bool,
     /// Size of that noise at the start, in units of the frame spacing (code: 0.1).
     pub time_noise_scale: f64,

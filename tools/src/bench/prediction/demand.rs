@@ -247,7 +247,7 @@ mod tests {
     }
 
     fn of(recorded: &[Recorded]) -> Vec<Demand> {
-        of_recording(recorded, Table::Nvidia, 0.5)
+        of_recording(recorded, Table::Nvidia, Subtiles { reached: 0.5, ..Subtiles::ALL })
     }
 
     #[test]
@@ -286,6 +286,16 @@ mod tests {
         let [from_host, here] = [true, false].map(|from_host| of(&[transfer("copy", from_host)]).remove(0));
         assert_eq!((from_host.bytes, from_host.by_host, from_host.over_bus), (70.0, 70.0, true));
         assert_eq!((here.bytes, here.by_host, here.over_bus), (140.0, 0.0, false));
+    }
+
+    #[test]
+    fn what_a_splat_takes_alone_is_counted_for_nvidia() {
+        let blend = [dispatch("blend", Some(25))];
+        let of = |table| of_recording(&blend, table, Subtiles::ALL).remove(0).dispatch.unwrap();
+        let [nvidia, amd] = [Table::Nvidia, Table::Amd].map(of);
+        assert!(nvidia.longest_cycles > 0.0 && nvidia.mean_cycles <= nvidia.longest_cycles);
+        assert_eq!((amd.longest_cycles, amd.mean_cycles), (0.0, 0.0));
+        assert!(nvidia.longest < amd.longest, "{nvidia:?} {amd:?}");
     }
 
     #[test]

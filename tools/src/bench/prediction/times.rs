@@ -165,7 +165,7 @@ mod tests {
     #[test]
     fn the_goal_is_judged_where_it_is_stated_for_and_nowhere_else() {
         let of = |kind, bytes, gaussians| {
-            let p = predict(kind, &[transfer(bytes, false, gaussians)], 0.5).unwrap();
+            let p = predict(kind, &[transfer(bytes, false, gaussians)], Subtiles::ALL).unwrap();
             p.gpus.iter().map(|g| g.goal.as_ref().map(|g| g.met)).collect::<Vec<_>>()
         };
         assert_eq!(of(Kind::Frame, 1 << 20, GOAL_GAUSSIANS), [Some(true), None, None]);
@@ -173,12 +173,14 @@ mod tests {
         assert_eq!(of(Kind::Step, 1 << 30, GOAL_GAUSSIANS), [Some(true), None, None]);
         assert_eq!(of(Kind::Step, 1 << 32, GOAL_GAUSSIANS), [Some(false), None, None]);
         assert_eq!(of(Kind::Frame, 1 << 20, GOAL_GAUSSIANS + 1), [None, None, None]);
-        assert!(predict(Kind::Frame, &[], 0.5).is_none());
+        assert!(predict(Kind::Frame, &[], Subtiles::ALL).is_none());
     }
 
     #[test]
     fn a_step_waits_for_what_the_host_writes() {
-        let of = |from_host| predict(Kind::Step, &[transfer(10_000_000, from_host, 1)], 0.5).unwrap().gpus.remove(0);
+        let of = |from_host| {
+            predict(Kind::Step, &[transfer(10_000_000, from_host, 1)], Subtiles::ALL).unwrap().gpus.remove(0)
+        };
         let (device, host) = (of(false), of(true));
         assert!((device.one_at_a_time_ms - device.device_ms - HOST_US / 1e3).abs() < 1e-9);
         // 10 MB at 10 GB/s are a millisecond.
@@ -189,7 +191,7 @@ mod tests {
 
     #[test]
     fn a_device_is_put_beside_its_own_prediction() {
-        let p = predict(Kind::Frame, &[transfer(1, false, 1)], 0.5).unwrap();
+        let p = predict(Kind::Frame, &[transfer(1, false, 1)], Subtiles::ALL).unwrap();
         let of = |device| p.beside(device).map(|(gpu, own)| (gpu.gpu, own)).unwrap();
         assert_eq!(of("NVIDIA GeForce RTX 4090"), ("RTX 4090", true));
         assert_eq!(of("llvmpipe"), ("H200", false));
