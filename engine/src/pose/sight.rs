@@ -137,8 +137,7 @@ pub fn apart_px(a: &Camera, b: &Camera, points: &[DVec3]) -> Option<f64> {
 
 /// Where a camera sees a point, pixels; `None` behind it.
 pub fn project(camera: &Camera, x: DVec3) -> Option<[f64; 2]> {
-    let p = camera.rotation * (x - camera.position);
-    (p.z > 0.0).then(|| [camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy])
+    camera.project(x).map(|p| p.to_array())
 }
 
 fn is_inside(camera: &Camera, x: DVec3) -> bool {

@@ -1,6 +1,6 @@
 //! Pinhole camera, OpenCV axes (x right, y down, z forward), pixel centres at +0.5.
 
-use glam::{DMat3, DMat4, DVec3};
+use glam::{DMat3, DMat4, DVec2, DVec3};
 
 /// A posed image plane at a time.
 #[derive(Debug, Clone, PartialEq)]
@@ -72,6 +72,12 @@ impl Camera {
         let sx = f64::from(width) / f64::from(self.width);
         let sy = f64::from(height) / f64::from(self.height);
         Self { width, height, fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy, ..self.clone() }
+    }
+
+    /// Where the camera sees a point (world units), pixels; `None` behind it.
+    pub fn project(&self, point: DVec3) -> Option<DVec2> {
+        let p = self.rotation * (point - self.position);
+        (p.z > 0.0).then(|| DVec2::new(self.fx * p.x / p.z + self.cx, self.fy * p.y / p.z + self.cy))
     }
 
     /// World-to-camera matrix.

@@ -135,23 +135,18 @@ pub(super) trait TrainedDeformation: std::fmt::Debug + Send + Sync {
     /// Writes its state into a checkpoint.
     fn save(&self, gpu: &Gpu, scene: &SceneBuffers, saved: &mut Saved) -> Result<()>;
 
-    /// From here on the superpoints that belong to an object follow its path.
-    fn follow(&mut self, _: &Gpu, _: Path) -> Result<()> {
-        Ok(())
-    }
-
     /// Poses of superpoints at `times`, through the buffer `step`; `None` where the model has none.
     fn table_at(&self, _: &Gpu, _: &Buffer, _: &[f32]) -> Result<Option<Motion>> {
         Ok(None)
     }
 }
 
-/// A new model, from the Gaussians as they are.
+/// A new model, from the Gaussians as they are; the superpoints of an object that was found follow its path.
 ///
 /// # Errors
 /// `OutOfMemory`, `Limit`.
-pub(super) fn begin(gpu: &Gpu, config: &Config, scene: &SceneBuffers) -> Result<Trained> {
-    Ok(Box::new(SuperpointTraining::begin(gpu, config, scene)?))
+pub(super) fn begin(gpu: &Gpu, config: &Config, scene: &SceneBuffers, path: Option<Path>) -> Result<Trained> {
+    Ok(Box::new(SuperpointTraining::begin(gpu, config, scene, path)?))
 }
 
 /// A key-time table, whose poses are trained themselves.

@@ -12,6 +12,8 @@ pub(super) mod path;
 mod seed;
 mod track;
 
+use std::sync::Arc;
+
 use glam::{DVec2, DVec3};
 
 use self::disc::Disc;
@@ -47,8 +49,6 @@ const OPACITY: f32 = 0.5;
 /// Fewest Gaussians of an object, and most of them as a share of all.
 const FEWEST: usize = 100;
 const LARGEST_SHARE: f64 = 0.2;
-/// Superpoints within this many radii of it are its own.
-const REACH: f64 = 1.6;
 
 /// An object that was found.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
@@ -68,7 +68,7 @@ pub struct LostObject {
 /// A photo that is looked at, and what is missing in it.
 struct Look {
     camera: Camera,
-    photo: std::sync::Arc<Pixels>,
+    photo: Arc<Pixels>,
     time: usize,
     discs: Vec<Disc>,
     opaque: usize,
@@ -107,7 +107,7 @@ impl Trainer {
         let (seen, photos, gaussians) = (track.seen.len(), looks.len(), points.len());
         let offsets = track.places.iter().map(|place| (*place - centre).as_vec3().to_array()).collect();
         let object = LostObject { seen, photos, radius: track.radius, path, gaussians };
-        Ok(Some((object, Path { centre, reach: REACH * track.radius, times, offsets })))
+        Ok(Some((object, Path { centre, reach: seed::REACH * track.radius, times, offsets })))
     }
 
     fn add_points(&mut self, mut state: ParameterState, points: &[Point]) -> Result<()> {

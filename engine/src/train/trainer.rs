@@ -326,11 +326,9 @@ impl Trainer {
             return Ok(());
         }
         let lost = if self.config.motion.lost_objects { self.find_lost_object()? } else { None };
-        let mut model = deformation::begin(&self.gpu, &self.config, &self.parameters.scene)?;
-        if let Some((found, path)) = lost {
-            model.follow(&self.gpu, path)?;
-            self.lost_object = Some(found);
-        }
+        let (found, path) = lost.unzip();
+        let model = deformation::begin(&self.gpu, &self.config, &self.parameters.scene, path)?;
+        self.lost_object = found;
         self.set_deformation(model);
         Ok(())
     }

@@ -124,8 +124,8 @@ fn table_of(saved: &Saved, superpoints: usize) -> Result<Option<Motion>> {
 }
 
 impl SuperpointTraining {
-    /// Samples superpoints from the Gaussians as they are and starts network F.
-    pub(super) fn begin(gpu: &Gpu, config: &Config, scene: &SceneBuffers) -> Result<Self> {
+    /// Samples superpoints from the Gaussians as they are and starts network F; those that belong to the path follow it.
+    pub(super) fn begin(gpu: &Gpu, config: &Config, scene: &SceneBuffers, path: Option<Path>) -> Result<Self> {
         let superpoints = SuperpointState::init(
             gpu,
             &Slice::from(&scene.parameter[MEAN]),
@@ -135,7 +135,12 @@ impl SuperpointTraining {
         )?;
         let weights = DeformNetwork::init(config.seed, config.motion.network_size(), config.motion.zero_heads);
         let network = NetworkF::new(gpu, &weights, superpoints.superpoints())?;
-        Self::new(gpu, superpoints, network)
+        let follow = |path: Path| {
+            let position: Vec<f32> = bytemuck::pod_collect_to_vec(&gpu.download(&superpoints.position)?);
+            FollowedPath::new(gpu, path, position.as_chunks().0)
+        };
+        let path = path.map(follow).transpose()?;
+        Ok(Self { path, ..Self::new(gpu, superpoints, network)? })
     }
 
     /// Goes on from a checkpoint; `None` before motion begins.
@@ -316,13 +321,6 @@ impl TrainedDeformation for SuperpointTraining {
             saved.put_floats("path.table_rotation", shape(), table.rotation.as_flattened());
             saved.put_floats("path.table_translation", shape(), table.translation.as_flattened());
         }
-        Ok(())
-    }
-
-    fn follow(&mut self, gpu: &Gpu, path: Path) -> Result<()> {
-        let position: Vec<f32> = bytemuck::pod_collect_to_vec(&gpu.download(&self.superpoints.position)?);
-        let count = self.superpoints.superpoints() as usize;
-        self.path = Some(FollowedPath::new(gpu, path, &position.as_chunks().0[..count])?);
         Ok(())
     }
 

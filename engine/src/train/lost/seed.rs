@@ -13,9 +13,10 @@ use crate::train::rng;
 
 /// Stream of random numbers used here.
 const STREAM: u32 = 0x4c4f_5354;
-/// Points that are tried, in a ball of so many of the object's radii.
+/// Points that are tried.
 const TRIED: usize = 50_000;
-const REACH: f64 = 1.6;
+/// Radii of the object within which they, and its superpoints, are.
+pub(super) const REACH: f64 = 1.6;
 /// A point is the object's if at least this share of its images is opaque there.
 const OPAQUE_IN: f64 = 0.9;
 /// Alpha of an opaque pixel.
@@ -29,12 +30,6 @@ pub(super) struct Shown {
     pub(super) time: usize,
 }
 
-/// Where a camera sees a place, px; `None` behind it.
-pub(super) fn pixel(camera: &Camera, place: DVec3) -> Option<DVec2> {
-    let p = camera.rotation * (place - camera.position);
-    (p.z > 0.0).then(|| DVec2::new(camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy))
-}
-
 /// Premultiplied colour and alpha of the photo at a place of the image, px.
 fn sample(photo: &Pixels, at: DVec2) -> Option<[f32; 4]> {
     let inside = at.x >= 0.0 && at.y >= 0.0;
@@ -46,7 +41,7 @@ pub(super) fn points(track: &Track, images: &[Shown], reference: usize, most: us
     let offset = |image: &Shown| track.places[image.time] - track.places[reference];
     let is_object = |point: &DVec3| {
         let opaque = |image: &Shown| {
-            let at = pixel(&image.camera, *point + offset(image))?;
+            let at = image.camera.project(*point + offset(image))?;
             sample(&image.photo, at).map(|[.., alpha]| alpha >= OPAQUE)
         };
         let (seen, inside) = images.iter().filter_map(opaque).fold((0, 0), |(n, k), o| (n + 1, k + usize::from(o)));
@@ -69,7 +64,7 @@ fn colour(track: &Track, images: &[Shown]) -> [u8; 3] {
     for image in images {
         let centre = track.places[image.time];
         let (Some(at), depth) =
-            (pixel(&image.camera, centre), (image.camera.rotation * (centre - image.camera.position)).z)
+            (image.camera.project(centre), (image.camera.rotation * (centre - image.camera.position)).z)
         else {
             continue;
         };
