@@ -40,23 +40,22 @@
 //! ## A frame
 //!
 //! One command buffer, recorded once per image size and submitted again and again, several in flight. Nothing is read
-//! back inside it: what depends on counts is dispatched indirectly.
+//! back inside it, and five dispatches of it wait for each other.
 //!
 //! ```text
-//! fill            one fill clears the arena: counters, block sums, histograms, tile ranges
+//! fill            one fill clears the arena: counters, block sums, tile counts
 //! deform_network  only when network F is live: pose of each superpoint at time t
 //! nonrigid_network, field_*     only for scenes with network G or a deformation field: offsets of each Gaussian at time t
-//! deform_project  pose, project, SH colour, cull, exact tile count of each Gaussian (fused)
-//! compact         visible Gaussians in index order → (depth, index); indirect arguments; capacity check
-//! sort_scatter    ×4: by depth, 8-bit digits, stable
-//! sum_tile_counts, emit_tiles   one instance per (Gaussian, tile), in depth order
-//! sort_scatter    ×1..3: by tile id, only the bits that the image needs, stable
-//! tile_ranges     where each tile's instances begin and end
+//! deform_project  pose, project, SH colour, cull, exact tile count of each Gaussian, counted for each tile too (fused)
+//! scan_tiles      where the list of each tile begins; capacity check
+//! emit_tiles      one (depth, Gaussian) per tile that a Gaussian reaches, appended to the tile's list
+//! sort_tiles      each list by depth, ties by Gaussian, in shared memory
 //! blend           front to back, one subgroup per subtile of pixels
 //! ```
 //!
-//! Sorting depth among the visible and then tile ids, both stable, is much less traffic than one 64-bit sort of
-//! (tile, depth). Ties of depth stay in index order, so the same scene gives the same bits on every run.
+//! The lists are filled in whatever order atomics have and sorted after that, each for itself: no sort of all instances, whose passes
+//! would wait for each other. No two members of a list are equal, so the same scene gives the same bits on every run. The radix sort
+//! (`sort_histogram`, `sort_spine`, `sort_scatter`) orders what training sums by superpoint.
 //!
 //! Capacity: counts are 64-bit. A frame that needs more tile instances than there is room for writes nothing past a
 //! buffer, sets a bit, and is drawn again with larger buffers; what can never fit is [`Error::Limit`] with the numbers.

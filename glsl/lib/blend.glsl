@@ -16,6 +16,13 @@ float min_transmittance() {
     return bits == 0u ? MIN_TRANSMITTANCE : uintBitsToFloat(bits);
 }
 
+// u and v of a splat (its mean, l11, l12; l22) at the corner of a subtile. A pixel's follow by sums of small numbers, the same for
+// all splats: u + l11 x + l12 y, v + l22 y with (x, y) from the corner.
+vec2 splat_at(vec4 first, float l22, vec2 corner) {
+    vec2 d = corner - first.xy;
+    return vec2(first.z * d.x + first.w * d.y, l22 * d.y);
+}
+
 // Alpha of the splat at the pixel, 0 when it is not drawn there. weight = alpha * transmittance; the transmittance becomes
 // what is left of it, and negative once the pixel is closed. An open pixel has at least min_transmittance(), a closed one less
 // than 0, so one comparison finds both what closes now and what was closed before. Selects, not branches: with several pixels per

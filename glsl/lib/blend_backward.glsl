@@ -92,19 +92,21 @@ void open_pixel(uint i, uvec2 at, bool in_image) {
     to_come[i] = usable ? r : 0.0;
 }
 
-// Replays one splat on the lane's pixels of subtile s. pixel: centre of the first; row_step: distance to the next, px.
-void replay(uint s, vec4 first, vec4 second, vec3 colour, vec2 pixel, float row_step) {
-    float u_x = first.z * (pixel.x - first.x);
-    float dy_0 = pixel.y - first.y;
+// Replays one splat on the lane's pixels of subtile s. corner: of the subtile; pixel: centre of the lane's first one from there;
+// row_step: distance to the next, px.
+void replay(uint s, vec4 first, vec4 second, vec3 colour, vec2 corner, vec2 pixel, float row_step) {
+    vec2 at_corner = splat_at(first, second.x, corner);
+    float u_0 = at_corner.x + first.z * pixel.x + first.w * pixel.y;
+    float v_0 = at_corner.y + second.x * pixel.y;
     uint pixels = 0u;
     [[unroll]] for (uint c = 0u; c < SUMS; c++) {
         sums[c] = 0.0;
     }
     [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
         uint i = s * PIXELS_PER_LANE + j;
-        float dy = dy_0 + float(j) * row_step;
-        float u = u_x + first.w * dy;
-        float v = second.x * dy;
+        float down = float(j) * row_step;
+        float u = u_0 + first.w * down;
+        float v = v_0 + second.x * down;
         float weight;
         float alpha = blend_alpha(second.y - u * u - v * v, transmittance[i], weight);
         vec4 g = pixel_gradient[i];
@@ -215,10 +217,10 @@ void walk(uint s, uvec2 corner, uvec2 extent, bool valid, vec2 offset, float row
                 if (stage == 0u) {
                     vec4 first = subgroupShuffle(own_first, source);
                     vec4 second = vec4(subgroupShuffle(own_second.xy, source), 0.0, 0.0);
-                    replay(s, first, second, subgroupShuffle(own_colour, source), low + offset, row_step);
+                    replay(s, first, second, subgroupShuffle(own_colour, source), vec2(corner), offset + 0.5, row_step);
                 } else {
                     uint at = slice + source;
-                    replay(s, staged[at], staged[128u + at], staged[256u + at].xyz, low + offset, row_step);
+                    replay(s, staged[at], staged[128u + at], staged[256u + at].xyz, vec2(corner), offset + 0.5, row_step);
                 }
                 // Skipping costs a device that runs both sides a vote for nothing.
                 if (stage == 0u || subgroupAny(sums[SUM_PIXELS] > 0.0)) {

@@ -30,15 +30,16 @@ float transmittance[16];
 vec3 sum_colour[16];
 float sum_depth[16];
 
-// Blends one splat into the lane's pixels. pixel: centre of the first one; row_step: distance to the next, px.
+// Blends one splat into the lane's pixels. first: u and v at the subtile's corner (lib/blend.glsl), l11, l12. pixel: centre of the
+// lane's first pixel from the corner; row_step: distance to the next, px.
 void blend(vec4 first, vec4 second, vec3 colour, vec2 pixel, float row_step) {
     uint with_depth = WITH_DEPTH;
-    float u_x = first.z * (pixel.x - first.x);
-    float dy_0 = pixel.y - first.y;
+    float u_0 = first.x + first.z * pixel.x + first.w * pixel.y;
+    float v_0 = first.y + second.x * pixel.y;
     [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
-        float dy = dy_0 + float(j) * row_step;
-        float u = u_x + first.w * dy;
-        float v = second.x * dy;
+        float down = float(j) * row_step;
+        float u = u_0 + first.w * down;
+        float v = v_0 + second.x * down;
         float weight;
         blend_alpha(second.y - u * u - v * v, transmittance[j], weight);
         sum_colour[j] += weight * colour;
@@ -55,11 +56,45 @@ uint quadrants_of_subtile(uvec2 low, uvec2 high) {
     return (low.y < 8u ? across : 0u) | (high.y >= 8u ? across << 2u : 0u);
 }
 
+// The lane's splat of a batch: the instance, 0 past the list's end, and what is blended if it reaches the subtile.
+struct Candidate {
+    uint instance;
+    vec4 first;
+    vec4 second;
+    vec3 colour;
+};
+
+uint instance_at(uint at, bool present) {
+    uint with_slots = WITH_SLOTS;
+    uint instance = present ? values[at] : 0u;
+    if (with_slots == 1u) {
+        instance = present ? gaussian_of_slot[instance] : 0u;
+    }
+    return instance;
+}
+
+Candidate candidate_of(uint instance, uint quadrants, vec2 corner) {
+    Candidate c = Candidate(instance, vec4(0.0), vec4(0.0), vec3(0.0));
+    if ((instance & quadrants) != 0u) {
+        uint stride = splat_stride();
+        uint at = stride * (instance & INSTANCE_GAUSSIAN);
+        uvec4 a = splats[at];
+        uvec4 b = splats[at + 1u];
+        uvec4 third = uvec4(0u);
+        if (stride == 3u) {
+            third = splats[at + 2u];
+        }
+        unpack_splat(a, b, c.first, c.second);
+        c.first.xy = splat_at(c.first, c.second.x, corner);
+        c.colour = unpack_colour(b, third);
+    }
+    return c;
+}
+
 void main() {
     uint size = SUBGROUP_SIZE;
     uint stage = STAGE;
     uint with_depth = WITH_DEPTH;
-    uint with_slots = WITH_SLOTS;
     uint stride = splat_stride();
     uint pixels_per_lane = PIXELS_PER_LANE;
     uint columns = size >= 128u ? 16u : min(size, 8u);
@@ -77,7 +112,7 @@ void main() {
     uvec2 corner = TILE_SIZE * uvec2(tile % frame.tiles.x, tile / frame.tiles.x) + low;
     uint lane = gl_SubgroupInvocationID;
     uvec2 own = corner + uvec2(lane % columns, lane / columns);
-    vec2 pixel = vec2(own) + 0.5;
+    vec2 pixel = vec2(own - corner) + 0.5;
     float row_step = float(lane_rows);
 
     [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
@@ -90,30 +125,24 @@ void main() {
     uint base = open ? ranges[2u * tile] : 0u;
     uint end = open ? ranges[2u * tile + 1u] : 0u;
     uint batches = batches_to_walk(tile, subtiles, tiles, stage == 1u);
+    Candidate next = candidate_of(instance_at(base + lane, base + lane < end), quadrants, vec2(corner));
+    uint next_but_one = 0u;
+    if (stage == 1u) {
+        next_but_one = instance_at(base + size + lane, base + size + lane < end);
+    }
     for (uint batch = 0u; batch < batches; batch++) {
-        uint at = base + lane;
-        bool present = open && at < end;
-        uint instance = present ? values[at] : 0u;
-        if (with_slots == 1u) {
-            instance = present ? gaussian_of_slot[instance] : 0u;
-        }
+        uint instance = next.instance;
+        vec4 first = next.first;
+        vec4 second = next.second;
+        vec3 third = next.colour;
         bool hit = (instance & quadrants) != 0u;
         uvec4 survivors = subgroupBallot(hit);
         uint index = instance & INSTANCE_GAUSSIAN;
-        vec4 first = vec4(0.0);
-        vec4 second = vec4(0.0);
-        vec4 third = vec4(0.0);
-        if (hit) {
-            uvec4 own_a = splats[stride * index];
-            uvec4 own_b = splats[stride * index + 1u];
-            uvec4 own_c = uvec4(0u);
-            if (stride == 3u) {
-                own_c = splats[stride * index + 2u];
-            }
-            unpack_splat(own_a, own_b, first, second);
-            third = vec4(unpack_colour(own_b, own_c), 0.0);
-        }
         if (stage == 1u) {
+            // The next batch comes from memory while this one is blended: a subgroup that waits for each is the tail of the frame.
+            uint at = base + 2u * size + lane;
+            next = candidate_of(open ? next_but_one : 0u, quadrants, vec2(corner));
+            next_but_one = instance_at(at, open && at < end);
             // Compact the survivors into this subgroup's slice. They are blended two at a time, which halves what the loop costs:
             // an odd number gets one more, which is nowhere.
             uint slice = gl_SubgroupID * size;
@@ -128,7 +157,7 @@ void main() {
             if (hit) {
                 staged[slice + before] = first;
                 staged[128u + slice + before] = second;
-                staged[256u + slice + before] = third;
+                staged[256u + slice + before] = vec4(third, 0.0);
             }
             bool odd = (count & 1u) != 0u;
             if (odd && lane == 0u) {
@@ -154,7 +183,7 @@ void main() {
                         if (stage == 0u) {
                             vec4 a = subgroupShuffle(first, source);
                             vec3 b = subgroupShuffle(second.xyz, source);
-                            blend(a, vec4(b, 0.0), subgroupShuffle(third.xyz, source), pixel, row_step);
+                            blend(a, vec4(b, 0.0), subgroupShuffle(third, source), pixel, row_step);
                         } else {
                             uint splat = stride * subgroupShuffle(index, source);
                             uvec4 a = splats[splat];
@@ -164,6 +193,7 @@ void main() {
                                 c = splats[splat + 2u];
                             }
                             unpack_splat(a, b, first, second);
+                            first.xy = splat_at(first, second.x, vec2(corner));
                             blend(first, second, unpack_colour(b, c), pixel, row_step);
                         }
                     } while (mask != 0u);
@@ -176,8 +206,11 @@ void main() {
         }
         open = subgroupAny(most > 0.0);
         base += size;
-        if (stage != 1u && !open) {
-            break;
+        if (stage != 1u) {
+            if (!open) {
+                break;
+            }
+            next = candidate_of(instance_at(base + lane, base + lane < end), quadrants, vec2(corner));
         }
     }
 

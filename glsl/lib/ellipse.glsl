@@ -151,21 +151,4 @@ uint quadrants_of_tile(vec4 half_rows, uint tile_column) {
     return reached.x | reached.y | reached.z | reached.w;
 }
 
-// Number of tiles the ellipse reaches: the one definition of `tile_count`.
-uint ellipse_tile_count(Ellipse e, uvec2 size) {
-    uvec2 rows = tile_row_range(e, size);
-    Extent extent = extent_of(e);
-    uint cull = TILE_CULL;
-    if (cull == 1u) {
-        uvec2 columns = tile_columns_of_row(e, extent, rows.x, size);
-        return (rows.y - rows.x) * (columns.y - columns.x);
-    }
-    uint count = 0u;
-    for (uint row = rows.x; row < rows.y; row++) {
-        uvec2 columns = tile_columns_of_row(e, extent, row, size);
-        count += columns.y - columns.x;
-    }
-    return count;
-}
-
 #endif

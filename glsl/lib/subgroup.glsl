@@ -1,5 +1,5 @@
-// Subgroup and workgroup helpers that hold for every subgroup size from 4 to 128. Workgroups have 256 threads in x and
-// full subgroups. The includer enables GL_KHR_shader_subgroup_{basic,ballot,arithmetic,vote}.
+// Subgroup and workgroup helpers that hold for every subgroup size from 4 to 128. Workgroups have SCAN_THREADS threads in x, at
+// most 256 (which they have unless the includer defines it), and full subgroups. The includer enables GL_KHR_shader_subgroup_{basic,ballot,arithmetic,vote}.
 // SUBGROUP_SIZE is copied into a variable before it is used in an expression: naga has no OpSpecConstantOp.
 #ifndef SPGS_SUBGROUP
 #define SPGS_SUBGROUP
@@ -8,7 +8,9 @@ layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 
 #include "thread.glsl"
 
-const uint SCAN_THREADS = 256u;
+#ifndef SCAN_THREADS
+#define SCAN_THREADS 256u
+#endif
 shared uint scan_totals[64]; // one per subgroup: 256 / 4
 
 // Bits set in a ballot.
@@ -57,10 +59,11 @@ uint lowest_lane(uvec4 ballot) {
     return lane & (size - 1u);
 }
 
-// Exclusive prefix sum over the 256 threads and its total. Every thread must call it; contains barriers.
+// Exclusive prefix sum over the threads and its total. Every thread must call it; contains barriers.
 uint workgroup_exclusive_add(uint value, out uint total) {
     uint size = SUBGROUP_SIZE;
-    uint subgroups = SCAN_THREADS / size;
+    uint threads = SCAN_THREADS;
+    uint subgroups = threads / size;
     uint inclusive = subgroupInclusiveAdd(value);
     barrier(); // an earlier call may still be reading scan_totals
     if (gl_SubgroupInvocationID == size - 1u) {

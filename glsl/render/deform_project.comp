@@ -1,5 +1,6 @@
-// Moves, projects, culls and shades each Gaussian: one per thread. Writes its splat and its exact tile count; culled ones
-// cost as few reads as the test that culls them needs, and SH coefficients are read for survivors only.
+// Moves, projects, culls and shades each Gaussian: one per thread. Writes its splat and its exact tile count, and counts it for
+// each tile that it reaches; culled ones cost as few reads as the test that culls them needs, and SH coefficients are read for
+// survivors only.
 //
 // Formulas (engine::reference holds the same in f64):
 //   mean(t) = Exp(r) mean + tau, R(t) = Exp(r) R(q / |q|), (r, tau) interpolated between two keys;
@@ -48,12 +49,13 @@ layout(std430, set = 0, binding = 9) readonly buffer Sh2Block { uint sh_2[]; };
 layout(std430, set = 0, binding = 10) readonly buffer Sh3Block { uint sh_3[]; };
 layout(std430, set = 0, binding = 11) writeonly buffer SplatsBlock { uvec4 splats[]; };
 layout(std430, set = 0, binding = 12) writeonly buffer TileCountBlock { uint tile_count[]; };
-layout(std430, set = 0, binding = 13) buffer VisibleBlockBlock { uint visible_block[]; };
+layout(std430, set = 0, binding = 13) buffer InstanceBlockBlock { uint instance_block[]; };
 layout(std430, set = 0, binding = 14) buffer CountersBlock { uint counters[]; };
 layout(std430, set = 0, binding = 15) readonly buffer NonrigidOffsetBlock { float nonrigid_offset[]; };
 layout(std430, set = 0, binding = 16) readonly buffer OptionalBlock { float optional[]; };
 layout(std430, set = 0, binding = 17) readonly buffer BlendIndexBlock { uint blend_index[]; };
 layout(std430, set = 0, binding = 18) readonly buffer BlendWeightBlock { float blend_weight[]; };
+layout(std430, set = 0, binding = 19) buffer TileChangeBlock { uint tile_change[]; };
 
 #include "lib/place.glsl"
 
@@ -231,6 +233,23 @@ float log2_share(uint g, uint n) {
     return share;
 }
 
+// Counts the Gaussian for each tile that it reaches, in `tile_change`: how many more tile k has than tile k - 1, in row-major
+// order (scan_tiles adds up). So a row of tiles costs two atomics, however long it is. Returns the number of tiles.
+uint count_tiles(Ellipse e, uvec2 rows) {
+    Extent extent = extent_of(e);
+    uint count = 0u;
+    for (uint row = rows.x; row < rows.y; row++) {
+        uvec2 columns = tile_columns_of_row(e, extent, row, frame.size);
+        if (columns.x < columns.y) {
+            uint first = row * frame.tiles.x;
+            atomicAdd(tile_change[first + columns.x], 1u);
+            atomicAdd(tile_change[first + columns.y], 0xffffffffu);
+            count += columns.y - columns.x;
+        }
+    }
+    return count;
+}
+
 // Processes Gaussian g; the reads come in the order in which the tests need them. No early return: see lib/place.glsl.
 uint project(uint g, uint n, out uint tiles) {
     tiles = 0u;
@@ -240,6 +259,7 @@ uint project(uint g, uint n, out uint tiles) {
     vec3 p;
     Ellipse e;
     float variance_x = 0.0;
+    uvec2 rows = uvec2(0u);
     uint outcome = place_centre(g, n, logit, d, turn, p) ? VISIBLE : REJECTED;
     if (outcome == VISIBLE) {
         e.log2_opacity = -log2(1.0 + exp(-logit)) + log2_share(g, n);
@@ -251,13 +271,17 @@ uint project(uint g, uint n, out uint tiles) {
     if (outcome == VISIBLE) {
         e.log2_opacity = round_opacity(e.log2_opacity);
         if (reaches_image(e, variance_x)) {
-            tiles = ellipse_tile_count(e, frame.size);
+            rows = tile_row_range(e, frame.size);
         }
-        outcome = tiles != 0u ? VISIBLE : CULLED;
+        outcome = rows.x < rows.y ? VISIBLE : CULLED;
     }
+    // The colour before the tiles: what is rejected for it is in no tile.
     if (outcome == VISIBLE) {
         outcome = write_splat(g, n, e, p.z, d) ? VISIBLE : REJECTED;
-        tiles = outcome == VISIBLE ? tiles : 0u;
+    }
+    if (outcome == VISIBLE) {
+        tiles = count_tiles(e, rows);
+        outcome = tiles != 0u ? VISIBLE : CULLED;
     }
     return outcome;
 }
@@ -292,9 +316,9 @@ void main() {
         }
         uint visible = total_flags & 0xffffu;
         uint rejected = total_flags >> 16u;
-        visible_block[group] = visible;
+        instance_block[group] = total_tiles;
         if (visible > 0u) {
-            atomicAdd(visible_block[push.block_capacity + group / SCAN_SUPER], visible);
+            atomicAdd(instance_block[push.block_capacity + group / SCAN_SUPER], total_tiles);
             atomicAdd(counters[COUNT_VISIBLE], visible);
             uint before = atomicAdd(counters[COUNT_INSTANCES_LOW], total_tiles);
             if (before + total_tiles < before) {

@@ -4,18 +4,17 @@
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #extension GL_KHR_shader_subgroup_vote : require
-#extension GL_KHR_shader_subgroup_shuffle : require
 
-// Writes one (tile, Gaussian) pair for each tile that a visible Gaussian reaches, in depth order, and counts the first
-// digit of the tile ids. A workgroup has 256 depth-sorted Gaussians. Those that reach few tiles are written by a thread
-// each; for the others the threads run over instances, not Gaussians, so that one that covers the whole image is spread
-// over all threads.
+// Appends each visible Gaussian to the list of each tile that it reaches, as a pair (depth, instance). In what order a list then
+// is, is left to chance; sort_tiles gives it the one that counts. A workgroup has 256 Gaussians. Those that reach few tiles
+// are written by a thread each; for the others the threads run over instances, not Gaussians, so that one that covers the whole
+// image is spread over all threads.
 //
-// Beside the Gaussian stand the quadrants of the tile that it reaches, so that whoever walks a tile list need not look at its
-// ellipse again.
+// An instance is the Gaussian and, beside it, the quadrants of the tile that it reaches, so that whoever walks a tile list need
+// not look at its ellipse again.
 //
-// For training (WITH_SLOTS = 1) the sorted value is not the Gaussian but the slot: the position in this order, in which the
-// instances of a Gaussian follow one another. `gaussian_of_slot` leads back, `first_slot` says where a Gaussian's begin.
+// For training (WITH_SLOTS = 1) the pair has not the instance but its slot: the instances of all Gaussians numbered in the order
+// of Gaussians, so that those of one follow one another. `gaussian_of_slot` leads back, `first_slot` says where a Gaussian's begin.
 
 #include "lib/frame.glsl"
 #include "lib/limits.glsl"
@@ -33,28 +32,21 @@ layout(constant_id = 4) const uint PACKING = 0;   // see lib/splat.glsl
 
 layout(std430, set = 0, binding = 1) readonly buffer CountersBlock { uint counters[]; };
 layout(std430, set = 0, binding = 2) readonly buffer TileCountBlock { uint tile_count[]; };
-layout(std430, set = 0, binding = 3) readonly buffer OrderBlock { uint order[]; };
-layout(std430, set = 0, binding = 4) readonly buffer SplatsBlock { uvec4 splats[]; };
-layout(std430, set = 0, binding = 5) readonly buffer InstanceBlockBlock { uint instance_block[]; };
-layout(std430, set = 0, binding = 6) writeonly buffer KeysBlock { uint keys[]; };
-layout(std430, set = 0, binding = 7) writeonly buffer ValuesBlock { uint values[]; };
-layout(std430, set = 0, binding = 8) buffer NextHistogramBlock { uint next_histogram[]; };
-layout(std430, set = 0, binding = 9) writeonly buffer GaussianOfSlotBlock { uint gaussian_of_slot[]; };
-layout(std430, set = 0, binding = 10) writeonly buffer FirstSlotBlock { uint first_slot[]; };
-
-#include "lib/count_digit.glsl"
+layout(std430, set = 0, binding = 3) readonly buffer SplatsBlock { uvec4 splats[]; };
+layout(std430, set = 0, binding = 4) readonly buffer InstanceBlockBlock { uint instance_block[]; };
+layout(std430, set = 0, binding = 5) buffer RangesBlock { uint ranges[]; };
+layout(std430, set = 0, binding = 6) writeonly buffer PairsBlock { uvec2 pairs[]; };
+layout(std430, set = 0, binding = 7) writeonly buffer GaussianOfSlotBlock { uint gaussian_of_slot[]; };
+layout(std430, set = 0, binding = 8) writeonly buffer FirstSlotBlock { uint first_slot[]; };
 
 layout(push_constant) uniform PushBlock {
     uint block_capacity; // where the super sums of instance_block start
-    uint digit_bits;     // width of the first tile digit
-    uint partition_shift; // log2 of the keys of a partition of the tile sort
 } push;
 
 const uint SERIAL_TILES = 16u; // most instances that one thread writes
 
-shared uint first_instance[SCAN_BLOCK]; // of each Gaussian, where it goes
-shared uint first_shared[SCAN_BLOCK];   // of each Gaussian, among the instances that all threads share
-shared uint block_order[SCAN_BLOCK];
+shared uint first_shared[SCAN_BLOCK]; // of each Gaussian, among the instances that all threads share
+shared uint first_of_block[SCAN_BLOCK]; // of each Gaussian, its first slot
 
 // Instances of the blocks before this one, summed by the workgroup.
 uint instances_before(uint group) {
@@ -71,11 +63,14 @@ uint instances_before(uint group) {
     return total;
 }
 
-Ellipse ellipse_of(uint gaussian) {
+// The ellipse of a Gaussian and the bits of its depth, which grow with it.
+Ellipse ellipse_of(uint gaussian, out uint depth) {
     uint at = splat_stride() * gaussian;
     vec4 first;
     vec4 second;
-    unpack_splat(splats[at], splats[at + 1u], first, second);
+    uvec4 b = splats[at + 1u];
+    depth = b.z;
+    unpack_splat(splats[at], b, first, second);
     return ellipse_of_splat(first, second);
 }
 
@@ -89,53 +84,43 @@ uint owner(uint instance) {
     return low;
 }
 
-// instance: the Gaussian and the quadrants that it reaches.
-void emit(uint to, uint tile, uint instance, bool valid) {
+// Should a list become longer than it was counted, what is too much is left out: its end goes back to where the next one begins.
+void append(uint tile, uint depth, uint instance, uint slot) {
+    uint at = atomicAdd(ranges[2u * tile + 1u], 1u);
+    uint room_end = ranges[2u * tile + 2u];
     uint with_slots = WITH_SLOTS;
-    if (valid) {
-        keys[to] = tile;
-        if (with_slots == 1u) {
-            values[to] = to;
-            gaussian_of_slot[to] = instance;
-        } else {
-            values[to] = instance;
-        }
+    if (with_slots == 1u) {
+        gaussian_of_slot[slot] = instance;
     }
-    count_digit(to, tile & ((1u << push.digit_bits) - 1u), valid, push.partition_shift);
+    if (at < room_end) {
+        pairs[at] = uvec2(depth, with_slots == 1u ? slot : instance);
+    } else {
+        atomicMin(ranges[2u * tile + 1u], room_end);
+    }
 }
 
-// The `count` instances of one Gaussian for each thread, row by row and padded where the count promised more than there
-// are. Every lane of the subgroup must call it: the loops have the length of the longest lane, so that digits can be
-// counted together.
-void emit_serially(uint to, uint gaussian, uint count, uint capacity) {
-    Ellipse e = ellipse_of(gaussian);
+// The `count` instances of one Gaussian, row by row.
+void emit_serially(uint gaussian, uint count, uint slot) {
+    uint depth;
+    Ellipse e = ellipse_of(gaussian, depth);
     Extent extent = extent_of(e);
-    uvec2 rows = count == 0u ? uvec2(0u) : tile_row_range(e, frame.size);
-    uint end = min(to + count, capacity);
-    uint most_rows = subgroupMax(rows.y - rows.x);
-    for (uint r = 0u; r < most_rows; r++) {
-        uint row = rows.x + r;
-        uvec2 columns = row < rows.y ? tile_columns_of_row(e, extent, row, frame.size) : uvec2(0u);
+    uvec2 rows = tile_row_range(e, frame.size);
+    uint end = slot + count;
+    for (uint row = rows.x; row < rows.y; row++) {
+        uvec2 columns = tile_columns_of_row(e, extent, row, frame.size);
         vec4 half_rows = half_rows_of_tile_row(e, extent, row);
-        uint most_columns = subgroupMax(columns.y - columns.x);
-        for (uint c = 0u; c < most_columns; c++) {
-            uint column = columns.x + c;
-            bool in_row = column < columns.y;
-            bool valid = in_row && to < end;
+        for (uint column = columns.x; column < columns.y && slot < end; column++) {
             uint instance = gaussian | quadrants_of_tile(half_rows, column) << INSTANCE_QUADRANT_SHIFT;
-            emit(to, row * frame.tiles.x + column, instance, valid);
-            to += valid ? 1u : 0u;
+            append(row * frame.tiles.x + column, depth, instance, slot);
+            slot++;
         }
-    }
-    uint most_left = subgroupMax(max(end, to) - to);
-    for (uint k = 0u; k < most_left; k++) {
-        emit(to + k, frame.tile_count, gaussian, to + k < end);
     }
 }
 
-// Tile number k of an ellipse in row-major order, and its quadrants; one past the last tile when the count promised more than
-// there are.
-uint tile_of(Ellipse e, uint k, out uint quadrants) {
+// Instance k of a Gaussian, its tiles in row-major order; none when the count promised more than there are.
+void emit_one(uint gaussian, uint k, uint slot) {
+    uint depth;
+    Ellipse e = ellipse_of(gaussian, depth);
     Extent extent = extent_of(e);
     uvec2 rows = tile_row_range(e, frame.size);
     uint row = rows.x;
@@ -149,47 +134,40 @@ uint tile_of(Ellipse e, uint k, out uint quadrants) {
         }
         k -= n;
     }
-    bool found = row < rows.y;
-    quadrants = found ? quadrants_of_tile(half_rows_of_tile_row(e, extent, row), column) : 0u;
-    return found ? row * frame.tiles.x + column : frame.tile_count;
+    if (row < rows.y) {
+        uint quadrants = quadrants_of_tile(half_rows_of_tile_row(e, extent, row), column);
+        append(row * frame.tiles.x + column, depth, gaussian | quadrants << INSTANCE_QUADRANT_SHIFT, slot);
+    }
 }
 
 void main() {
     uint group = workgroup_index();
     uint t = thread_index();
-    uint visible = counters[COUNT_FAILED] == 0u ? counters[COUNT_VISIBLE] : 0u;
-    uint capacity = min(counters[COUNT_INSTANCES], frame.instance_capacity);
-    uint i = group * SCAN_BLOCK + t;
-    uint gaussian = i < visible ? order[i] : 0u;
-    uint base = instances_before(group);
-    uint count = i < visible ? tile_count[gaussian] : 0u;
-    bool serial = count <= SERIAL_TILES;
-    uint total;
-    uint to = base + workgroup_exclusive_add(count, total);
-    uint shared_total;
-    first_instance[t] = to;
-    first_shared[t] = workgroup_exclusive_add(serial ? 0u : count, shared_total);
-    block_order[t] = gaussian;
     uint with_slots = WITH_SLOTS;
-    if (with_slots == 1u && i < visible) {
-        first_slot[gaussian] = to;
+    uint gaussians = counters[COUNT_FAILED] == 0u ? frame.gaussians : 0u;
+    uint g = group * SCAN_BLOCK + t;
+    uint count = g < gaussians ? tile_count[g] : 0u;
+    bool serial = count <= SERIAL_TILES;
+    uint slot = 0u;
+    if (with_slots == 1u) {
+        uint base = instances_before(group);
+        uint total;
+        slot = base + workgroup_exclusive_add(count, total);
+        if (count != 0u) {
+            first_slot[g] = slot;
+        }
     }
+    uint shared_total;
+    first_shared[t] = workgroup_exclusive_add(serial ? 0u : count, shared_total);
+    first_of_block[t] = slot;
     barrier();
 
-    emit_serially(to, gaussian, serial ? count : 0u, capacity);
-    uint rounds = shared_total / SCAN_BLOCK + (shared_total % SCAN_BLOCK == 0u ? 0u : 1u);
-    for (uint r = 0u; r < rounds; r++) {
-        uint k = r * SCAN_BLOCK + t;
-        uint from = k < shared_total ? owner(k) : 0u;
+    if (serial && count != 0u) {
+        emit_serially(g, count, slot);
+    }
+    for (uint k = t; k < shared_total; k += SCAN_BLOCK) {
+        uint from = owner(k);
         uint local = k - first_shared[from];
-        to = first_instance[from] + local;
-        bool valid = k < shared_total && to < capacity;
-        uint tile = 0u;
-        uint quadrants = 0u;
-        uint g = block_order[from];
-        if (valid) {
-            tile = tile_of(ellipse_of(g), local, quadrants);
-        }
-        emit(to, tile, g | quadrants << INSTANCE_QUADRANT_SHIFT, valid);
+        emit_one(group * SCAN_BLOCK + from, local, first_of_block[from] + local);
     }
 }

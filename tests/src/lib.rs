@@ -9,6 +9,7 @@ pub mod planted;
 pub mod posed;
 pub mod procedural_lpips;
 pub mod render_case;
+pub mod tile_chain;
 pub mod widths;
 
 use std::sync::{Mutex, PoisonError};

@@ -12,6 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use engine::gpu::kernel::{Element, Kernel};
 use engine::gpu::proof::{KernelCase, KernelResult};
+use engine::gpu::spirv;
 pub use model::{Dispatch, ModelError, Options, Program};
 
 use crate::planted;
@@ -50,9 +51,15 @@ fn program(case: &KernelCase, lanes: u32) -> Arc<Program> {
         return found.clone();
     }
     log(case.kernel, lanes);
-    let words = planted::words(case.kernel);
+    let words = sized(case.kernel, &key.1);
     let made = Program::new(&words, &key.1).unwrap_or_else(|error| panic!("{}: {error}", case.kernel.name));
     programs.entry(key).or_insert(Arc::new(made)).clone()
+}
+
+/// The module, with as many threads as the constants ask for.
+fn sized(kernel: &Kernel, spec: &[u32]) -> Vec<u32> {
+    let (words, threads) = (planted::words(kernel), kernel.threads(spec));
+    if threads == kernel.local_size { words } else { spirv::with_local_size(&words, threads) }
 }
 
 /// Runs a case on the model, and its twin.

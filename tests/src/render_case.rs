@@ -8,6 +8,7 @@ use engine::render::deform_project::{
 use engine::render::ellipse::{Ellipse, quadrants_of_tile};
 use engine::render::frame::{Frame, FrameOptions};
 use engine::render::limits::INSTANCE_QUADRANT_SHIFT;
+use engine::render::scan_tiles::tile_change_words;
 use engine::render::superpoint_motion::PackedBlend;
 use engine::render::twin::vec4_at;
 use engine::scene::parameter::Optional;
@@ -249,12 +250,13 @@ impl RenderInput {
             sh_3: sh_band(3),
             splats: vec![0; 12 * self.count],
             tile_count: vec![0; self.count],
-            visible_block: vec![0; (groups + groups.div_ceil(256)) as usize],
+            instance_block: vec![0; (groups + groups.div_ceil(256)) as usize],
             counters: vec![0; 8],
             nonrigid_offset: nonrigid.then(|| words(&self.nonrigid_offset)),
             optional: (!self.optional.is_empty()).then(|| words(&self.optional.to_device())),
             blend_index,
             blend_weight,
+            tile_change: vec![0; tile_change_words(frame.tile_count) as usize],
         };
         let push = DeformProjectPush { block_capacity: groups };
         KernelCase { kernel: &DEFORM_PROJECT, constants, push, buffers, groups }

@@ -43,13 +43,19 @@ fn assert_deform_project(result: &KernelResult<DeformProject>, n: usize, context
     assert!(rejected[0].abs_diff(rejected[1]) <= allowed as u32, "{context}: {rejected:?} rejected");
     let blocks = n.div_ceil(256).max(1);
     for (b, tiles) in tile_count.chunks(256).enumerate() {
-        let in_block = tiles.iter().filter(|&&t| t > 0).count() as u32;
-        assert_eq!(gpu.visible_block[b], in_block, "{context}: block {b}");
+        assert_eq!(gpu.instance_block[b], tiles.iter().sum::<u32>(), "{context}: block {b}");
     }
     for s in 0..blocks.div_ceil(256) {
-        let sum: u32 = gpu.visible_block[256 * s..blocks.min(256 * (s + 1))].iter().sum();
-        assert_eq!(gpu.visible_block[blocks + s], sum, "{context}: super sum {s}");
+        let sum: u32 = gpu.instance_block[256 * s..blocks.min(256 * (s + 1))].iter().sum();
+        assert_eq!(gpu.instance_block[blocks + s], sum, "{context}: super sum {s}");
     }
+    // From changes to counts to their sum; past the last tile nothing is left.
+    let (mut count, mut sum) = (0_u32, 0_u64);
+    for change in &gpu.tile_change {
+        count = count.wrapping_add(*change);
+        sum += u64::from(count);
+    }
+    assert_eq!((count, sum), (0, instances), "{context}: changes from tile to tile");
     let mut worst = 0.0_f32;
     for k in 0..splats.len() {
         if tile_count[k / 12] > 0 && twin.tile_count[k / 12] > 0 {

@@ -1,17 +1,14 @@
-//! Compaction, emission and ranges on the device against their twins, bit for bit, chained as in a frame.
+//! The tile lists on the device against their twins, chained as in a frame, and against their definition.
 
-use engine::render::compact::*;
 use engine::render::ellipse::Ellipse;
-use engine::render::emit_tiles::{EMIT_TILES, EmitTiles, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
+use engine::render::emit_tiles::EmitTilesConstants;
 use engine::render::frame::Frame;
-use engine::render::limits::INSTANCE_GAUSSIAN;
-use engine::render::radix_sort::*;
-use engine::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
-use engine::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
-use engine::render::sum_tile_counts::{SUM_TILE_COUNTS, SumTileCountsBuffers, SumTileCountsPush};
-use engine::render::tile_ranges::{TILE_RANGES, TileRangesBuffers};
-use engine::render::tiles::{block_words, tile_key_bits};
-use tests_harness::{KernelCase, TestGpu, widths};
+use engine::render::limits::{FAILED_INSTANCES, INSTANCE_GAUSSIAN};
+use engine::render::scan_tiles::tile_change_words;
+use engine::render::sort_tiles::SORT_TILES_CAPACITY;
+use engine::render::tiles::block_words;
+use tests_harness::tile_chain::{TileChain, TileLists, sort};
+use tests_harness::{TestGpu, widths};
 
 struct Rng(u64);
 
@@ -29,17 +26,18 @@ impl Rng {
 /// Projected Gaussians as `deform_project` leaves them, in words.
 struct Scene {
     frame: Frame,
+    ellipses: Vec<Ellipse>,
+    depths: Vec<f32>,
     tile_count: Vec<u32>,
     splats: Vec<u32>,
-    depths: u32,
 }
 
 impl Scene {
     fn random(n: u32, size: [u32; 2], seed: u64) -> Self {
         let mut rng = Rng(seed);
         let tiles = size.map(|s| s.div_ceil(16));
-        let frame = Frame { size, tiles, gaussians: n, tile_count: tiles[0] * tiles[1], ..Frame::default() };
-        let mut scene = Self { frame, tile_count: vec![], splats: vec![], depths: 97 };
+        let frame = Frame { size, tiles, tile_count: tiles[0] * tiles[1], ..Frame::default() };
+        let mut scene = Self { frame, ellipses: vec![], depths: vec![], tile_count: vec![], splats: vec![] };
         for _ in 0..n {
             let l = 10_f32.powf(rng.unit() * 3.0 - 2.9);
             let first = [
@@ -48,7 +46,8 @@ impl Scene {
                 l,
                 (rng.unit() - 0.5) * 2.0 * l,
             ];
-            let z = 0.25 + (rng.next() % scene.depths) as f32 * 0.37;
+            // Few depths, so that ties are common.
+            let z = 0.25 + (rng.next() % 97) as f32 * 0.37;
             scene.push(first, [l * (0.3 + 2.0 * rng.unit()), (rng.unit() + 1e-3).log2(), z, 0.0]);
         }
         scene
@@ -57,6 +56,8 @@ impl Scene {
     fn push(&mut self, first: [f32; 4], second: [f32; 4]) {
         let e = Ellipse::of_splat(first, second);
         self.tile_count.push(e.tile_count(self.frame.size));
+        self.ellipses.push(e);
+        self.depths.push(second[2]);
         self.splats.extend(first.iter().chain(&second).chain(&[0.0; 4]).map(|v| v.to_bits()));
         self.frame.gaussians = self.tile_count.len() as u32;
     }
@@ -65,161 +66,102 @@ impl Scene {
         self.tile_count.iter().map(|c| u64::from(*c)).sum()
     }
 
-    /// The chain of a frame on the device; every kernel is compared with its twin. Returns counters, indirect
-    /// arguments and ranges.
-    fn check(&self, gpu: &TestGpu, capacity: u32) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
+    /// What `deform_project` counts for each tile, and in blocks.
+    fn counted(&self) -> (Vec<u32>, Vec<u32>, u32) {
+        let tiles = self.frame.tiles[0];
+        let mut change = vec![0_u32; tile_change_words(self.frame.tile_count) as usize];
+        let (words, block_capacity) = block_words(self.frame.gaussians);
+        let mut blocks = vec![0; words as usize];
+        for (g, e) in self.ellipses.iter().enumerate().filter(|(g, _)| self.tile_count[*g] != 0) {
+            let rows = e.tile_row_range(self.frame.size);
+            for row in rows[0]..rows[1] {
+                let columns = e.tile_columns_of_row(row, self.frame.size).map(|c| (row * tiles + c) as usize);
+                change[columns[0]] = change[columns[0]].wrapping_add(1);
+                change[columns[1]] = change[columns[1]].wrapping_sub(1);
+            }
+            blocks[g / 256] += self.tile_count[g];
+            blocks[block_capacity as usize + g / 65_536] += self.tile_count[g];
+        }
+        (change, blocks, block_capacity)
+    }
+
+    /// The chain of a frame on the device; every kernel is compared with its twin.
+    fn check(&self, gpu: &TestGpu, capacity: u32) -> TileLists {
         self.check_from(gpu, capacity, 0)
     }
 
     /// The same when the counters say `failed` before the chain begins.
-    fn check_from(&self, gpu: &TestGpu, capacity: u32, failed: u32) -> (Vec<u32>, Vec<u32>, Vec<u32>) {
-        let n = self.tile_count.len() as u32;
-        let tiles = self.frame.tile_count;
-        let frame: Vec<u32> = bytemuck::cast_slice(&[Frame { instance_capacity: capacity, ..self.frame }]).to_vec();
-        let (words, block_capacity) = block_words(n);
-        let mut visible_block = vec![0; words as usize];
-        for (i, count) in self.tile_count.iter().enumerate() {
-            visible_block[i / 256] += u32::from(*count != 0);
-            visible_block[block_capacity as usize + i / 65_536] += u32::from(*count != 0);
+    fn check_from(&self, gpu: &TestGpu, capacity: u32, failed: u32) -> TileLists {
+        let chain = self.chain(capacity, failed);
+        if self.frame.gaussians > 0 {
+            self.check_slots(gpu, &chain);
         }
-        let visible: u32 = self.tile_count.iter().map(|c| u32::from(*c != 0)).sum();
-        let counters = vec![visible, self.total() as u32, (self.total() >> 32) as u32, failed, 0, 0, 0, 0];
-        let depth = SortPlan::new(n, 32).unwrap();
-        let tile = SortPlan::new(capacity, tile_key_bits(tiles)).unwrap();
-        let out = vec![0; n as usize];
-        let buffers = CompactBuffers {
-            frame: frame.clone(),
-            tile_count: self.tile_count.clone(),
-            splats: self.splats.clone(),
-            visible_block,
-            counters,
-            indirect: vec![0; 16],
-            keys: out.clone(),
-            values: out,
-            next_histogram: vec![0; depth.histogram_rows() as usize * 256],
-        };
-        let push = CompactPush {
-            block_capacity,
-            digit_bits: 8,
-            depth_partition_shift: depth.partition_shift(),
-            tile_partition_shift: tile.partition_shift(),
-        };
-        let constants = CompactConstants::default();
-        let case = KernelCase { kernel: &COMPACT, constants, push, buffers, groups: n.div_ceil(1024) + 1 };
-        let CompactBuffers { counters, indirect, keys, values, next_histogram, .. } = case.check(gpu, "chain");
-        let groups = |at: u32| indirect[at as usize] * indirect[at as usize + 1];
-        let order = sort(gpu, &depth, keys, values, next_histogram, &counters, 0, groups(INDIRECT_DEPTH_SORT)).1;
+        chain.run(gpu)
+    }
 
-        let push = SumTileCountsPush { block_capacity };
-        let buffers = SumTileCountsBuffers {
-            counters: counters.clone(),
+    fn chain(&self, capacity: u32, failed: u32) -> TileChain {
+        let (tile_change, instance_block, block_capacity) = self.counted();
+        let visible: u32 = self.tile_count.iter().map(|c| u32::from(*c != 0)).sum();
+        TileChain {
+            frame: Frame { instance_capacity: capacity, ..self.frame },
+            counters: vec![visible, self.total() as u32, (self.total() >> 32) as u32, failed, 0, 0, 0, 0],
             tile_count: self.tile_count.clone(),
-            order: order.clone(),
-            instance_block: vec![0; words as usize],
-        };
-        let emit_groups = groups(INDIRECT_EMIT) + 1;
-        let case = KernelCase { kernel: &SUM_TILE_COUNTS, constants: (), push, buffers, groups: emit_groups };
-        let instance_block = case.check(gpu, "chain").instance_block;
-        let out = vec![0; capacity as usize];
-        let buffers = EmitTilesBuffers {
-            frame: frame.clone(),
-            counters: counters.clone(),
-            tile_count: self.tile_count.clone(),
-            order,
             splats: self.splats.clone(),
+            tile_change,
             instance_block,
-            keys: out.clone(),
-            values: out,
-            next_histogram: vec![0; tile.histogram_rows() as usize * 256],
-            gaussian_of_slot: None,
-            first_slot: None,
-        };
-        let push =
-            EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits, partition_shift: tile.partition_shift() };
-        let constants = EmitTilesConstants::default();
-        let case = KernelCase { kernel: &EMIT_TILES, constants, push, buffers, groups: emit_groups };
-        let emitted = case.clone().check(gpu, "chain");
-        self.check_slots(gpu, case, &emitted, &counters);
-        let EmitTilesBuffers { keys, values, next_histogram, .. } = emitted;
-        let keys = sort(gpu, &tile, keys, values, next_histogram, &counters, 5, groups(INDIRECT_TILE_SORT)).0;
-        // `ranges` is zeroed each frame and only partly written, so it is compared where it was written.
-        let ranges = vec![0; 2 * tiles as usize];
-        let buffers = TileRangesBuffers { frame, counters: counters.clone(), keys, ranges };
-        let groups = groups(INDIRECT_RANGES) + 1;
-        let ranges =
-            KernelCase { kernel: &TILE_RANGES, constants: (), push: (), buffers, groups }.check(gpu, "chain").ranges;
-        (counters, indirect, ranges)
+            block_capacity,
+            constants: EmitTilesConstants::default(),
+        }
     }
 
     /// Slots are another name for the same instances, and those of a Gaussian follow one another.
-    fn check_slots(
-        &self,
-        gpu: &TestGpu,
-        mut case: KernelCase<EmitTiles>,
-        without: &EmitTilesBuffers<Vec<u32>>,
-        counters: &[u32],
-    ) {
+    fn check_slots(&self, gpu: &TestGpu, chain: &TileChain) {
+        let mut case = chain.emission(gpu);
+        let without = case.clone().check(gpu, "without slots");
         case.constants.with_slots = 1;
-        case.buffers.gaussian_of_slot = Some(vec![0; without.keys.len()]);
+        case.buffers.gaussian_of_slot = Some(vec![0; without.pairs.len() / 2]);
         case.buffers.first_slot = Some(vec![0; self.tile_count.len()]);
         let with = case.check(gpu, "with slots");
         let (gaussian_of_slot, first_slot) = (with.gaussian_of_slot.unwrap(), with.first_slot.unwrap());
-        assert_eq!(with.keys, without.keys);
-        let instances = counters[5] as usize;
-        assert!(with.values[..instances].iter().zip(0..).all(|(slot, i)| *slot == i));
-        assert_eq!(gaussian_of_slot[..instances], without.values[..instances]);
-        for (g, first) in first_slot.iter().enumerate().filter(|_| counters[3] == 0) {
+        assert_eq!(with.ranges, without.ranges);
+        let of_slots = sort(gpu, chain.frame_words(), with.ranges.clone(), with.pairs, true);
+        let of_instances = sort(gpu, chain.frame_words(), with.ranges, without.pairs, false);
+        let instances = with.counters[5] as usize;
+        let pairs = of_slots.iter().zip(&of_instances).take(instances);
+        pairs.for_each(|(slot, instance)| assert_eq!(gaussian_of_slot[*slot as usize], *instance));
+        let visible = first_slot.iter().enumerate().filter(|(g, _)| instances != 0 && self.tile_count[*g] != 0);
+        for (g, first) in visible {
             let own = (0..self.tile_count[g]).map(|k| (first + k) as usize).filter(|&slot| slot < instances);
             own.for_each(|slot| assert_eq!(gaussian_of_slot[slot] & INSTANCE_GAUSSIAN, g as u32));
         }
     }
-}
 
-fn sort(
-    gpu: &TestGpu,
-    plan: &SortPlan,
-    mut keys: Vec<u32>,
-    mut values: Vec<u32>,
-    mut histogram: Vec<u32>,
-    counters: &[u32],
-    count_word: u32,
-    groups: u32,
-) -> (Vec<u32>, Vec<u32>) {
-    for pass in 0..plan.digits.len() {
-        if plan.prescanned {
-            let buffers = SortSpineBuffers { counters: counters.to_vec(), histogram };
-            let push = plan.spine_push(count_word);
-            let case = KernelCase { kernel: &SORT_SPINE, constants: (), push, buffers, groups: SPINE_GROUPS };
-            histogram = case.check(gpu, "chain").histogram;
+    /// The chain leaves the lists by definition: Gaussians by depth, then index, each in the tiles that it is counted in.
+    fn assert_lists(&self, done: &TileLists) {
+        let mut expected = vec![vec![]; self.frame.tile_count as usize];
+        let mut order: Vec<usize> = (0..self.ellipses.len()).filter(|g| self.tile_count[*g] != 0).collect();
+        order.sort_by(|a, b| self.depths[*a].total_cmp(&self.depths[*b]).then(a.cmp(b)));
+        for g in order {
+            let rows = self.ellipses[g].tile_row_range(self.frame.size);
+            for row in rows[0]..rows[1] {
+                let [first, end] = self.ellipses[g].tile_columns_of_row(row, self.frame.size);
+                (first..end).for_each(|c| expected[(row * self.frame.tiles[0] + c) as usize].push(g as u32));
+            }
         }
-        let rows = histogram.len();
-        let buffers = SortScatterBuffers {
-            counters: counters.to_vec(),
-            histogram,
-            keys_out: vec![0; keys.len()],
-            values_out: Some(vec![0; keys.len()]),
-            keys_in: keys,
-            values_in: Some(values),
-            next_histogram: (pass + 1 < plan.digits.len()).then(|| vec![0; rows]),
-        };
-        let constants = plan.scatter_constants(pass, true, rank_by_ballot(gpu.subgroup_size_of(&SORT_SCATTER)));
-        let (push, groups) = (plan.scatter_push(pass, count_word), groups.max(1));
-        let case = KernelCase { kernel: &SORT_SCATTER, constants, push, buffers, groups };
-        let done = case.check(gpu, "chain");
-        histogram = done.next_histogram.unwrap_or_default();
-        values = done.values_out.unwrap();
-        keys = done.keys_out;
+        for (range, expected) in done.ranges.chunks_exact(2).zip(expected) {
+            let list = &done.values[range[0] as usize..range[1] as usize];
+            let found: Vec<u32> = list.iter().map(|v| v & INSTANCE_GAUSSIAN).collect();
+            assert_eq!(found, expected);
+        }
     }
-    let count = counters[count_word as usize] as usize;
-    assert!(counters[3] != 0 || keys[..count].is_sorted());
-    (keys, values)
 }
 
 #[test]
-fn chain_equals_twins() {
+fn chain_equals_twins_and_definition() {
     let gpu = tests_harness::shared_gpu();
     widths::assert_lanes(&gpu);
     for (n, size) in [
+        (0, [64, 64]),
         (1, [64, 64]),
         (31, [1, 1]),
         (255, [100, 90]),
@@ -233,8 +175,9 @@ fn chain_equals_twins() {
             continue;
         }
         let scene = Scene::random(n, size, 21 + u64::from(n));
-        let (counters, _, _) = scene.check(&gpu, scene.total() as u32 + 100);
-        assert_eq!((counters[3], u64::from(counters[5])), (0, scene.total()));
+        let done = scene.check(&gpu, scene.total() as u32 + 100);
+        assert_eq!((done.counters[3], u64::from(done.counters[5])), (0, scene.total()));
+        scene.assert_lists(&done);
     }
 }
 
@@ -243,9 +186,9 @@ fn nothing_visible() {
     let gpu = tests_harness::shared_gpu();
     let mut scene = Scene::random(300, [64, 64], 5);
     scene.tile_count.fill(0);
-    let (counters, indirect, _) = scene.check(&gpu, 100);
-    assert_eq!((counters[3], counters[5]), (0, 0));
-    assert_eq!(indirect, [0, 0, 1, 0].repeat(4));
+    let done = scene.check(&gpu, 100);
+    assert_eq!((done.counters[3], done.counters[5]), (0, 0));
+    assert!(done.ranges.iter().all(|r| *r == 0));
 }
 
 #[test]
@@ -253,21 +196,22 @@ fn capacity_is_exact() {
     let gpu = tests_harness::shared_gpu();
     let scene = Scene::random(600, [200, 200], 41);
     let total = scene.total() as u32;
-    assert_eq!(scene.check(&gpu, total).0[3], 0);
-    let (counters, indirect, _) = scene.check(&gpu, total - 1);
-    assert_eq!((counters[3], counters[5]), (1, 0));
-    assert_eq!(indirect, [0, 0, 1, 0].repeat(4));
+    assert_eq!(scene.check(&gpu, total).counters[3], 0);
+    let done = scene.check(&gpu, total - 1);
+    assert_eq!((done.counters[3], done.counters[5]), (FAILED_INSTANCES, 0));
+    assert!(done.ranges.iter().all(|r| *r == 0), "a frame that failed has empty lists");
 }
 
 #[test]
 fn a_failure_from_before_stops_the_chain() {
     let gpu = tests_harness::shared_gpu();
     let scene = Scene::random(600, [200, 200], 41);
-    let (counters, indirect, _) = scene.check_from(&gpu, scene.total() as u32, 1);
-    assert_eq!((counters[3], counters[5]), (1, 0));
-    assert_eq!(indirect, [0, 0, 1, 0].repeat(4));
+    let done = scene.check_from(&gpu, scene.total() as u32, 1);
+    assert_eq!((done.counters[3], done.counters[5]), (1, 0));
+    assert!(done.ranges.iter().all(|r| *r == 0));
 }
 
+/// Should two kernels ever disagree on what a splat reaches, lists lose or miss members, but none runs into the next.
 #[test]
 fn counts_that_disagree() {
     let gpu = tests_harness::shared_gpu();
@@ -276,7 +220,16 @@ fn counts_that_disagree() {
         for count in scene.tile_count.iter_mut().filter(|c| **c != 0) {
             *count = (*count as i32 + error).max(1) as u32;
         }
-        scene.check(&gpu, scene.total() as u32);
+        // Who is left out is chance: the twin has others.
+        let done = scene.chain(scene.total() as u32, 0).emission(&gpu).run(&gpu).gpu;
+        for (tile, range) in done.ranges.windows(3).step_by(2).enumerate() {
+            assert!(range[0] <= range[1] && range[1] <= range[2], "tile {tile}: {range:?}");
+            let list = &done.pairs[2 * range[0] as usize..2 * range[1] as usize];
+            for pair in list.chunks_exact(2) {
+                let g = (pair[1] & INSTANCE_GAUSSIAN) as usize;
+                assert_eq!(pair[0], scene.depths[g].to_bits(), "tile {tile}");
+            }
+        }
     }
 }
 
@@ -288,7 +241,52 @@ fn splats_over_the_whole_screen() {
         scene.push([900.0, 500.0, 1e-5, 0.0], [1e-5, -0.1, 3.0 + i as f32, 0.0]);
     }
     assert_eq!(*scene.tile_count.last().unwrap(), 8160);
-    scene.check(&gpu, scene.total() as u32);
+    let done = scene.check(&gpu, scene.total() as u32);
+    scene.assert_lists(&done);
+}
+
+/// Lists around what a workgroup sorts at once and far beyond, of depths that are all alike, that crowd in a corner of their range,
+/// and that are anything.
+#[test]
+fn lists_of_every_length_and_kind() {
+    let gpu = tests_harness::shared_gpu();
+    let mut rng = Rng(3);
+    type Depth = fn(&mut Rng, u32) -> u32;
+    let kinds: [(&str, Depth); 6] = [
+        ("spread", |rng, _| (1.0 + 3.0 * rng.unit()).to_bits()),
+        ("any bits", |rng, _| rng.next() >> 1),
+        ("one", |_, _| 1.5_f32.to_bits()),
+        ("few", |rng, _| (1.0 + (rng.next() % 5) as f32).to_bits()),
+        ("crowded", |rng, i| if i % 100 == 0 { 1e6_f32.to_bits() } else { (1.0 + 1e-5 * rng.unit()).to_bits() }),
+        ("falling", |_, i| (1e4 - i as f32 * 1e-2).to_bits()),
+    ];
+    let all = [0, 1, 2, 7, 64, 255, 257, 1000, SORT_TILES_CAPACITY, SORT_TILES_CAPACITY + 1, 5000, 40_000];
+    let most = if tests_harness::small() { 5000 } else { u32::MAX };
+    for (name, depth) in kinds {
+        let lengths: Vec<u32> = all.into_iter().filter(|n| *n <= most).collect();
+        let mut ranges = vec![];
+        let mut start = 0;
+        for n in &lengths {
+            ranges.extend([start, start + n]);
+            // Room that is not used lies between lists.
+            start += n + 3;
+        }
+        ranges.extend([start, start]);
+        let mut pairs = vec![0; 2 * start as usize];
+        for range in ranges.chunks_exact(2) {
+            let mut names: Vec<u32> = (0..range[1] - range[0]).collect();
+            for i in (1..names.len()).rev() {
+                names.swap(i, rng.next() as usize % (i + 1));
+            }
+            for (i, name) in (range[0]..range[1]).zip(names) {
+                let quadrants = rng.next() & !INSTANCE_GAUSSIAN;
+                pairs[2 * i as usize..2 * i as usize + 2].copy_from_slice(&[depth(&mut rng, name), name | quadrants]);
+            }
+        }
+        let frame = Frame { tile_count: lengths.len() as u32, ..Frame::default() };
+        println!("{name}");
+        sort(&gpu, bytemuck::cast_slice(&[frame]).to_vec(), ranges, pairs, false);
+    }
 }
 
 #[test]
@@ -299,6 +297,7 @@ fn more_than_one_super_block() {
     for i in 0..70_001_u32 {
         scene.push([8.0, 8.0, 0.5, 0.1], [0.4, -0.1, 1.0 + (i % 13) as f32, 0.0]);
     }
-    let (_, _, ranges) = scene.check(&gpu, 80_000);
-    assert_eq!(ranges, [0, 70_001]);
+    let done = scene.check(&gpu, 80_000);
+    assert_eq!(done.ranges[..2], [0, 70_001]);
+    scene.assert_lists(&done);
 }

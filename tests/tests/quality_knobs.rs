@@ -7,10 +7,9 @@ use engine::gpu::Gpu;
 use engine::image::{Difference, Image, difference};
 use engine::reference::{self, ReferenceOptions};
 use engine::render::blend::{self, BLEND, BlendBuffers, BlendConstants, Stage};
-use engine::render::compact::{COMPACT, CompactBuffers, CompactConstants, CompactPush};
 use engine::render::deform_project::{DeformProject, DeformProjectConstants};
 use engine::render::ellipse::Ellipse;
-use engine::render::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
+use engine::render::emit_tiles::EmitTilesConstants;
 use engine::render::frame::Frame;
 use engine::render::mean_storage;
 use engine::render::quality::{KNOBS, Quality};
@@ -21,6 +20,7 @@ use engine::scene::synthetic::{Random, demo_camera, demo_scene, hard_cases, movi
 use engine::scene::{Camera, Scene};
 use glam::DVec3;
 use tests_harness::render_case::{RenderInput, test_camera};
+use tests_harness::tile_chain::{TileChain, TileLists};
 use tests_harness::{KernelCase, KernelResult, TestGpu};
 use tools::cli::args::Cli;
 
@@ -33,12 +33,11 @@ fn settings() -> Vec<Quality> {
         "cull=box",
         "alpha_cut=1/64",
         "stop=0.01",
-        "depth_bits=12",
         "sh=f16",
         "sh=u8",
         "position=unorm16",
         "colour=f16",
-        "colour=f16,cull=box,alpha_cut=1/32,stop=0.003,depth_bits=24,sh=u8,position=unorm16",
+        "colour=f16,cull=box,alpha_cut=1/32,stop=0.003,sh=u8,position=unorm16",
     ];
     lists
         .iter()
@@ -67,13 +66,13 @@ fn project_case(input: &RenderInput, frame: &Frame, q: &Quality) -> KernelCase<D
     case
 }
 
-/// Tile lists as the sorts would make them, from the emitted pairs, and the whole chain of one setting on device and twin.
+/// The whole chain of one setting on device and twin.
 fn check_kernels(gpu: &TestGpu, q: &Quality) {
     let name = q.describe();
     let (size, packing) = (gpu.subgroup_size_of(&BLEND), q.packing_constant());
     let input = RenderInput::random(COUNT, 3, 5).moving(7, 11);
     let mut frame = input.frame(&test_camera(150, 91));
-    (frame.world_to_camera_0[3], frame.world_to_camera_1[3], frame.instance_capacity) = (1.5, 11.0, 40_000);
+    frame.instance_capacity = 40_000;
 
     // Projection: the device's splats decode to the twin's within the packing's last place.
     let case = project_case(&input, &frame, q);
@@ -98,70 +97,20 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
     // Everything after it from the twin's splats, bit for bit.
     let (mut splats, tile_count) = (twin.splats.clone(), twin.tile_count.clone());
     splats.iter_mut().for_each(|w| *w = if *w == tests_harness::kernel_case::POISON { 0 } else { *w });
-    let bits = if q.depth_bits < 32 { q.depth_bits } else { 0 };
-    let blocks = COUNT.div_ceil(256) as u32;
-    let buffers = CompactBuffers {
-        frame: bytemuck::cast_slice(&[frame]).to_vec(),
-        tile_count: tile_count.clone(),
-        splats: splats.clone(),
-        visible_block: twin.visible_block.clone(),
-        counters: twin.counters.clone(),
-        indirect: vec![0; 16],
-        keys: vec![0; COUNT],
-        values: vec![0; COUNT],
-        next_histogram: vec![0; 256],
-    };
-    let constants = CompactConstants { depth_bits: bits, packing };
-    let push =
-        CompactPush { block_capacity: blocks, digit_bits: 8, depth_partition_shift: 12, tile_partition_shift: 12 };
-    let result = KernelCase { kernel: &COMPACT, constants, push, buffers, groups: 1 }.run(gpu);
-    result.assert_equal(&name);
-    let compacted = result.twin;
-    let count = compacted.counters[0] as usize;
-    let (keys, values) = (&compacted.keys[..count], &compacted.values[..count]);
-    assert!(bits == 0 || keys.iter().all(|k| *k < 1 << bits), "{name}");
-    let mut order: Vec<(u32, u32)> = keys.iter().copied().zip(values.iter().copied()).collect();
-    order.sort();
-    let order: Vec<u32> = order.into_iter().map(|(_, g)| g).collect();
-
-    let mut sums = vec![0; twin.visible_block.len()];
-    for (i, g) in order.iter().enumerate() {
-        sums[i / 256] += tile_count[*g as usize];
-    }
-    sums[blocks as usize] = sums[..blocks as usize].iter().sum();
-    let instances = compacted.counters[5] as usize;
-    let mut padded = order.clone();
-    padded.resize(COUNT, 0);
-    let buffers = EmitTilesBuffers {
-        frame: bytemuck::cast_slice(&[frame]).to_vec(),
-        counters: compacted.counters,
-        tile_count,
-        order: padded,
-        splats: splats.clone(),
-        instance_block: sums,
-        keys: vec![0; instances],
-        values: vec![0; instances],
-        next_histogram: vec![0; instances.div_ceil(4096) * 256],
-        gaussian_of_slot: None,
-        first_slot: None,
-    };
     let constants =
         EmitTilesConstants { with_slots: 0, alpha_cut: q.alpha_cut_constant(), tile_cull: q.cull_constant(), packing };
-    let push = EmitTilesPush { block_capacity: blocks, digit_bits: 8, partition_shift: 12 };
-    let groups = count.div_ceil(256) as u32;
-    let result = KernelCase { kernel: &EMIT_TILES, constants, push, buffers, groups }.run(gpu);
-    result.assert_equal(&name);
-
-    let mut lists = vec![Vec::new(); frame.tile_count as usize];
-    for (tile, g) in result.twin.keys.iter().zip(&result.twin.values) {
-        lists[*tile as usize].push(*g);
-    }
-    let (mut ranges, mut values) = (Vec::new(), Vec::new());
-    for list in lists {
-        let start = values.len() as u32;
-        values.extend(list);
-        ranges.extend([start, values.len() as u32]);
-    }
+    let chain = TileChain {
+        frame,
+        counters: twin.counters,
+        tile_count,
+        splats: splats.clone(),
+        tile_change: twin.tile_change,
+        instance_block: twin.instance_block,
+        block_capacity: COUNT.div_ceil(256) as u32,
+        constants,
+    };
+    let TileLists { ranges, values, counters } = chain.run(gpu);
+    assert_eq!(counters[3], 0, "{name}");
     let pixels_per_lane = blend::pixels_per_lane(size);
     for stage in [Stage::Shuffle, Stage::Shared, Stage::Reread] {
         let buffers = BlendBuffers {
@@ -227,10 +176,6 @@ const BOUNDS: &[(&str, f64, f64)] = &[
     // Colours reach 1.14 here and a tenth of that limit is seen.
     ("stop=0.001", 65.0, 0.02),
     ("stop=0.01", 50.0, 0.2),
-    ("depth_bits=24", 80.0, 5e-3),
-    ("depth_bits=20", 70.0, 0.02),
-    ("depth_bits=16", 45.0, 0.2),
-    ("depth_bits=12", 30.0, 0.6),
     ("sh=f16", 70.0, 5e-3),
     ("sh=u8", 45.0, 0.03),
     ("colour=f16", 70.0, 5e-3),
@@ -259,7 +204,7 @@ fn knobs_that_cost_nothing_leave_every_bit() {
     let exact = image(&gpu, &scene, "", 0.37);
     assert_eq!(RenderOptions::default().quality, Quality::EXACT);
     let off: String = KNOBS.iter().map(|k| format!("{}={},", k.name, k.values[0])).collect();
-    for list in [off.as_str(), "cull=box", "depth_bits=24", "table_step=1", "nonrigid=off", "network=f16"] {
+    for list in [off.as_str(), "cull=box", "table_step=1", "nonrigid=off", "network=f16"] {
         assert!(image(&gpu, &scene, list, 0.37) == exact, "{list} changes the image");
     }
     let truth = truth(&scene, 0.37);
@@ -344,7 +289,7 @@ fn high_has_no_visible_error() {
 }
 
 #[test]
-fn fewer_bits_of_depth_mean_fewer_passes_and_packing_fewer_bytes() {
+fn packing_means_fewer_bytes() {
     let gpu = tests_harness::shared_gpu();
     let scene = random_scene(500, 4, 2);
     let of = |list: &str| {
@@ -354,17 +299,13 @@ fn fewer_bits_of_depth_mean_fewer_passes_and_packing_fewer_bytes() {
         let mut renderer = Renderer::new(&gpu, &scene, &options).unwrap();
         let statistics = renderer.draw(&camera(), 0.0).unwrap().1;
         let workload = renderer.workload(&statistics);
-        (renderer.commands().unwrap().dispatches(), workload.get("splat_bytes"), workload.get("sh_bytes"))
+        (workload.get("splat_bytes"), workload.get("sh_bytes"))
     };
-    let (dispatches, splat, sh) = of("");
-    assert_eq!((splat, sh), (48, 108));
-    for (bits, saved) in [(24, 1), (20, 1), (16, 2), (12, 2), (8, 3)] {
-        assert_eq!(of(&format!("depth_bits={bits}")).0, dispatches - saved, "{bits}");
-    }
-    assert_eq!(of("colour=f16").1, 32);
-    assert!((54..64).contains(&of("sh=f16").2), "{}", of("sh=f16").2);
-    assert!((28..40).contains(&of("sh=u8").2), "{}", of("sh=u8").2);
-    assert_eq!(of("sh_degree=1").2, 48);
+    assert_eq!(of(""), (48, 108));
+    assert_eq!(of("colour=f16").0, 32);
+    assert!((54..64).contains(&of("sh=f16").1), "{}", of("sh=f16").1);
+    assert!((28..40).contains(&of("sh=u8").1), "{}", of("sh=u8").1);
+    assert_eq!(of("sh_degree=1").1, 48);
 }
 
 const ARGUMENTS: &str = "SPGS_TEST_ARGUMENTS";
@@ -402,7 +343,7 @@ fn a_sweep_writes_every_knob_and_a_page_that_loads_nothing() {
     arguments.extend(size);
     let (code, text) = spgs(&arguments);
     assert_eq!(code, 0, "{text}");
-    assert!(text.contains("depth_bits = 16") && text.contains("Pareto"), "{text}");
+    assert!(text.contains("stop = 0.001") && text.contains("Pareto"), "{text}");
     let record: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(json).unwrap()).unwrap();
     let settings = record["settings"].as_array().unwrap();
     for knob in KNOBS.iter().filter(|k| !["network", "nonrigid"].contains(&k.name)) {
@@ -448,7 +389,7 @@ fn mistakes_are_one_line_and_leave_nothing() {
     assert!(text.contains("a folder that does not exist"), "{text}");
     let (code, text) = spgs(&["bench", "train", "--sweep", "--width", "16"]);
     assert_eq!(code, 2, "{text}");
-    for bad in [["--quality", "best"], ["--set", "depth_bits=40"], ["--set", "blur=1"]] {
+    for bad in [["--quality", "best"], ["--set", "table_step=65"], ["--set", "blur=1"]] {
         assert!(Cli::try_parse_from(["spgs", "bench", bad[0], bad[1]]).is_err());
     }
 }

@@ -89,6 +89,7 @@ fn clone(k: &Kernel) -> Kernel {
         push: k.push,
         bindings: k.bindings,
         twin: k.twin,
+        arrange: k.arrange,
         tolerance: k.tolerance,
         bytes: k.bytes,
         spirv: k.spirv,

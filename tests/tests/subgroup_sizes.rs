@@ -37,7 +37,7 @@ fn a_gpu_that_can_choose_gets_the_size_of_the_table() {
     assert_eq!(rdna.subgroup_size_of(kernel("blend"), Some(16)), 32, "a size that cannot be pinned is not forced");
     assert_eq!(device(INTEL, "integrated", [8, 32, 32]).subgroup_size_of(kernel("blend"), None), 16);
     let adreno = device(QUALCOMM, "integrated", [64, 128, 128]);
-    assert_eq!(["blend", "compact"].map(|name| adreno.subgroup_size_of(kernel(name), None)), [64, 128]);
+    assert_eq!(["blend", "emit_tiles"].map(|name| adreno.subgroup_size_of(kernel(name), None)), [64, 128]);
 }
 
 #[test]
@@ -58,5 +58,5 @@ fn devices_that_cannot_choose_keep_their_size() {
     let mut few = device(INTEL, "integrated", [8, 32, 32]);
     few.capabilities.max_workgroup_subgroups = 8;
     assert_eq!(few.subgroup_size_of(kernel("blend"), None), 16);
-    assert_eq!(few.subgroup_size_of(kernel("compact"), None), 32, "16 subgroups are more than the device pins");
+    assert_eq!(few.subgroup_size_of(kernel("emit_tiles"), None), 32, "16 subgroups are more than the device pins");
 }

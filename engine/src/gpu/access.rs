@@ -74,12 +74,12 @@ pub struct Barrier {
     pub flush: bool,
     /// Stages that wait.
     pub destination: Stages,
-    /// The conflicts, as text: `keys_a (W@compact)`.
+    /// The conflicts, as text: `pairs (W@emit_tiles)`.
     pub reasons: Vec<String>,
 }
 
 impl Barrier {
-    /// One line for the plan: `COMPUTE:W->COMPUTE because keys_a (W@#3 compact)`.
+    /// One line for the plan: `COMPUTE:W->COMPUTE because pairs (W@#3 emit_tiles)`.
     pub fn describe(&self) -> String {
         let mut text = String::new();
         let kind = if self.flush { "W" } else { "exec" };

@@ -300,7 +300,7 @@ macro_rules! gpu_buffers {
 }
 
 /// Declares a kernel once: pipeline, dispatch, barriers, twin and tests follow from it. `glsl/**/NAME.comp` is its source;
-/// `image`, if it stores to one, names it, after the buffers.
+/// `image`, if it stores to one, names it, after the buffers; `arrange` is for one that leaves things in any order.
 #[macro_export]
 macro_rules! kernel {
     ($(#[$meta:meta])* pub static $KERNEL:ident: $interface:ident = {
@@ -312,6 +312,7 @@ macro_rules! kernel {
         buffers: $buffers:ident,
         $(image: $image:literal,)?
         twin: $twin:expr,
+        $(arrange: $arrange:expr,)?
         tolerance: $tolerance:expr,
         bytes: $bytes:expr $(,)?
     }) => {
@@ -337,11 +338,14 @@ macro_rules! kernel {
                     let twin: fn($crate::gpu::interface::Call<'_, $interface>) = $twin;
                     twin($crate::gpu::interface::Call::of(call))
                 },
+                arrange: $crate::kernel!(@arrange $($arrange)?),
                 tolerance: $tolerance,
                 bytes: $bytes,
                 spirv: include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/../spirv_cache/", $name, ".spv")),
             });
     };
+    (@arrange) => { None };
+    (@arrange $arrange:expr) => { Some($arrange) };
     (@bindings $buffers:ident) => { <$buffers<()> as $crate::gpu::interface::Buffers<()>>::BINDINGS };
     (@bindings $buffers:ident $image:literal) => {{
         const BUFFERS: &[$crate::gpu::kernel::Binding] = <$buffers<()> as $crate::gpu::interface::Buffers<()>>::BINDINGS;

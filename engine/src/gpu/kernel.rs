@@ -126,6 +126,9 @@ pub struct Kernel {
     pub bindings: &'static [Binding],
     /// CPU twin.
     pub twin: Twin,
+    /// Brings what may be left in any order, as atomics have it, into one, in the words of each binding: both sides are arranged
+    /// before they are compared.
+    pub arrange: Option<fn(&mut [Vec<u32>])>,
     /// GPU-against-twin tolerance for float elements.
     pub tolerance: Tolerance,
     /// Bytes that an ideal implementation moves, for the roofline.
@@ -136,7 +139,7 @@ pub struct Kernel {
 
 impl Kernel {
     /// The specialisation constant that says how many threads a workgroup has. The module is changed to that size: naga has no
-    /// `LocalSizeId`. The kernel must also be right with more threads.
+    /// `LocalSizeId`.
     pub const THREADS: &'static str = "THREADS";
 
     /// Threads of a workgroup for these specialisation constants, from id 0 on.

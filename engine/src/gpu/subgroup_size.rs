@@ -28,6 +28,8 @@ pub struct Choice {
 pub const AMD: u32 = 0x1002;
 /// `vendorID` of Intel.
 pub const INTEL: u32 = 0x8086;
+/// `vendorID` of NVIDIA.
+pub const NVIDIA: u32 = 0x10DE;
 /// `vendorID` of Qualcomm.
 pub const QUALCOMM: u32 = 0x5143;
 

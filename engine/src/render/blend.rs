@@ -13,6 +13,8 @@
 
 pub(super) mod twin;
 
+pub(crate) use twin::splat_at;
+
 use super::frame::Frame;
 use super::limits::TILE_SIZE;
 use crate::gpu::Gpu;

@@ -3,8 +3,9 @@
 //! One Gaussian per thread, 256 per workgroup. For each Gaussian of `mean [3][N]` it writes `tile_count[N]` (0 = culled)
 //! and, for the visible ones only, `splats`, as `vec4[3N]`: (mean px, l11, l12), (l22, log2 opacity, z, 0), (r, g, b, 0),
 //! or packed ([`super::splat`]).
-//! Sums: `visible_block[b]` per workgroup and `[block_capacity + b / 256]` above it; `counters` 0 visible, 1–2 instances
-//! (64 bits), 4 rejected. `visible_block` and `counters` must be zeroed before.
+//! Sums: tile instances in `instance_block[b]` per workgroup and in `[block_capacity + b / 256]` above it; `counters` 0 visible,
+//! 1–2 instances (64 bits), 4 rejected; in `tile_change[k]` how many more Gaussians reach tile k than tile k − 1. All of them
+//! must be zeroed before.
 //!
 //! With `NONRIGID` = 1 it adds `nonrigid_offset float[10][N]`, planes dx 3, dq 4 (w,x,y,z), ds 3, to the moved Gaussian:
 //! μ + dx, norm(q + dq), max(exp(log_scale) + ds, exp(−30)).
@@ -20,7 +21,7 @@ use crate::gpu::kernel::{Tolerance, Workload};
 crate::gpu_struct! {
     /// Push constants of [`DEFORM_PROJECT`].
     pub struct DeformProjectPush {
-        /// Where the super sums start in `visible_block`: the number of blocks that it has room for.
+        /// Where the super sums start in `instance_block`: the number of blocks that it has room for.
         pub block_capacity: u32,
     }
 }
@@ -84,7 +85,7 @@ crate::gpu_buffers! {
         sh_3: optional Read U32,
         splats: Write F32,
         tile_count: Write U32,
-        visible_block: Atomic U32,
+        instance_block: Atomic U32,
         counters: Atomic U32,
         nonrigid_offset: optional Read F32,
         /// `[planes][N]` of the optional parameters.
@@ -93,6 +94,8 @@ crate::gpu_buffers! {
         blend_index: optional Read U32,
         /// `[K-1][N]`; of soft superpoints.
         blend_weight: optional Read F32,
+        /// Row-major ([`scan_tiles`](crate::render::scan_tiles)).
+        tile_change: Atomic U32,
     }
 }
 

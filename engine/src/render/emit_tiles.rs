@@ -1,10 +1,10 @@
-//! Kernel `emit_tiles`: one (tile, Gaussian) pair for each tile that a visible Gaussian reaches.
+//! Kernel `emit_tiles`: appends each visible Gaussian to the list of each tile that it reaches.
 
 use super::ellipse::{Ellipse, quadrants_of_tile};
 use super::frame::Frame;
 use super::limits::*;
 use super::splat::unpack_splat;
-use super::tiles::{sum_before, visible_of};
+use super::tiles::sum_before;
 use super::twin;
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
@@ -14,10 +14,6 @@ crate::gpu_struct! {
     pub struct EmitTilesPush {
         /// Where the super sums of `instance_block` start, in words.
         pub block_capacity: u32,
-        /// Width of the first tile digit.
-        pub digit_bits: u32,
-        /// log2 of the keys of a partition of the tile sort.
-        pub partition_shift: u32,
     }
 }
 
@@ -42,18 +38,15 @@ crate::gpu_buffers! {
         counters: Read U32,
         /// `[N]`: tiles that each Gaussian reaches.
         tile_count: Read U32,
-        /// `[visible]`: Gaussians by depth.
-        order: Read U32,
         /// `[N]` splats ([`super::splat`]).
         splats: Read F32,
-        /// Tile instances per block of 256, then per super block.
+        /// Tile instances per block of 256 Gaussians, then per super block.
         instance_block: Read U32,
-        /// `[instances]`: tiles.
-        keys: Write U32,
-        /// `[instances]`: instances ([`INSTANCE_GAUSSIAN`], [`INSTANCE_QUADRANT_SHIFT`]), or slots.
-        values: Write U32,
-        /// `[partition][256]` counts of the first tile digit; must be zero.
-        next_histogram: Atomic U32,
+        /// `[T+1][2]`: first and last + 1 instance of each tile's list, as long as it has become; no longer than up to where the next
+        /// one begins.
+        ranges: Atomic U32,
+        /// `[instances][2]`: bits of the depth, and an instance ([`INSTANCE_GAUSSIAN`], [`INSTANCE_QUADRANT_SHIFT`]) or its slot.
+        pairs: Write U32,
         /// `[instances]`: instances; with slots only.
         gaussian_of_slot: optional Write U32,
         /// `[N]`; with slots only.
@@ -62,18 +55,29 @@ crate::gpu_buffers! {
 }
 
 crate::kernel! {
-    /// Tile instances in depth order. Dispatch ceil(visible / 256) workgroups; `next_histogram` must be zero.
+    /// Pairs of depth and instance in the list of each tile, in any order. Dispatch ceil(N / 256) workgroups.
     pub static EMIT_TILES: EmitTiles = {
         name: "emit_tiles",
-        doc: "writes one (tile, Gaussian) pair for each tile a visible Gaussian reaches, in depth order, and counts the \
-              first tile digit",
+        doc: "appends each visible Gaussian to the list of each tile that it reaches, with its depth",
         local_size: 256,
         constants: EmitTilesConstants,
         push: EmitTilesPush,
         buffers: EmitTilesBuffers,
         twin: emit_tiles_twin,
+        arrange: arrange_pairs,
         tolerance: Tolerance::EXACT,
-        bytes: |w| 32 * w.get("visible") + 8 * w.get("instances"),
+        bytes: |w| 4 * w.get("gaussians") + 32 * w.get("visible") + 8 * w.get("instances"),
+    }
+}
+
+/// Sorts the pairs of each tile, which come in whatever order its atomics had.
+fn arrange_pairs(buffers: &mut [Vec<u32>]) {
+    let [_, _, _, _, _, ranges, pairs, ..] = buffers else { return };
+    for range in ranges.chunks_exact(2) {
+        let Some(list) = pairs.get_mut(2 * range[0] as usize..2 * range[1] as usize) else { continue };
+        let mut sorted: Vec<[u32; 2]> = list.chunks_exact(2).map(|p| [p[0], p[1]]).collect();
+        sorted.sort_unstable();
+        list.copy_from_slice(sorted.as_flattened());
     }
 }
 
@@ -82,46 +86,48 @@ fn emit_tiles_twin(call: Call<'_, EmitTiles>) {
     let Call { constants, push, buffers: mut b, .. } = call;
     let EmitTilesConstants { with_slots, alpha_cut, tile_cull, packing } = constants;
     let with_slots = with_slots == 1;
-    let visible = visible_of(b.counters);
     let frame: Frame = twin::struct_at(b.frame, 0);
-    let capacity = b.counters[COUNT_INSTANCES as usize].min(frame.instance_capacity);
-    let mask = (1 << push.digit_bits) - 1;
-    for group in 0..groups.min(visible.div_ceil(SCAN_BLOCK)) {
-        let mut to = sum_before(b.instance_block, group, push.block_capacity);
-        for i in group * SCAN_BLOCK..visible.min((group + 1) * SCAN_BLOCK) {
-            let gaussian = b.order[i as usize];
+    let gaussians = if b.counters[COUNT_FAILED as usize] == 0 { frame.gaussians } else { 0 };
+    for group in 0..groups.min(gaussians.div_ceil(SCAN_BLOCK)) {
+        let mut slot = if with_slots { sum_before(b.instance_block, group, push.block_capacity) } else { 0 };
+        for gaussian in group * SCAN_BLOCK..gaussians.min((group + 1) * SCAN_BLOCK) {
             let g = gaussian as usize;
+            let count = b.tile_count[g];
+            if count == 0 {
+                continue;
+            }
             let [first, second, _] = unpack_splat(packing, b.splats, g);
             let e = Ellipse::of_splat(first, second).with_constants(alpha_cut, tile_cull);
             if let Some(first_slot) = b.first_slot.as_mut().filter(|_| with_slots) {
-                first_slot[g] = to;
+                first_slot[g] = slot;
             }
-            for (tile, quadrants) in tiles_of(&e, b.tile_count[g], &frame) {
-                if to < capacity {
-                    let instance = gaussian | quadrants << INSTANCE_QUADRANT_SHIFT;
-                    b.keys[to as usize] = tile;
-                    b.values[to as usize] = if with_slots { to } else { instance };
-                    if let Some(gaussian_of_slot) = b.gaussian_of_slot.as_mut().filter(|_| with_slots) {
-                        gaussian_of_slot[to as usize] = instance;
-                    }
-                    b.next_histogram[((to >> push.partition_shift) * SORT_DIGITS + (tile & mask)) as usize] += 1;
+            for ((tile, quadrants), own) in tiles_of(&e, count, &frame).into_iter().zip(slot..) {
+                let instance = gaussian | quadrants << INSTANCE_QUADRANT_SHIFT;
+                if let Some(gaussian_of_slot) = b.gaussian_of_slot.as_mut().filter(|_| with_slots) {
+                    gaussian_of_slot[own as usize] = instance;
                 }
-                to += 1;
+                let [.., end, next, _] = &mut b.ranges[2 * tile..2 * tile + 4] else { continue };
+                if *end < *next {
+                    let pair = [second[2].to_bits(), if with_slots { own } else { instance }];
+                    b.pairs[2 * *end as usize..2 * *end as usize + 2].copy_from_slice(&pair);
+                    *end += 1;
+                }
             }
+            slot += count;
         }
     }
 }
 
-/// Exactly `count` tiles of an ellipse and their quadrants, row-major; one past the last tile stands for those that do not exist.
-fn tiles_of(e: &Ellipse, count: u32, frame: &Frame) -> Vec<(u32, u32)> {
+/// At most `count` tiles of an ellipse and their quadrants, row-major.
+fn tiles_of(e: &Ellipse, count: u32, frame: &Frame) -> Vec<(usize, u32)> {
     let mut tiles = Vec::new();
     let rows = e.tile_row_range(frame.size);
     for row in rows[0]..rows[1] {
         let columns = e.tile_columns_of_row(row, frame.size);
         let half_rows = e.half_rows_of_tile_row(row);
-        let tile = |column: u32| (row * frame.tiles[0] + column, quadrants_of_tile(half_rows, column));
+        let tile = |column: u32| ((row * frame.tiles[0] + column) as usize, quadrants_of_tile(half_rows, column));
         tiles.extend((columns[0]..columns[1]).map(tile));
     }
-    tiles.resize(count as usize, (frame.tile_count, 0));
+    tiles.truncate(count as usize);
     tiles
 }

@@ -351,7 +351,7 @@ impl FieldEvaluator {
     /// `DeviceLost`, `Vulkan`.
     pub fn offsets(&self, time: f64) -> Result<Vec<Offset>> {
         let camera = crate::scene::Camera::look_at(glam::DVec3::Z, glam::DVec3::ZERO, glam::DVec3::Y, 1.0, [16, 16]);
-        let frame = self.scene.frame(&camera, FrameOptions { time, ..FrameOptions::default() }, 32)?;
+        let frame = self.scene.frame(&camera, FrameOptions { time, ..FrameOptions::default() })?;
         self.frame.write(0, bytemuck::bytes_of(&frame))?;
         // Part by part: a submission then stays far from the time-out, however slow the device.
         for first in self.field.parts(&self.scene) {

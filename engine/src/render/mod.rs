@@ -1,8 +1,7 @@
 //! Scene(t) + camera → image, on the GPU.
 //!
 //! ```text
-//! [deform_network] → deform_project → compact → sort_scatter ×4 (depth) → sum_tile_counts → emit_tiles
-//!                  → sort_scatter ×1..3 (tile id) → tile_ranges → blend
+//! [deform_network] → deform_project → scan_tiles → emit_tiles → sort_tiles → blend
 //! ```
 //!
 //! A scene with a deformation field runs it first (`field_*`), one with network G `nonrigid_network`.
@@ -32,10 +31,7 @@ pub mod blend_rgba16f;
 pub mod blend_rgba32f;
 #[doc(hidden)]
 pub mod blend_rgba8;
-pub(crate) mod bounds;
 pub(crate) mod capacity;
-#[doc(hidden)]
-pub mod compact;
 #[doc(hidden)]
 pub mod deform_network;
 #[doc(hidden)]
@@ -70,6 +66,8 @@ pub mod quaternion;
 #[doc(hidden)]
 pub mod radix_sort;
 mod renderer;
+#[doc(hidden)]
+pub mod scan_tiles;
 pub(crate) mod scene_buffers;
 #[doc(hidden)]
 pub mod sh_storage;
@@ -79,13 +77,11 @@ pub mod sort_spine;
 #[cfg(test)]
 mod sort_tests;
 #[doc(hidden)]
+pub mod sort_tiles;
+#[doc(hidden)]
 pub mod splat;
 #[doc(hidden)]
-pub mod sum_tile_counts;
-#[doc(hidden)]
 pub mod superpoint_motion;
-#[doc(hidden)]
-pub mod tile_ranges;
 #[cfg(test)]
 mod tile_tests;
 #[doc(hidden)]

@@ -11,30 +11,25 @@ use super::blend_packed::{BLEND_PACKED, BlendPackedBuffers, BlendPackedConstants
 use super::blend_rgba8::BLEND_RGBA8;
 use super::blend_rgba16f::BLEND_RGBA16F;
 use super::blend_rgba32f::BLEND_RGBA32F;
-use super::compact::{
-    COMPACT, COMPACT_GAUSSIANS, CompactBuffers, CompactConstants, CompactPush, INDIRECT_DEPTH_SORT, INDIRECT_EMIT,
-    INDIRECT_RANGES, INDIRECT_TILE_SORT,
-};
 use super::deform_network::DEFORM_NETWORK;
 use super::deform_project::{
     DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectBuffers, DeformProjectConstants, DeformProjectPush,
     MOTION_STATIC, MOTION_TABLE,
 };
 use super::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
-use super::limits::{COUNT_INSTANCES, COUNT_VISIBLE};
+use super::limits::SCAN_BLOCK;
 use super::mean_storage;
 use super::nonrigid_network::NONRIGID_NETWORK;
 use super::pixel_format::PixelFormat;
 use super::quality::Quality;
-use super::radix_sort::{self, SortSlices};
+use super::scan_tiles::{SCAN_TILES, ScanTilesBuffers, ScanTilesConstants};
 use super::scene_buffers::SceneBuffers;
 use super::sort_histogram::SORT_HISTOGRAM;
 use super::sort_scatter::SORT_SCATTER;
 use super::sort_spine::SORT_SPINE;
-use super::sum_tile_counts::{SUM_TILE_COUNTS, SumTileCountsBuffers, SumTileCountsPush};
-use super::tile_ranges::{TILE_RANGES, TileRangesBuffers};
+use super::sort_tiles::{self, SORT_TILES, SortTilesBuffers};
 use super::tiles::SlotBuffers;
-use super::work_buffers::{DEPTH_KEY_BITS, SortBuffers, WorkBuffers};
+use super::work_buffers::WorkBuffers;
 
 /// Buffers of one frame in flight.
 #[derive(Debug)]
@@ -114,11 +109,10 @@ pub(crate) fn record_forward(
     let pose = frame.host_pose.as_ref().unwrap_or(&scene.deformation.pose);
     let offset = scene.deformation.record(gpu, r, scene, &frame.frame, pose)?;
     deform_project(r, scene, work, frame, offset, &shape.quality)?;
-    compact(r, scene, work, frame, &shape.quality)?;
-    sort(r, "depth", &work.depth, work, COUNT_VISIBLE, INDIRECT_DEPTH_SORT)?;
-    emit(r, work, frame, shape)?;
-    sort(r, "tile", &work.tile, work, COUNT_INSTANCES, INDIRECT_TILE_SORT)?;
-    ranges_and_blend(gpu, r, work, frame, shape)
+    scan_tiles(gpu, r, scene, work, frame)?;
+    emit_tiles(r, scene, work, frame, shape)?;
+    sort_tiles(gpu, r, scene, work, frame, shape)?;
+    blend(gpu, r, work, frame, shape)
 }
 
 fn deform_project(
@@ -146,12 +140,13 @@ fn deform_project(
         sh_3: scene.band(3),
         splats: work.splats.whole(),
         tile_count: work.tile_count.whole(),
-        visible_block: work.visible_block.clone(),
+        instance_block: work.instance_block.clone(),
         counters: work.counters.clone(),
         nonrigid_offset,
         optional: scene.optional.as_ref().map(Buffer::whole),
         blend_index: scene.deformation.blend_index(),
         blend_weight: scene.deformation.blend_weight(),
+        tile_change: work.tile_change.clone(),
     };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
     let groups = Groups::Direct(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS).into());
@@ -170,88 +165,44 @@ fn deform_project(
     r.dispatch(&DEFORM_PROJECT, constants, push, buffers, groups)
 }
 
-fn compact(
+fn scan_tiles(
+    gpu: &Gpu,
     r: &mut Recorder,
     scene: &SceneBuffers,
     work: &WorkBuffers,
     frame: &FrameBuffers,
-    quality: &Quality,
 ) -> Result<()> {
-    let push = CompactPush {
-        block_capacity: work.block_capacity,
-        digit_bits: work.depth.plan.digits[0].bits,
-        depth_partition_shift: work.depth.plan.partition_shift(),
-        tile_partition_shift: work.tile.plan.partition_shift(),
-    };
-    let buffers = CompactBuffers {
+    let long = sort_tiles::long_from(gpu.info().is_cpu(), scene.gaussians);
+    let buffers = ScanTilesBuffers {
         frame: frame.frame.whole(),
-        tile_count: work.tile_count.whole(),
-        splats: work.splats.whole(),
-        visible_block: work.visible_block.clone(),
         counters: work.counters.clone(),
-        indirect: work.indirect.whole(),
-        keys: work.depth.keys[0].whole(),
-        values: work.depth.values[0].whole(),
-        next_histogram: work.depth.histograms[0].clone(),
+        tile_change: work.tile_change.clone(),
+        ranges: work.ranges.whole(),
+        indirect: (long != 0).then(|| work.indirect.whole()),
     };
-    // The first workgroup writes the indirect arguments, so one runs even for an empty scene.
-    let groups = u64::from(scene.gaussians.div_ceil(COMPACT_GAUSSIANS).max(1));
-    let depth_bits = if quality.depth_bits < DEPTH_KEY_BITS { quality.depth_bits } else { 0 };
-    let constants = CompactConstants { depth_bits, packing: quality.packing_constant() };
-    r.dispatch(&COMPACT, constants, push, buffers, Groups::Direct(groups))
+    r.dispatch(&SCAN_TILES, ScanTilesConstants { long }, (), buffers, Groups::Direct(1))
 }
 
-/// All passes of a sort whose first histogram the producer of the keys has counted.
-fn sort(
+fn emit_tiles(
     r: &mut Recorder,
-    what: &str,
-    s: &SortBuffers,
+    scene: &SceneBuffers,
     work: &WorkBuffers,
-    count_word: u32,
-    indirect_word: u32,
+    frame: &FrameBuffers,
+    shape: &Shape,
 ) -> Result<()> {
-    let slices = SortSlices {
-        counters: work.counters.clone(),
-        count_word,
-        keys: [0, 1].map(|i: usize| s.keys[i].whole()),
-        values: [0, 1].map(|i: usize| s.values[i].whole()),
-        histograms: s.histograms.clone(),
-    };
-    radix_sort::record(r, what, &s.plan, &slices, || {
-        Groups::Indirect(work.indirect.clone(), u64::from(indirect_word) * 4)
-    })
-}
-
-fn emit(r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: &Shape) -> Result<()> {
-    let order = &work.depth.values[work.depth.plan.result_in()];
-    let groups = || Groups::Indirect(work.indirect.clone(), u64::from(INDIRECT_EMIT) * 4);
-    let push = SumTileCountsPush { block_capacity: work.block_capacity };
-    let buffers = SumTileCountsBuffers {
-        counters: work.counters.clone(),
-        tile_count: work.tile_count.whole(),
-        order: order.whole(),
-        instance_block: work.instance_block.clone(),
-    };
-    r.dispatch(&SUM_TILE_COUNTS, (), push, buffers, groups())?;
-    let push = EmitTilesPush {
-        block_capacity: work.block_capacity,
-        digit_bits: work.tile.plan.digits[0].bits,
-        partition_shift: work.tile.plan.partition_shift(),
-    };
     let slots = shape.slots.as_ref();
     let buffers = EmitTilesBuffers {
         frame: frame.frame.whole(),
         counters: work.counters.clone(),
         tile_count: work.tile_count.whole(),
-        order: order.whole(),
         splats: work.splats.whole(),
         instance_block: work.instance_block.clone(),
-        keys: work.tile.keys[0].whole(),
-        values: work.tile.values[0].whole(),
-        next_histogram: work.tile.histograms[0].clone(),
+        ranges: work.ranges.whole(),
+        pairs: work.pairs.whole(),
         gaussian_of_slot: slots.map(|s| s.gaussian_of_slot.whole()),
         first_slot: slots.map(|s| s.first_slot.whole()),
     };
+    let push = EmitTilesPush { block_capacity: work.block_capacity };
     let q = &shape.quality;
     let constants = EmitTilesConstants {
         with_slots: u32::from(slots.is_some()),
@@ -259,26 +210,33 @@ fn emit(r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: &Shap
         tile_cull: q.cull_constant(),
         packing: q.packing_constant(),
     };
-    r.dispatch(&EMIT_TILES, constants, push, buffers, groups())
+    let groups = Groups::Direct(scene.gaussians.div_ceil(SCAN_BLOCK).into());
+    r.dispatch(&EMIT_TILES, constants, push, buffers, groups)
 }
 
-fn ranges_and_blend(
+fn sort_tiles(
     gpu: &Gpu,
     r: &mut Recorder,
+    scene: &SceneBuffers,
     work: &WorkBuffers,
     frame: &FrameBuffers,
     shape: &Shape,
 ) -> Result<()> {
-    let sorted = work.tile.plan.result_in();
-    let buffers = TileRangesBuffers {
+    let buffers = SortTilesBuffers {
         frame: frame.frame.whole(),
-        counters: work.counters.clone(),
-        keys: work.tile.keys[sorted].whole(),
-        ranges: work.ranges.clone(),
+        ranges: work.ranges.whole(),
+        pairs: work.pairs.whole(),
+        values: work.values.whole(),
     };
-    let groups = Groups::Indirect(work.indirect.clone(), u64::from(INDIRECT_RANGES) * 4);
-    r.dispatch(&TILE_RANGES, (), (), buffers, groups)?;
-    blend(gpu, r, work, frame, shape)
+    let (is_cpu, threads) = (gpu.info().is_cpu(), sort_tiles::threads(gpu.info(), gpu.subgroup_size_of(&SORT_TILES)));
+    for constants in sort_tiles::dispatches(is_cpu, threads, scene.gaussians, shape.slots.is_some()) {
+        let (label, groups) = match constants.shortest {
+            1 => ("sort_tiles", Groups::Direct(shape.tiles.into())),
+            _ => ("sort_tiles long", Groups::Indirect(work.indirect.clone(), 0)),
+        };
+        r.dispatch_labelled(label, &SORT_TILES, constants, (), buffers.clone(), groups)?;
+    }
+    Ok(())
 }
 
 fn blend(gpu: &Gpu, r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, shape: &Shape) -> Result<()> {
@@ -298,7 +256,7 @@ fn blend(gpu: &Gpu, r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, 
     };
     let depth = frame.depth.as_ref().filter(|_| shape.with_depth).map(Buffer::whole);
     let (frame, color) = (frame.frame.whole(), frame.color.whole());
-    let (ranges, values, splats) = (work.ranges.clone(), work.tile_values().whole(), work.splats.whole());
+    let (ranges, values, splats) = (work.ranges.whole(), work.values.whole(), work.splats.whole());
     let gaussian_of_slot = shape.slots.as_ref().map(|s| s.gaussian_of_slot.whole());
     match shape.format {
         Some(format) if shape.to_image && format.is_storable() => {
@@ -332,18 +290,17 @@ pub static KERNELS: &[&Kernel] = &[
     &super::field::field_offset::FIELD_OFFSET.kernel,
     &super::field::field_nodes::FIELD_NODES.kernel,
     &DEFORM_PROJECT.kernel,
-    &COMPACT.kernel,
-    &SORT_HISTOGRAM.kernel,
-    &SORT_SPINE.kernel,
-    &SORT_SCATTER.kernel,
-    &SUM_TILE_COUNTS.kernel,
+    &SCAN_TILES.kernel,
     &EMIT_TILES.kernel,
-    &TILE_RANGES.kernel,
+    &SORT_TILES.kernel,
     &BLEND.kernel,
     &BLEND_PACKED.kernel,
     &BLEND_RGBA8.kernel,
     &BLEND_RGBA16F.kernel,
     &BLEND_RGBA32F.kernel,
     &super::display::DISPLAY.kernel,
+    &SORT_HISTOGRAM.kernel,
+    &SORT_SPINE.kernel,
+    &SORT_SCATTER.kernel,
     &super::arithmetic_rate::ARITHMETIC_RATE.kernel,
 ];

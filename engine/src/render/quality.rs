@@ -5,7 +5,6 @@
 //! | `cull` | exact, box | `box`: a count without a loop over tile rows, for more tile instances | none |
 //! | `alpha_cut` | 1/255 … 1/32 | tile instances and pixels of a splat's rim | a splat loses at most the cut per pixel |
 //! | `stop` | 1e-4 … 1e-2 | what lies behind nearly opaque pixels | the splat that would cross the stop and what is behind it: the stop over 1 − its α, at most |
-//! | `depth_bits` | 12 … 32 | one sort pass of four per 8 bits | order of splats closer than a step of the depth range |
 //! | `position` | f32, unorm16 | 6 of 12 bytes of every Gaussian's centre; not with network G, which reads it too | half of 1/65534 of the scene's extent |
 //! | `sh_degree` | 0 … 3 | 36, 60 and 84 bytes per visible Gaussian | what the higher bands say |
 //! | `sh` | f32, f16, u8 | half or three quarters of the SH bytes | half a step of 2⁻¹¹, of 1/255 of a coefficient's range |
@@ -73,8 +72,6 @@ pub struct Quality {
     pub alpha_cut: f32,
     /// The splat that would take the transmittance below this ends the pixel.
     pub stop: f32,
-    /// Bits of the depth key, 8 to 32.
-    pub depth_bits: u32,
     /// Storage of the centres: F32 or Unorm16.
     pub position: Storage,
     /// Highest SH degree that is used.
@@ -101,7 +98,6 @@ impl Quality {
         cull: TileCull::Exact,
         alpha_cut: 1.0 / 255.0,
         stop: 1e-4,
-        depth_bits: 32,
         position: Storage::F32,
         sh_degree: 3,
         sh: Storage::F32,
@@ -114,7 +110,7 @@ impl Quality {
     };
 
     /// No visible error: 99.99 % of all values within 1/255 of the definition.
-    pub const HIGH: Self = Self { depth_bits: 24, sh: Storage::F16, colour: Storage::F16, ..Self::EXACT };
+    pub const HIGH: Self = Self { sh: Storage::F16, colour: Storage::F16, ..Self::EXACT };
 
     /// Names of the presets, and what they are.
     pub const PRESETS: [(&'static str, Self); 2] = [("exact", Self::EXACT), ("high", Self::HIGH)];
@@ -141,9 +137,7 @@ impl Quality {
     /// `Usage` for an unknown name, and for `fast`, a preset of earlier versions.
     pub fn named(name: &str) -> Result<Self> {
         let expected = match name {
-            "fast" => {
-                "exact or high; fast saved too little and is gone: turn its knobs with --set depth_bits=16,sh=u8,stop=0.001"
-            }
+            "fast" => "exact or high; fast saved too little and is gone: turn its knobs with --set sh=u8,stop=0.001",
             _ => "exact or high",
         };
         let preset = Self::PRESETS.into_iter().find(|(n, _)| *n == name);
@@ -176,7 +170,7 @@ impl Quality {
         Ok(())
     }
 
-    /// What differs from a preset, or from `exact` when it is none: `high`, `exact, depth_bits=16`.
+    /// What differs from a preset, or from `exact` when it is none: `high`, `exact, stop=0.001`.
     pub fn describe(&self) -> String {
         if let Some((name, _)) = Self::PRESETS.iter().find(|(_, q)| q == self) {
             return (*name).to_owned();
@@ -278,8 +272,9 @@ mod tests {
         let mut q = Quality::EXACT;
         for (list, part) in [
             ("alpha=1", "one of interpolation"),
-            ("depth_bits=33", "8 to 32"),
-            ("depth_bits=x", "8 to 32"),
+            ("table_step=65", "1 to 64"),
+            ("table_step=x", "1 to 64"),
+            ("depth_bits=16", "one of"),
             ("stop=nan", "1e-6"),
             ("alpha_cut=1/256", "1/255"),
             ("colour=u8", "f32 or f16"),
@@ -296,15 +291,15 @@ mod tests {
         let gone = Quality::named("fast").unwrap_err().to_string();
         let (_, list) = gone.split_once("--set ").unwrap();
         q.set_all(list.split_whitespace().next().unwrap()).unwrap();
-        assert_eq!((q.depth_bits, q.sh), (16, Storage::Bits8));
+        assert_eq!((q.stop, q.sh), (0.001, Storage::Bits8));
     }
 
     #[test]
     fn lists_and_descriptions_agree() {
         let mut q = Quality::named("exact").unwrap();
         assert_eq!(q.describe(), "exact");
-        q.set_all("alpha_cut = 1/64, depth_bits=16").unwrap();
-        assert_eq!(q.describe(), "exact, depth_bits=16, alpha_cut=1/64");
+        q.set_all("alpha_cut = 1/64, stop=0.001").unwrap();
+        assert_eq!(q.describe(), "exact, alpha_cut=1/64, stop=0.001");
         assert_eq!(q.alpha_cut_constant(), 6.0_f32.to_bits());
         assert_eq!(Quality::HIGH.describe(), "high");
         assert_eq!(Quality::EXACT.alpha_cut_constant() + Quality::EXACT.stop_constant(), 0);

@@ -348,7 +348,7 @@ impl Renderer {
             time,
             ..FrameOptions::default()
         };
-        self.scene.frame(camera, options, self.options.quality.depth_bits)
+        self.scene.frame(camera, options)
     }
 
     /// Makes targets with room for this size and capacity when there are none; returns the slot for the next frame.
@@ -371,7 +371,7 @@ impl Renderer {
         let tiles = size[0].div_ceil(TILE_SIZE) * size[1].div_ceil(TILE_SIZE);
         let quality = self.options.quality;
         let n = self.scene.gaussians;
-        let work = WorkBuffers::with_depth_bits(&self.gpu, n, tiles, capacity, quality.depth_bits)?;
+        let work = WorkBuffers::new(&self.gpu, n, tiles, capacity)?;
         let shape = Shape { tiles, with_depth: self.options.depth, quality, ..Shape::default() };
         let slots = (0..FRAMES_IN_FLIGHT)
             .map(|_| {

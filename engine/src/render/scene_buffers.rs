@@ -9,13 +9,11 @@ use crate::gpu::{Buffer, Gpu, Slice, Suite};
 use crate::scene::parameter::{MEAN, Optional, PARAMETERS, Parameter, Present, REQUIRED, SH_0, in_degree};
 use crate::scene::{Camera, Gaussians, MotionSource, Rejected, Scene};
 
-use super::bounds::Bounds;
 use super::deformation::{self, DeformationBuffers};
 use super::frame::{Frame, FrameOptions};
 use super::mean_storage;
 use super::quality::{Quality, Storage};
 use super::sh_storage;
-use super::work_buffers::DEPTH_KEY_BITS;
 
 /// A scene is moved to the origin when its centre is farther away than this many times its extent: poses then keep their
 /// precision, because |Exp(r)μ + τ| no longer cancels.
@@ -32,8 +30,6 @@ pub(crate) struct SceneBuffers {
     pub(crate) deformation: DeformationBuffers,
     /// Storage of the SH bands.
     pub(crate) sh_storage: Storage,
-    /// Box that holds every Gaussian's centre over all time, relative to the origin; for depth keys.
-    pub(crate) bounds: Bounds,
     pub(crate) rejected: Rejected,
     /// One for each of the required [`PARAMETERS`]; small where the scene lacks an SH band.
     pub(crate) parameter: Vec<Buffer>,
@@ -81,18 +77,12 @@ impl SceneBuffers {
                 _ => upload(bytemuck::cast_slice(&g.on_device(i)))?,
             });
         }
-        let bounds = if quality.depth_bits < DEPTH_KEY_BITS {
-            Bounds::of(&scene.deformation, &mean, &deformation.poses, origin)
-        } else {
-            Bounds::EVERYWHERE
-        };
         Ok(Self {
             gaussians: g.len() as u32,
             sh_degree,
             origin,
             deformation,
             sh_storage: quality.sh,
-            bounds,
             rejected,
             parameter,
             present: g.optional.present(),
@@ -106,7 +96,7 @@ impl SceneBuffers {
     }
 
     /// A frame of this scene; background, near plane and time come from `options`.
-    pub(crate) fn frame(&self, camera: &Camera, options: FrameOptions, depth_bits: u32) -> Result<Frame> {
+    pub(crate) fn frame(&self, camera: &Camera, options: FrameOptions) -> Result<Frame> {
         let options = FrameOptions {
             interval: self.deformation.interval(options.time),
             gaussians: self.gaussians,
@@ -114,9 +104,7 @@ impl SceneBuffers {
             sh_degree: self.sh_degree,
             ..options
         };
-        let mut frame = Frame::new(camera, self.origin, &options)?;
-        self.bounds.set_depth_key(&mut frame, depth_bits);
-        Ok(frame)
+        Frame::new(camera, self.origin, &options)
     }
 
     /// SH bytes that a visible Gaussian costs.

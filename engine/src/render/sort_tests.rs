@@ -27,7 +27,7 @@ impl Rng {
 }
 
 /// Sorts by the twins, pass by pass; everything that a pass need not read is poison.
-pub(super) fn sort_by_twins(
+fn sort_by_twins(
     plan: &SortPlan,
     keys: &[u32],
     values: Option<&[u32]>,

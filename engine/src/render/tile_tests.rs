@@ -1,15 +1,13 @@
-//! Tile coverage by brute force over pixels, and compaction, emission and ranges against plain Rust.
+//! Tile coverage by brute force over pixels, and the tile lists against plain Rust.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-use super::compact::*;
 use super::ellipse::{Ellipse, quadrants_of_tile};
 use super::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use super::frame::Frame;
 use super::limits::*;
-use super::radix_sort::SortPlan;
-use super::sort_tests::{Rng, sort_by_twins};
-use super::sum_tile_counts::{SUM_TILE_COUNTS, SumTileCountsBuffers, SumTileCountsPush};
-use super::tile_ranges::{TILE_RANGES, TileRangesBuffers};
+use super::scan_tiles::{SCAN_TILES, ScanTilesBuffers, ScanTilesConstants, range_words, tile_change_words};
+use super::sort_tests::Rng;
+use super::sort_tiles::{self, SORT_TILES, SortTilesBuffers};
 use super::tiles::*;
 
 const POISON: u32 = 0x7FC0_DEAD;
@@ -154,7 +152,7 @@ fn not_finite_is_empty() {
     }
 }
 
-// ---- the chain compact -> depth sort -> sum -> emit -> tile sort -> ranges, on the twins ----
+// ---- the chain scan -> emit -> sort, on the twins ----
 
 struct Chain {
     size: [u32; 2],
@@ -167,10 +165,8 @@ struct Chain {
 
 struct Lists {
     counters: Vec<u32>,
-    indirect: Vec<u32>,
     /// For each tile, the Gaussians front to back.
     tiles: Vec<Vec<u32>>,
-    sentinels: usize,
 }
 
 impl Chain {
@@ -193,102 +189,75 @@ impl Chain {
         self.ellipses.iter().map(|e| error(e.tile_count(self.size))).collect()
     }
 
-    fn run(&self) -> Lists {
-        let n = self.ellipses.len() as u32;
-        let [tiles_x, tiles_y] = self.size.map(|s| s.div_ceil(TILE_SIZE));
-        let tile_count = self.tile_count();
-        let mut splats = vec![0_u32; 12 * n as usize];
+    fn splats(&self) -> Vec<u32> {
+        let mut splats = vec![0_u32; 12 * self.ellipses.len()];
         for (i, (e, z)) in self.ellipses.iter().zip(&self.depth).enumerate() {
             for (j, v) in [e.mean[0], e.mean[1], e.l11, e.l12, e.l22, e.log2_opacity, *z].into_iter().enumerate() {
                 splats[12 * i + j] = v.to_bits();
             }
         }
+        splats
+    }
+
+    fn tile_change(&self, tiles: [u32; 2]) -> Vec<u32> {
+        let mut change = vec![0_u32; tile_change_words(tiles[0] * tiles[1]) as usize];
+        for e in &self.ellipses {
+            let rows = e.tile_row_range(self.size);
+            for row in rows[0]..rows[1] {
+                let [first, end] = e.tile_columns_of_row(row, self.size).map(|c| (row * tiles[0] + c) as usize);
+                change[first] = change[first].wrapping_add(1);
+                change[end] = change[end].wrapping_sub(1);
+            }
+        }
+        change
+    }
+
+    fn run(&self) -> Lists {
+        let tiles = self.size.map(|s| s.div_ceil(TILE_SIZE));
+        let tile_count = self.tile_count();
         let total: u64 = tile_count.iter().map(|c| u64::from(*c)).sum();
-        let visible = tile_count.iter().filter(|c| **c != 0).count() as u32;
         let capacity = self.capacity.min(total as u32 + 100);
+        let gaussians = self.ellipses.len() as u32;
         let frame = Frame {
             size: self.size,
-            tiles: [tiles_x, tiles_y],
-            gaussians: n,
+            tiles,
+            gaussians,
             instance_capacity: capacity,
-            tile_count: tiles_x * tiles_y,
+            tile_count: tiles[0] * tiles[1],
             ..Frame::default()
         };
-        let frame: Vec<u32> = bytemuck::cast_slice(&[frame]).to_vec();
-        let (words, block_capacity) = block_words(n);
-        let mut visible_block = vec![0; words as usize];
-        for (i, count) in tile_count.iter().enumerate() {
-            visible_block[i / 256] += u32::from(*count != 0);
-            visible_block[block_capacity as usize + i / 65_536] += u32::from(*count != 0);
-        }
-        let counters = vec![visible, total as u32, (total >> 32) as u32, 0, 0, POISON, 0, 0];
-
-        let depth = SortPlan::new(n, 32).unwrap();
-        let tile = SortPlan::new(capacity, tile_key_bits(tiles_x * tiles_y)).unwrap();
-        let rows = |plan: &SortPlan| vec![0; plan.histogram_rows() as usize * 256];
-        let push = CompactPush {
-            block_capacity,
-            digit_bits: depth.digits[0].bits,
-            depth_partition_shift: depth.partition_shift(),
-            tile_partition_shift: tile.partition_shift(),
+        let words: Vec<u32> = bytemuck::cast_slice(&[frame]).to_vec();
+        let visible = tile_count.iter().filter(|c| **c != 0).count() as u32;
+        let buffers = ScanTilesBuffers {
+            frame: words.clone(),
+            counters: vec![visible, total as u32, (total >> 32) as u32, 0, 0, POISON, 0, 0],
+            tile_change: self.tile_change(tiles),
+            ranges: vec![POISON; range_words(frame.tile_count) as usize],
+            indirect: None,
         };
-        let keys = vec![POISON; n as usize];
-        let buffers = CompactBuffers {
-            frame: frame.clone(),
-            tile_count: tile_count.clone(),
-            splats: splats.clone(),
-            visible_block,
-            counters,
-            indirect: vec![POISON; 16],
-            keys: keys.clone(),
-            values: keys,
-            next_histogram: rows(&depth),
-        };
-        let done = COMPACT.run_twin(LANES, CompactConstants::default(), push, buffers, n.div_ceil(1024));
-        let CompactBuffers { counters, indirect, keys, values, next_histogram: histogram, .. } = done;
-        let mut lists = Lists { counters, indirect, tiles: vec![vec![]; (tiles_x * tiles_y) as usize], sentinels: 0 };
-        if n == 0 || lists.counters[3] != 0 {
-            return lists;
-        }
-        let v = visible as usize;
-        let (_, order) = sort_by_twins(&depth, &keys[..v], Some(&values[..v]), Some(histogram));
-
-        let instance_block = vec![0; words as usize];
-        let buffers = SumTileCountsBuffers { counters: lists.counters.clone(), tile_count, order, instance_block };
-        let push = SumTileCountsPush { block_capacity };
-        let emit_groups = lists.indirect[4] * lists.indirect[5];
-        let sums = SUM_TILE_COUNTS.run_twin(LANES, (), push, buffers, emit_groups);
-        let out = vec![POISON; capacity as usize];
+        let scanned = SCAN_TILES.run_twin(LANES, ScanTilesConstants::default(), (), buffers, 1);
+        let (blocks, block_capacity) = block_words(gaussians);
         let buffers = EmitTilesBuffers {
-            frame: frame.clone(),
-            counters: sums.counters,
-            tile_count: sums.tile_count,
-            order: sums.order,
-            splats,
-            instance_block: sums.instance_block,
-            keys: out.clone(),
-            values: out,
-            next_histogram: rows(&tile),
+            frame: words.clone(),
+            counters: scanned.counters,
+            tile_count,
+            splats: self.splats(),
+            instance_block: vec![POISON; blocks as usize],
+            ranges: scanned.ranges,
+            pairs: vec![POISON; 2 * capacity as usize],
             gaussian_of_slot: None,
             first_slot: None,
         };
-        let push =
-            EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits, partition_shift: tile.partition_shift() };
-        let done = EMIT_TILES.run_twin(LANES, EmitTilesConstants::default(), push, buffers, emit_groups);
-        let EmitTilesBuffers { counters, keys, values, next_histogram: histogram, .. } = done;
-        let instances = counters[5] as usize;
-        assert!(keys[instances..].iter().all(|k| *k == POISON), "written past the instances");
-        let (keys, values) = sort_by_twins(&tile, &keys[..instances], Some(&values[..instances]), Some(histogram));
-        let buffers = TileRangesBuffers { frame, counters, keys: keys.clone(), ranges: vec![0; 2 * lists.tiles.len()] };
-        let groups = lists.indirect[12] * lists.indirect[13];
-        let ranges = TILE_RANGES.run_twin(LANES, (), (), buffers, groups).ranges;
-        for (t, list) in lists.tiles.iter_mut().enumerate() {
-            let (first, end) = (ranges[2 * t] as usize, ranges[2 * t + 1] as usize);
-            assert!(keys[first..end].iter().all(|k| *k == t as u32));
-            list.extend(values[first..end].iter().map(|v| v & INSTANCE_GAUSSIAN));
-        }
-        lists.sentinels = keys.iter().filter(|k| **k == tiles_x * tiles_y).count();
-        lists
+        let (constants, push) = (EmitTilesConstants::default(), EmitTilesPush { block_capacity });
+        let EmitTilesBuffers { counters, ranges, pairs, .. } =
+            EMIT_TILES.run_twin(LANES, constants, push, buffers, gaussians.div_ceil(256));
+        let values = vec![POISON; capacity as usize];
+        let buffers = SortTilesBuffers { frame: words, ranges: ranges.clone(), pairs, values };
+        let constants = sort_tiles::dispatches(false, 128, gaussians, false)[0];
+        let values = SORT_TILES.run_twin(LANES, constants, (), buffers, frame.tile_count).values;
+        let list = |r: &[u32]| values[r[0] as usize..r[1] as usize].iter().map(|v| v & INSTANCE_GAUSSIAN).collect();
+        let tiles = ranges.chunks_exact(2).take(frame.tile_count as usize).map(list).collect();
+        Lists { counters, tiles }
     }
 
     /// The lists by definition: Gaussians by (depth, index), each in the tiles it is counted in.
@@ -313,23 +282,23 @@ fn chain_gives_the_tile_lists_by_definition() {
         [(0, [64, 64]), (1, [64, 64]), (255, [100, 90]), (257, [33, 17]), (1025, [400, 300]), (5000, [200, 200])]
     {
         let chain = Chain::random(n, size, 21 + n as u64);
-        let lists = chain.run();
-        assert_eq!(lists.tiles, chain.expected(), "{n} Gaussians, {size:?}");
-        assert_eq!(lists.sentinels, 0);
+        assert_eq!(chain.run().tiles, chain.expected(), "{n} Gaussians, {size:?}");
     }
 }
 
 #[test]
-fn counts_that_disagree_become_sentinels_or_are_cut() {
+fn counts_that_promise_more_add_nothing_and_those_that_promise_less_cut() {
     let mut chain = Chain::random(600, [200, 200], 31);
+    let right = chain.run().tiles;
     chain.count_error = 3;
-    let lists = chain.run();
-    assert_eq!(lists.tiles, chain.expected());
-    assert_eq!(lists.sentinels, 3 * lists.counters[0] as usize);
+    assert_eq!(chain.run().tiles, right);
     chain.count_error = -2;
-    let lists = chain.run();
-    assert_eq!(lists.tiles, chain.expected());
-    assert_eq!(lists.sentinels, 0);
+    let cut = chain.run().tiles;
+    assert!(cut != right);
+    for (cut, right) in cut.iter().zip(right) {
+        let mut right = right.iter();
+        assert!(cut.iter().all(|g| right.any(|r| r == g)), "{cut:?} is no part of the list");
+    }
 }
 
 #[test]
@@ -343,7 +312,7 @@ fn capacity_is_exact() {
     chain.capacity = total - 1;
     let lists = chain.run();
     assert_eq!((lists.counters[3], lists.counters[5]), (FAILED_INSTANCES, 0));
-    assert_eq!(lists.indirect, [0, 0, 1, 0].repeat(4));
+    assert!(lists.tiles.iter().all(Vec::is_empty));
 }
 
 #[test]
@@ -356,10 +325,12 @@ fn one_splat_over_the_whole_screen() {
 }
 
 #[test]
-fn tile_key_bits_hold_the_sentinel() {
-    for tiles in [0, 1, 2, 3, 4, 255, 256, 8160, 32_400] {
-        let bits = tile_key_bits(tiles);
-        assert!(u64::from(tiles) < 1 << bits);
-        assert!(bits == 1 || u64::from(tiles) >= 1 << (bits - 1));
+fn a_cpu_device_sorts_every_length_once() {
+    for gaussians in [1, 16_384, 16_385, u32::MAX] {
+        let all = sort_tiles::dispatches(true, 8, gaussians, false);
+        for n in [1, 100, 16_384, 16_385, 1 << 30].into_iter().filter(|n| *n <= gaussians) {
+            let by = all.iter().filter(|c| (c.shortest..=c.longest).contains(&n)).count();
+            assert_eq!(by, 1, "{n} of {gaussians}");
+        }
     }
 }

@@ -1,15 +1,10 @@
-//! What the kernels between depth sort and blending share: sums over blocks of Gaussians, keys of tiles, slots of instances.
+//! What the kernels that make the tile lists share: sums over blocks of Gaussians, slots of instances.
 
 use super::limits::*;
 use crate::error::Result;
 use crate::gpu::{Buffer, Gpu, Memory};
 
-/// Key bits of the tile sort: tile ids 0..`tile_count` and the sentinel `tile_count` itself.
-pub fn tile_key_bits(tile_count: u32) -> u32 {
-    (u32::BITS - tile_count.leading_zeros()).max(1)
-}
-
-/// Words of a `visible_block` or `instance_block` buffer for `elements` Gaussians, and its `block_capacity`.
+/// Words of `instance_block` for `elements` Gaussians, and its `block_capacity`.
 pub fn block_words(elements: u32) -> (u32, u32) {
     let blocks = elements.div_ceil(SCAN_BLOCK).max(1);
     (blocks + blocks.div_ceil(SCAN_SUPER), blocks)
@@ -23,13 +18,8 @@ pub(super) fn sum_before(sums: &[u32], block: u32, block_capacity: u32) -> u32 {
     supers.chain(blocks).map(|i| sums[i as usize]).sum()
 }
 
-/// Visible Gaussians; none where the frame failed.
-pub(super) fn visible_of(counters: &[u32]) -> u32 {
-    if counters[COUNT_FAILED as usize] == 0 { counters[COUNT_VISIBLE as usize] } else { 0 }
-}
-
-/// Where training finds the instances of a Gaussian: slot = position in the order of emission, in which they follow one
-/// another (`tile_count` of them from `first_slot` on). With slots, the tile lists hold slots instead of Gaussians.
+/// Where training finds the instances of a Gaussian: slots number all instances in the order of Gaussians, so that those of one follow
+/// one another (`tile_count` of them from `first_slot` on). With slots, the tile lists hold slots instead of Gaussians.
 #[derive(Debug, Clone)]
 pub struct SlotBuffers {
     /// `uint[instance capacity]`: instances, that is Gaussians and the quadrants that they reach

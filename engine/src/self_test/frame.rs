@@ -52,8 +52,9 @@ pub(super) fn watched_frames(gpu: &Gpu, scene: &Scene, options: &RenderOptions) 
     for frame in frames {
         let frame = frame?;
         if renderer.finish(frame)?.is_none() {
+            check(&watch)?;
             return Err(Error::Kernel {
-                kernel: "compact".into(),
+                kernel: "deform_project".into(),
                 why: "it counts more tile instances than there are".into(),
             });
         }

@@ -275,8 +275,8 @@ impl BackwardInput {
         Self {
             frame: Slice::from(&frame.frame),
             counters: work.counters.clone(),
-            ranges: work.ranges.clone(),
-            values: Slice::from(work.tile_values()),
+            ranges: work.ranges.whole(),
+            values: work.values.whole(),
             tile_count: Slice::from(&work.tile_count),
             splats: Slice::from(&work.splats),
             color: Slice::from(&frame.color),

@@ -11,7 +11,7 @@ use crate::render::pipeline::{FrameBuffers, Shape, record_forward};
 use crate::render::quality::Quality;
 use crate::render::scene_buffers::SceneBuffers;
 use crate::render::tiles::SlotBuffers;
-use crate::render::work_buffers::{COUNTER_WORDS, DEPTH_KEY_BITS, WorkBuffers};
+use crate::render::work_buffers::{COUNTER_WORDS, WorkBuffers};
 use crate::scene::{Camera, Scene};
 
 /// Where a row of `splat_gradient` has what it makes up of the three channels.
@@ -120,7 +120,7 @@ impl Contributions {
             instance_capacity: t.capacity,
             ..FrameOptions::default()
         };
-        let frame = scene.frame(camera, options, DEPTH_KEY_BITS)?;
+        let frame = scene.frame(camera, options)?;
         t.frame.frame.write(0, bytemuck::bytes_of(&frame))?;
         scene.deformation.poses.write(time, scene.origin, &mut self.host_pose);
         if let Some(buffer) = &t.frame.host_pose {

@@ -5,7 +5,6 @@ use glam::DVec3;
 
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu};
-use crate::render::bounds::Bounds;
 use crate::render::deformation::DeformationBuffers;
 use crate::render::quality::Storage;
 use crate::render::scene_buffers::{SceneBuffers, optional_buffer};
@@ -96,7 +95,6 @@ impl Parameters {
             origin: DVec3::ZERO,
             deformation: DeformationBuffers::at_rest(gpu, &s.superpoint_of_gaussian)?,
             sh_storage: Storage::F32,
-            bounds: Bounds::EVERYWHERE,
             rejected: Rejected::default(),
             parameter: PARAMETERS.iter().enumerate().take(REQUIRED).map(parameter).collect::<Result<_>>()?,
             present: g.optional.present(),

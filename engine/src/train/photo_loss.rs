@@ -28,7 +28,7 @@ use crate::render::frame::FrameOptions;
 use crate::render::pipeline::record_forward;
 use crate::render::quality::Quality;
 use crate::render::scene_buffers::SceneBuffers;
-use crate::render::work_buffers::{COUNTER_WORDS, DEPTH_KEY_BITS};
+use crate::render::work_buffers::COUNTER_WORDS;
 use crate::scene::parameter::planes;
 use crate::scene::{Camera, MotionSource, Scene};
 
@@ -272,7 +272,7 @@ impl<'a> PhotoLoss<'a> {
             instance_capacity: target.capacity,
             ..FrameOptions::default()
         };
-        let frame = self.buffers.frame(camera, options, DEPTH_KEY_BITS)?;
+        let frame = self.buffers.frame(camera, options)?;
         target.frames[0].frame.write(0, bytemuck::bytes_of(&frame))
     }
 

@@ -13,63 +13,21 @@ use engine::render::blend_packed::{BLEND_PACKED, BlendPackedBuffers, BlendPacked
 use engine::render::blend_rgba8::BLEND_RGBA8;
 use engine::render::blend_rgba16f::BLEND_RGBA16F;
 use engine::render::blend_rgba32f::BLEND_RGBA32F;
-use engine::render::compact::*;
 use engine::render::deform_project::{DeformProjectBuffers, DeformProjectPush};
-use engine::render::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
+use engine::render::emit_tiles::EmitTilesConstants;
 use engine::render::frame::Frame;
-use engine::render::radix_sort::*;
-use engine::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
-use engine::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
-use engine::render::sum_tile_counts::{SUM_TILE_COUNTS, SumTileCountsBuffers, SumTileCountsPush};
-use engine::render::tile_ranges::{TILE_RANGES, TileRangesBuffers};
-use engine::render::tiles::{block_words, tile_key_bits};
+use engine::render::tiles::block_words;
 use engine::scene::Camera;
 use tests_harness::KernelCase;
 use tests_harness::model::{self, Options};
 use tests_harness::render_case::{RenderInput, test_camera};
+use tests_harness::tile_chain::{TileChain, TileLists};
 
 /// A kernel on the model, compared with its twin.
 fn check<I: Interface>(options: &Options, case: KernelCase<I>) -> I::Buffers<Vec<u32>> {
     let result = case.run_model(options);
     result.assert_equal(&format!("{options:?}"));
     result.gpu
-}
-
-/// Keys and values after all passes.
-fn sort(
-    options: &Options,
-    plan: &SortPlan,
-    [mut keys, mut values]: [Vec<u32>; 2],
-    mut histogram: Vec<u32>,
-    counters: &[u32],
-    (count_word, groups): (u32, u32),
-) -> [Vec<u32>; 2] {
-    for pass in 0..plan.digits.len() {
-        if plan.prescanned {
-            let buffers = SortSpineBuffers { counters: counters.to_vec(), histogram };
-            let push = plan.spine_push(count_word);
-            let case = KernelCase { kernel: &SORT_SPINE, constants: (), push, buffers, groups: SPINE_GROUPS };
-            histogram = check(options, case).histogram;
-        }
-        let rows = histogram.len();
-        let buffers = SortScatterBuffers {
-            counters: counters.to_vec(),
-            histogram,
-            keys_out: vec![0; keys.len()],
-            values_out: Some(vec![0; keys.len()]),
-            keys_in: keys,
-            values_in: Some(values),
-            next_histogram: (pass + 1 < plan.digits.len()).then(|| vec![0; rows]),
-        };
-        let constants = plan.scatter_constants(pass, true, rank_by_ballot(options.lanes));
-        let (push, groups) = (plan.scatter_push(pass, count_word), groups.max(1));
-        let case = KernelCase { kernel: &SORT_SCATTER, constants, push, buffers, groups };
-        let done = check(options, case);
-        histogram = done.next_histogram.unwrap_or_default();
-        values = done.values_out.unwrap();
-        keys = done.keys_out;
-    }
-    [keys, values]
 }
 
 /// What `blend` reads.
@@ -83,82 +41,27 @@ struct Lists {
 fn lists(options: &Options, input: &RenderInput, frame: &Frame, capacity: u32) -> Lists {
     let mut frame = *frame;
     frame.instance_capacity = capacity;
-    let n = input.count as u32;
-    let (words, block_capacity) = block_words(n);
+    let (words, block_capacity) = block_words(input.count as u32);
     let mut project = input.deform_project(&frame);
-    project.buffers.visible_block = vec![0; words as usize];
+    project.buffers.instance_block = vec![0; words as usize];
     project.push = DeformProjectPush { block_capacity };
     // A Gaussian at the edge of a tile may count otherwise than in the twin: here the picture decides.
-    let projected = project.run_model(options).gpu;
-    let DeformProjectBuffers { splats, tile_count, visible_block, counters, .. } = projected;
-    let frame_words: Vec<u32> = bytemuck::cast_slice(&[frame]).to_vec();
-
-    let depth = SortPlan::new(n, 32).unwrap();
-    let tile = SortPlan::new(capacity, tile_key_bits(frame.tile_count)).unwrap();
-    let out = vec![0; n as usize];
-    let buffers = CompactBuffers {
-        frame: frame_words.clone(),
-        tile_count: tile_count.clone(),
-        splats: splats.clone(),
-        visible_block,
-        counters,
-        indirect: vec![0; INDIRECT_WORDS as usize],
-        keys: out.clone(),
-        values: out,
-        next_histogram: vec![0; depth.histogram_rows() as usize * 256],
-    };
-    let (constants, push) = (
-        CompactConstants::default(),
-        CompactPush {
-            block_capacity,
-            digit_bits: 8,
-            depth_partition_shift: depth.partition_shift(),
-            tile_partition_shift: tile.partition_shift(),
-        },
-    );
-    let groups = n.div_ceil(COMPACT_GAUSSIANS).max(1);
-    let compacted = check(options, KernelCase { kernel: &COMPACT, constants, push, buffers, groups });
-    let CompactBuffers { counters, indirect, keys, values, next_histogram, .. } = compacted;
-    assert_eq!(counters[3], 0, "the frame fits");
-    let groups = |at: u32| (indirect[at as usize] * indirect[at as usize + 1]).max(1);
-    let sort_groups = groups(INDIRECT_DEPTH_SORT);
-    let [_, order] = sort(options, &depth, [keys, values], next_histogram, &counters, (0, sort_groups));
-
-    let buffers = SumTileCountsBuffers {
-        counters: counters.clone(),
-        tile_count: tile_count.clone(),
-        order: order.clone(),
-        instance_block: vec![0; words as usize],
-    };
-    let (push, emit_groups) = (SumTileCountsPush { block_capacity }, groups(INDIRECT_EMIT));
-    let case = KernelCase { kernel: &SUM_TILE_COUNTS, constants: (), push, buffers, groups: emit_groups };
-    let instance_block = check(options, case).instance_block;
-    let out = vec![0; capacity as usize];
-    let buffers = EmitTilesBuffers {
-        frame: frame_words.clone(),
-        counters: counters.clone(),
-        tile_count,
-        order,
-        splats: splats.clone(),
-        instance_block,
-        keys: out.clone(),
-        values: out,
-        next_histogram: vec![0; tile.histogram_rows() as usize * 256],
-        gaussian_of_slot: None,
-        first_slot: None,
-    };
+    let DeformProjectBuffers { splats, tile_count, instance_block, counters, tile_change, .. } =
+        project.run_model(options).gpu;
     let constants = EmitTilesConstants::default();
-    let push =
-        EmitTilesPush { block_capacity, digit_bits: tile.digits[0].bits, partition_shift: tile.partition_shift() };
-    let case = KernelCase { kernel: &EMIT_TILES, constants, push, buffers, groups: emit_groups };
-    let EmitTilesBuffers { keys, values, next_histogram, .. } = check(options, case);
-    let sort_groups = groups(INDIRECT_TILE_SORT);
-    let [keys, values] = sort(options, &tile, [keys, values], next_histogram, &counters, (5, sort_groups));
-    let ranges = vec![0; 2 * frame.tile_count as usize];
-    let buffers = TileRangesBuffers { frame: frame_words.clone(), counters, keys, ranges };
-    let groups = groups(INDIRECT_RANGES);
-    let ranges = check(options, KernelCase { kernel: &TILE_RANGES, constants: (), push: (), buffers, groups }).ranges;
-    Lists { frame: frame_words, ranges, values, splats }
+    let chain = TileChain {
+        frame,
+        counters,
+        tile_count,
+        splats: splats.clone(),
+        tile_change,
+        instance_block,
+        block_capacity,
+        constants,
+    };
+    let TileLists { counters, ranges, values } = chain.run(options);
+    assert_eq!(counters[3], 0, "the frame fits");
+    Lists { frame: chain.frame_words(), ranges, values, splats }
 }
 
 fn blend_case(options: &Options, stage: Stage, lists: &Lists, frame: &Frame) -> KernelCase<Blend> {

@@ -17,7 +17,7 @@ use crate::cli::camera;
 pub const GOLDEN: &str = "tests/golden";
 
 /// Most dispatches of a frame and of a training step.
-const FRAME_BUDGET: usize = 18;
+const FRAME_BUDGET: usize = 7;
 const STEP_BUDGET: usize = 60;
 
 /// The plan of one kind of frame or training step.
@@ -35,8 +35,8 @@ pub struct NamedPlan {
     pub text: String,
 }
 
-/// Plans of the demo's frame (motion by the key-time table), of a static scene, of motion by network F, and of a scene so
-/// large that its sorts need a spine; of training steps.
+/// Plans of the demo's frame (motion by the key-time table), of a static scene, of motion by network F, and of a scene with
+/// many Gaussians; of training steps.
 pub fn plans(gpu: &Gpu) -> Result<Vec<NamedPlan>> {
     let demo = (demo_scene(), demo_camera(0.0, 640, 480));
     let small = |scene: Scene| {

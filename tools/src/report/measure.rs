@@ -93,16 +93,16 @@ pub struct Recorded {
     pub work: Workload,
 }
 
-/// The operations of a recording; `work` gives a dispatch's amounts of work by label, kernel and push constants.
+/// The operations of a recording; `work` gives a dispatch's amounts of work by kernel and push constants.
 pub(crate) fn recorded(
     commands: Option<&Commands>,
     all: &Workload,
-    work: &dyn Fn(&str, &Kernel, &[u8]) -> Workload,
+    work: &dyn Fn(&Kernel, &[u8]) -> Workload,
 ) -> Vec<Recorded> {
     let operations = commands.map(Commands::recorded).unwrap_or_default();
     let with_work = |operation: RecordedOperation| {
         let work = match &operation.task {
-            RecordedTask::Dispatch { kernel, push, .. } => work(&operation.label, kernel, push),
+            RecordedTask::Dispatch { kernel, push, .. } => work(kernel, push),
             _ => all.clone(),
         };
         Recorded { operation, work }
@@ -191,7 +191,7 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
         dispatches: commands.map_or(0, Commands::dispatches),
         barriers: commands.map_or(0, Commands::barriers),
         copy_gb_per_s,
-        recorded: recorded(commands, &workload, &|label, kernel, push| of_dispatch(&workload, label, kernel, push)),
+        recorded: recorded(commands, &workload, &|kernel, push| with_push(&workload, kernel, push)),
         workload: workload.0,
         statistics,
         memory,
@@ -270,14 +270,9 @@ fn profile(
     let medians: Vec<f64> = samples.into_iter().map(|s| Quantiles::of(s).median).collect();
     let total: f64 = medians.iter().sum();
     let timed = labels.into_iter().zip(medians).collect();
-    let work = |label: &str, kernel: &Kernel, push: &[u8]| of_dispatch(&workload, label, kernel, push);
+    let work = |kernel: &Kernel, push: &[u8]| with_push(&workload, kernel, push);
     let rows = operation_rows(timed, renderer.commands(), copy_gb_per_s, &work, &|label, _| label.to_owned());
     Ok((rows, (!totals.is_empty() && total > 0.0).then(|| Quantiles::of(totals))))
-}
-
-/// A dispatch's amounts of work: the frame's, the numbers in its push constants, and how many keys a sort has.
-fn of_dispatch(frame: &Workload, label: &str, kernel: &Kernel, push: &[u8]) -> Workload {
-    with_push(&with_keys(frame, label), kernel, push)
 }
 
 /// Operations of one name, added up.
@@ -290,12 +285,12 @@ struct Group {
 }
 
 /// Rows of a table from the labels and times of all operations, in order. `work` gives the amounts of work of a dispatch (by
-/// label, kernel and push constants), `name` what a row is called: operations of one name are added up.
+/// kernel and push constants), `name` what a row is called: operations of one name are added up.
 pub(crate) fn operation_rows(
     timed: Vec<(String, f64)>,
     commands: Option<&Commands>,
     copy_gb_per_s: f64,
-    work: &dyn Fn(&str, &Kernel, &[u8]) -> Workload,
+    work: &dyn Fn(&Kernel, &[u8]) -> Workload,
     name: &dyn Fn(&str, Option<&Kernel>) -> String,
 ) -> Vec<OperationRow> {
     let dispatches = commands.map(|c| c.kernels().into_iter().zip(c.push_constants())).into_iter().flatten();
@@ -305,7 +300,7 @@ pub(crate) fn operation_rows(
     for (label, us) in timed {
         let dispatch = dispatches.next_if(|((name, _), _)| *name == label);
         let kernel = dispatch.map(|((_, kernel), _)| kernel);
-        let bytes = dispatch.map_or(0, |((label, kernel), push)| (kernel.bytes)(&work(label, kernel, push)));
+        let bytes = dispatch.map_or(0, |((_, kernel), push)| (kernel.bytes)(&work(kernel, push)));
         let name = name(&label, kernel);
         match groups.iter_mut().find(|g| g.name == name) {
             Some(group) => {
@@ -359,15 +354,6 @@ pub(crate) fn rate_row(
     }
 }
 
-/// A sort's amount of work depends on what it sorts: the visible Gaussians by depth, or the instances by tile.
-pub(crate) fn with_keys(workload: &Workload, label: &str) -> Workload {
-    let mut workload = workload.clone();
-    let keys = if label.contains("tile") { "instances" } else { "visible" };
-    let count = workload.get(keys);
-    workload.0.insert("keys", count);
-    workload
-}
-
 /// Best rate of a device-to-device copy, bytes read plus bytes written, GB/s.
 pub fn copy_bandwidth(gpu: &Gpu) -> Result<f64> {
     let limit = gpu.info().capabilities.max_allocation_bytes;
@@ -412,12 +398,5 @@ mod tests {
         let times: Vec<f64> = (0..5).map(|i| plan.time(i, 5)).collect();
         assert_eq!(times, [1.0, 1.5, 2.0, 2.5, 3.0]);
         assert_eq!(plan.time(0, 1), 1.0);
-    }
-
-    #[test]
-    fn each_sort_counts_its_own_keys() {
-        let workload = Workload([("visible", 10), ("instances", 70)].into_iter().collect());
-        assert_eq!(with_keys(&workload, "sort_scatter depth 2").get("keys"), 10);
-        assert_eq!(with_keys(&workload, "sort_scatter tile 0").get("keys"), 70);
     }
 }

@@ -21,7 +21,7 @@ use super::model::Model;
 use super::panel::{Info, Numbers};
 use super::record::Recording;
 use super::state::State;
-use super::statistics::{StageTimes, stage_of};
+use super::statistics::{STAGES, StageTimes, stage_of};
 
 /// Longest time that one frame lets pass, seconds: after a pause nothing jumps.
 const MAX_STEP_S: f64 = 0.25;
@@ -293,7 +293,7 @@ impl Gui {
         self.complete = finished.is_some();
         let Some(statistics) = finished else { return Ok(false) };
         state.frame = statistics;
-        let mut stages: StageTimes = [0.0; 6];
+        let mut stages: StageTimes = [0.0; STAGES.len()];
         renderer.each_timing(frame, |label, us| stages[stage_of(label)] += (us / 1e3) as f32)?;
         state.statistics.stages(stages);
         self.info.rendered = renderer.rendered_size();

@@ -8,8 +8,7 @@ pub(super) const HISTORY: usize = 160;
 const WINDOW_S: f64 = 1.0;
 
 /// Parts of a frame, in its order.
-pub(super) const STAGES: [&str; 6] =
-    ["deform, project", "compact", "sort by depth", "emit tiles", "sort by tile", "blend"];
+pub(super) const STAGES: [&str; 5] = ["deform, project", "scan tiles", "emit tiles", "sort tiles", "blend"];
 
 /// Which stage an operation of the frame belongs to.
 pub(super) fn stage_of(label: &str) -> usize {
@@ -19,16 +18,11 @@ pub(super) fn stage_of(label: &str) -> usize {
         ("field", 0),
         ("linear", 0),
         ("fill", 0),
-        ("compact", 1),
-        ("sort_spine depth", 2),
-        ("sort_scatter depth", 2),
-        ("sum_tile", 3),
-        ("emit", 3),
-        ("sort_spine tile", 4),
-        ("sort_scatter tile", 4),
-        ("tile_ranges", 4),
+        ("scan", 1),
+        ("emit", 2),
+        ("sort", 3),
     ];
-    found.iter().find(|(start, _)| label.starts_with(start)).map_or(5, |(_, stage)| *stage)
+    found.iter().find(|(start, _)| label.starts_with(start)).map_or(4, |(_, stage)| *stage)
 }
 
 /// Device milliseconds of each stage of one frame.
@@ -128,10 +122,11 @@ mod tests {
 
     #[test]
     fn every_operation_has_its_stage() {
-        let expected = [("deform_project", 0), ("sort_scatter depth 2", 2), ("sort_scatter tile 0", 4), ("blend", 5)];
+        let expected =
+            [("deform_project", 0), ("scan_tiles", 1), ("emit_tiles", 2), ("sort_tiles long", 3), ("blend", 4)];
         expected.iter().for_each(|(label, stage)| assert_eq!(stage_of(label), *stage, "{label}"));
         let mut s = Statistics::default();
-        (0..HISTORY + 5).for_each(|i| s.stages([i as f32; 6]));
+        (0..HISTORY + 5).for_each(|i| s.stages([i as f32; 5]));
         assert_eq!(s.history().count(), HISTORY);
         assert_eq!(s.history().next().unwrap()[0], 5.0);
     }

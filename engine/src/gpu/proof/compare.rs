@@ -51,13 +51,22 @@ impl Mismatch {
     }
 }
 
-/// Compares every buffer that the kernel writes: integers bit for bit, floats within its tolerance.
+/// Compares every buffer that the kernel writes: integers bit for bit, floats within its tolerance. What may be in any order is
+/// arranged before.
 pub(super) fn compare(
     kernel: &'static Kernel,
     label: &str,
     found: &[Vec<u32>],
     expected: &[Vec<u32>],
 ) -> Option<Mismatch> {
+    let Some(arrange) = kernel.arrange else { return compare_words(kernel, label, found, expected) };
+    let [mut found, mut expected] = [found.to_vec(), expected.to_vec()];
+    arrange(&mut found);
+    arrange(&mut expected);
+    compare_words(kernel, label, &found, &expected)
+}
+
+fn compare_words(kernel: &'static Kernel, label: &str, found: &[Vec<u32>], expected: &[Vec<u32>]) -> Option<Mismatch> {
     let written = kernel.bindings.iter().enumerate().filter(|(_, b)| b.access != Access::Read);
     written.into_iter().find_map(|(i, b)| compare_buffer(kernel, label, b, &found[i], &expected[i]))
 }

@@ -46,10 +46,22 @@ struct Pixel {
     depth: f32,
 }
 
-fn blend_splat(pixel: &mut Pixel, [first, second, third]: Splat, limits: &Limits, x: f32, y: f32) {
-    let (dx, dy) = (x - first[0], y - first[1]);
-    let u = first[2] * dx + first[3] * dy;
-    let v = second[0] * dy;
+/// u and v of a splat at the corner of a subtile (`glsl/lib/blend.glsl`).
+pub(crate) fn splat_at([first, second, _]: &Splat, corner: [f32; 2]) -> [f32; 2] {
+    let [dx, dy] = [0, 1].map(|i| corner[i] - first[i]);
+    [first[2] * dx + first[3] * dy, second[0] * dy]
+}
+
+/// x, y: from the corner at which the splat has these u and v.
+fn blend_splat(
+    pixel: &mut Pixel,
+    [first, second, third]: Splat,
+    at_corner: [f32; 2],
+    limits: &Limits,
+    [x, y]: [f32; 2],
+) {
+    let u = at_corner[0] + first[2] * x + first[3] * y;
+    let v = at_corner[1] + second[0] * y;
     let log2_alpha = second[1] - u * u - v * v;
     let live = log2_alpha >= -limits.log2_cut && pixel.transmittance > 0.0;
     let alpha = if live { log2_alpha.exp2().min(MAX_ALPHA) } else { 0.0 };
@@ -112,7 +124,6 @@ fn blend_tiles(input: &Inputs<'_>, depth: Option<&mut [u32]>, mut store_pixel: i
         for inside in 0..(TILE_SIZE / columns) * (TILE_SIZE / rows) {
             let x0 = tile_x + columns * (inside % (TILE_SIZE / columns));
             let y0 = tile_y + rows * (inside / (TILE_SIZE / columns));
-            let [x_low, y_low] = [x0 as f32 + 0.5, y0 as f32 + 0.5];
             let own_quadrants = quadrants_of_subtile([x0 - tile_x, y0 - tile_y], [columns, rows]);
             let mut pixels =
                 vec![Pixel { transmittance: 1.0, colour: [0.0; 3], depth: 0.0 }; (columns * rows) as usize];
@@ -120,8 +131,10 @@ fn blend_tiles(input: &Inputs<'_>, depth: Option<&mut [u32]>, mut store_pixel: i
                 let (gaussian, quadrants) = input.instance(at);
                 if quadrants & own_quadrants != 0 {
                     let splat = unpack_splat(packing, input.splats, gaussian);
+                    let at_corner = splat_at(&splat, [x0 as f32, y0 as f32]);
                     for (i, pixel) in (0..).zip(&mut pixels) {
-                        blend_splat(pixel, splat, &limits, x_low + (i % columns) as f32, y_low + (i / columns) as f32);
+                        let from_corner = [(i % columns) as f32 + 0.5, (i / columns) as f32 + 0.5];
+                        blend_splat(pixel, splat, at_corner, &limits, from_corner);
                     }
                 }
             }

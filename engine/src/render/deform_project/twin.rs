@@ -32,7 +32,7 @@ type Inputs<'a> = DeformProjectBuffers<&'a mut [u32]>;
 enum Outcome {
     Culled,
     Rejected,
-    Visible { splat: [[f32; 4]; 3], tiles: u32 },
+    Visible { splat: [[f32; 4]; 3], ellipse: Ellipse },
 }
 
 fn within(v: [f32; 3], limit: f32) -> bool {
@@ -210,9 +210,8 @@ fn project(b: &Inputs<'_>, frame: &Frame, constants: &DeformProjectConstants, g:
         return Outcome::Rejected;
     }
     e = Ellipse { log2_opacity: round_opacity(packing, log2_opacity), ..e };
-    let size = frame.size;
-    let tiles = if reaches_image(&e, root[3], size[0]) { e.tile_count(size) } else { 0 };
-    if tiles == 0 {
+    let rows = if reaches_image(&e, root[3], frame.size[0]) { e.tile_row_range(frame.size) } else { [0, 0] };
+    if rows[0] >= rows[1] {
         return Outcome::Culled;
     }
 
@@ -227,7 +226,23 @@ fn project(b: &Inputs<'_>, frame: &Frame, constants: &DeformProjectConstants, g:
         [e.l22, e.log2_opacity, p[2], 0.0],
         [colour[0], colour[1], colour[2], 0.0],
     ];
-    Outcome::Visible { splat, tiles }
+    Outcome::Visible { splat, ellipse: e }
+}
+
+/// Counts a Gaussian for each tile that it reaches; how many these are.
+fn count_tiles(tile_change: &mut [u32], frame: &Frame, e: &Ellipse) -> u32 {
+    let rows = e.tile_row_range(frame.size);
+    let mut count = 0;
+    for row in rows[0]..rows[1] {
+        let [first, end] = e.tile_columns_of_row(row, frame.size);
+        if first < end {
+            let at = |column: u32| (row * frame.tiles[0] + column) as usize;
+            tile_change[at(first)] = tile_change[at(first)].wrapping_add(1);
+            tile_change[at(end)] = tile_change[at(end)].wrapping_sub(1);
+            count += end - first;
+        }
+    }
+    count
 }
 
 pub(super) fn deform_project(call: Call<'_, DeformProject>) {
@@ -248,17 +263,18 @@ pub(super) fn deform_project(call: Call<'_, DeformProject>) {
             match outcome {
                 Outcome::Culled => {}
                 Outcome::Rejected => rejected += 1,
-                Outcome::Visible { splat, tiles } => {
+                Outcome::Visible { splat, ellipse } => {
                     let packed = pack_splat(constants.packing, splat);
                     b.splats[words * g..words * (g + 1)].copy_from_slice(&packed[..words]);
+                    let tiles = count_tiles(b.tile_change, &frame, &ellipse);
                     b.tile_count[g] = tiles;
-                    visible += 1;
+                    visible += u32::from(tiles > 0);
                     total += tiles;
                 }
             }
         }
-        b.visible_block[group] = visible;
-        b.visible_block[push.block_capacity as usize + group / SCAN_SUPER as usize] += visible;
+        b.instance_block[group] = total;
+        b.instance_block[push.block_capacity as usize + group / SCAN_SUPER as usize] += total;
         b.counters[COUNT_VISIBLE as usize] += visible;
         let (low, carry) = b.counters[COUNT_INSTANCES_LOW as usize].overflowing_add(total);
         b.counters[COUNT_INSTANCES_LOW as usize] = low;

@@ -283,7 +283,7 @@ impl View {
             time,
             ..FrameOptions::default()
         };
-        let mut frame = self.scene.buffers.frame(camera, options, self.scene.quality.depth_bits)?;
+        let mut frame = self.scene.buffers.frame(camera, options)?;
         check::rigid(camera)?;
         let (size, capacity) = ([camera.width, camera.height], self.capacity as u32);
         if !self.targets.as_ref().is_some_and(|t| t.size == size && t.capacity == capacity) {
@@ -321,7 +321,7 @@ impl View {
         let tiles = width.div_ceil(TILE_SIZE) * height.div_ceil(TILE_SIZE);
         let pixels = u64::from(width) * u64::from(height);
         let quality = self.scene.quality;
-        let work = WorkBuffers::with_depth_bits(&self.gpu, scene.gaussians, tiles, capacity, quality.depth_bits)?;
+        let work = WorkBuffers::new(&self.gpu, scene.gaussians, tiles, capacity)?;
         let device = |name: &str, bytes: u64| self.gpu.buffer(name, bytes, Memory::Device);
         let buffers = FrameBuffers {
             frame: device("frame", size_of::<Frame>() as u64)?,

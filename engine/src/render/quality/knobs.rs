@@ -120,17 +120,6 @@ pub static KNOBS: &[Knob] = &[
         },
     },
     Knob {
-        name: "depth_bits",
-        doc: "bits of the depth key: a sort pass per 8",
-        takes: "a whole number, 8 to 32",
-        values: &["32", "24", "20", "16", "12"],
-        get: |q| q.depth_bits.to_string(),
-        set: |q, v| {
-            q.depth_bits = whole(v, 8, 32)?;
-            Some(())
-        },
-    },
-    Knob {
         name: "cull",
         doc: "tiles of a splat: those of its ellipse or of the ellipse's box",
         takes: "exact or box",

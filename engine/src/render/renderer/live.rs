@@ -114,7 +114,7 @@ impl Renderer {
             t.slots.iter().map(|s| Output {
                 color: s.buffers.color.whole(),
                 depth: s.buffers.depth.as_ref().map(Buffer::whole),
-                ranges: t.work.ranges.clone(),
+                ranges: t.work.ranges.whole(),
                 counters: t.work.counters.clone(),
             })
         })
@@ -129,12 +129,12 @@ impl Renderer {
         let tile = u64::from(y / TILE_SIZE * targets.size[0].div_ceil(TILE_SIZE) + x / TILE_SIZE);
         let ranges = &targets.work.ranges;
         let words = |slice: Slice| -> Result<Vec<u32>> { Ok(bytemuck::pod_collect_to_vec(&self.gpu.download(slice)?)) };
-        let range = words(ranges.buffer.slice(ranges.start + tile * 8, 8))?;
+        let range = words(ranges.slice(tile * 8, 8))?;
         let (first, count) = (u64::from(range[0]), u64::from(range[1].saturating_sub(range[0])));
         if count == 0 {
             return Ok(None);
         }
-        let values = words(targets.work.tile_values().slice(first * 4, count * 4))?;
+        let values = words(targets.work.values.slice(first * 4, count * 4))?;
         let splats = words(Slice::from(&targets.work.splats))?;
         let quality = &self.options.quality;
         let packing = quality.packing_constant();

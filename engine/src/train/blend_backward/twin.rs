@@ -1,10 +1,11 @@
 //! CPU twin: the replay per pixel, decisions in f32 as on the device, sums in f64.
 
 use super::{Accumulation, BlendBackwardBuffers, BlendBackwardConstants, FAR_PRODUCT, FAR_VALUE, ROW_WORDS, SUMS};
-use crate::render::blend::{MAX_ALPHA, MIN_TRANSMITTANCE};
+use crate::render::blend::{MAX_ALPHA, MIN_TRANSMITTANCE, splat_at};
 use crate::render::ellipse::LOG2_255;
 use crate::render::frame::Frame;
 use crate::render::limits::{INSTANCE_GAUSSIAN, TILE_SIZE};
+use crate::render::splat::Splat;
 use crate::render::twin::{f32_at, set_f32, struct_at, vec4_at};
 
 /// Sums of a splat over the pixels of a tile.
@@ -26,10 +27,15 @@ impl Pixel {
         Self { transmittance: 1.0, to_come, gradient }
     }
 
-    /// Replays one splat at distance (dx, dy) px from its mean.
-    fn replay(&mut self, [first, second, third]: [[f32; 4]; 3], dx: f32, dy: f32, sums: &mut Sums) {
-        let u = first[2] * dx + first[3] * dy;
-        let v = second[0] * dy;
+    /// Replays one splat at pixel (x, y).
+    fn replay(&mut self, splat: Splat, [x, y]: [u32; 2], sums: &mut Sums) {
+        // Of a subtile of 8×8 pixels; those of other subgroup sizes lead to other roundings of the last place.
+        let corner = [x, y].map(|k| (k & !7) as f32);
+        let [across, down] = [(x & 7) as f32 + 0.5, (y & 7) as f32 + 0.5];
+        let at_corner = splat_at(&splat, corner);
+        let [first, second, third] = splat;
+        let u = at_corner[0] + first[2] * across + first[3] * down;
+        let v = at_corner[1] + second[0] * down;
         let log2_alpha = second[1] - u * u - v * v;
         if !(log2_alpha >= -LOG2_255 && self.transmittance > 0.0) {
             return;
@@ -75,8 +81,8 @@ pub(super) fn blend_backward_twin(constants: BlendBackwardConstants, b: BlendBac
             let at = (y * width + x) as usize;
             let mut pixel = Pixel::new(vec4_at(b.color, at), vec4_at(b.image_gradient, at));
             for (value, sums) in b.values[range.clone()].iter().zip(&mut sums) {
-                let splat: [[f32; 4]; 3] = std::array::from_fn(|j| vec4_at(b.splats, 3 * gaussian(*value) + j));
-                pixel.replay(splat, x as f32 + 0.5 - splat[0][0], y as f32 + 0.5 - splat[0][1], sums);
+                let splat: Splat = std::array::from_fn(|j| vec4_at(b.splats, 3 * gaussian(*value) + j));
+                pixel.replay(splat, [x, y], sums);
             }
         }
         for (value, sums) in b.values[range].iter().zip(&sums) {

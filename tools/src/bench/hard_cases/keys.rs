@@ -10,10 +10,10 @@ use engine::scene::synthetic::random_scene;
 
 use super::blend::{Rules, blend};
 use super::case::{Case, Check, Context, Outcome};
-use super::compare::{compare, options_of, reference_options, usual_options};
+use super::compare::{options_of, reference_options, usual_options};
 use super::{images, views};
 
-/// Key widths that published renderers use, and ours.
+/// Key widths that published renderers use, and ours, 32.
 const KEY_BITS: [u32; 4] = [18, 20, 24, 32];
 
 pub(super) fn cases() -> Vec<Case> {
@@ -25,10 +25,6 @@ pub(super) fn cases() -> Vec<Case> {
             Case::new(6, format!("depth_keys_{bits}"), input, move |_| judge_keys(bits))
         })
         .collect();
-    for bits in [18, 20, 24] {
-        let input = format!("The same depths on the device with keys of {bits} bits (`--set depth_bits={bits}`).");
-        all.push(Case::new(6, format!("depth_bits_{bits}"), input, move |c| judge_on_device(c, bits)));
-    }
     let input = "2,000 Gaussians stored in another order, and 20,000 hidden ones added.";
     all.push(Case::new(5, "storage_order", input, judge_storage_order));
     all
@@ -81,14 +77,6 @@ fn judge_keys(bits: u32) -> Result<Outcome> {
         truth: format!("{} splats, {pairs} pairs; depths resolved to {resolution:.1e}", splats.len()),
         checks,
     })
-}
-
-/// The renderer's own short keys, which count from the near plane in steps of the scene's depth range.
-fn judge_on_device(context: &Context<'_>, bits: u32) -> Result<Outcome> {
-    let case = images::named("depth_range")?;
-    let mut options = options_of(&case);
-    options.quality.depth_bits = bits;
-    Ok(compare(context.gpu, &case.scene, &case.camera, case.time, &options)?.outcome())
 }
 
 /// The same Gaussians in another order, with others that nobody sees: nothing may change but the bits of ties, and here

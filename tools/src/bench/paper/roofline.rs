@@ -126,7 +126,7 @@ mod tests {
             assert!(engine::kernels().any(|k| k.name == name) && flops(name, &work, 3.0) > 0.0, "{name}");
         }
         assert_eq!(flops("blend", &work, 3.0), 60.0);
-        assert_eq!(flops("compact", &work, 3.0), 0.0);
+        assert_eq!(flops("scan_tiles", &work, 3.0), 0.0);
     }
 
     #[test]

@@ -11,10 +11,10 @@ use crate::report::measure::Recorded;
 
 /// Round trips to memory of every kernel: one for counts or indices, one for the data that they lead to. Assumption.
 const ROUND_TRIPS: f64 = 2.0;
-/// Elements of a block of a scan: what indirect dispatches are sized by.
-const SCAN_BLOCK: u64 = 256;
 /// Specialisation constant of `sort_scatter` (without the subgroup size): keys per thread.
 const SORT_ROUNDS_CONSTANT: usize = 3;
+/// The dispatch that sorts long lists on a CPU device; on a GPU one sorts all.
+const LONG_LISTS: &str = "sort_tiles long";
 /// Threads of the workgroups that blend, and that sum over superpoints.
 const BLEND_THREADS: f64 = 128.0;
 const SUM_THREADS: u64 = 256;
@@ -73,7 +73,7 @@ pub(super) struct DispatchDemand {
 /// The demand of each operation of a recording.
 pub(super) fn of_recording(recorded: &[Recorded], table: Table, subtiles: Subtiles) -> Vec<Demand> {
     let native = recorded.iter().any(is_by_instance);
-    let carried = recorded.iter().filter(|r| !(native && sums_instances(r)));
+    let carried = recorded.iter().filter(|r| !(native && sums_instances(r)) && r.operation.label != LONG_LISTS);
     carried.filter_map(|r| demand(r, table, subtiles)).collect()
 }
 
@@ -114,12 +114,13 @@ fn demand(r: &Recorded, table: Table, subtiles: Subtiles) -> Option<Demand> {
             demand.label = demand.label.replace("blend_backward", name).replace("native_native", "native");
             let lanes = table.subgroup_size(name);
             let workgroups = workgroups(r, name, *groups, lanes) as f64;
+            let threads = if name == "sort_tiles" { table.sort_tiles_threads() } else { kernel.local_size };
             let mut constants = constants.clone();
             if let Some(rounds) = constants.get_mut(SORT_ROUNDS_CONSTANT).filter(|_| name == "sort_scatter") {
                 *rounds = loops::sort_rounds(&r.work);
             }
             let uncounted = loops::of_kernel(name).next().is_none() && has_loop(kernel.spirv);
-            demand.dispatch = dispatch(r, (name, &constants), table, (workgroups, kernel.local_size), subtiles)
+            demand.dispatch = dispatch(r, (name, &constants), table, (workgroups, threads), subtiles)
                 .map(|d| DispatchDemand { uncounted_loop: uncounted, ..d });
             Some(demand)
         }
@@ -138,7 +139,8 @@ fn dispatch(
     let subgroups = workgroups * (f64::from(local_size) / lanes).ceil();
     let compiled = table.compiled(name, constants)?;
     let known = Known { work: &r.work, subgroups, lanes, subtiles };
-    let (mut total, mut longest) = (subgroups * compiled.instructions, compiled.instructions);
+    let usual = loops::usual_share(name) * compiled.instructions;
+    let (mut total, mut longest) = (subgroups * usual, usual);
     let (mut counted, mut longest_cycles, mut mean_cycles) = (0.0, 0.0, 0.0);
     let (mut round_trips, mut mean_round_trips) = (ROUND_TRIPS, ROUND_TRIPS);
     for l in loops::of_kernel(name) {
@@ -187,8 +189,6 @@ fn workgroups(r: &Recorded, name: &str, recorded: Option<u64>, lanes: u32) -> u6
     let tiles = |rows: u64, columns: u64| rows.div_ceil(PRODUCT_TILE) * columns.div_ceil(PRODUCT_TILE);
     match name {
         "sort_scatter" => loops::sort_partitions(&r.work) as u64,
-        "sum_tile_counts" | "emit_tiles" => of("visible").div_ceil(SCAN_BLOCK).max(1),
-        "tile_ranges" => of("instances").div_ceil(SCAN_BLOCK).max(1),
         _ if name.starts_with("blend") => {
             (of("tiles") as f64 * SUBTILES * f64::from(lanes) / BLEND_THREADS).ceil() as u64
         }
@@ -275,10 +275,8 @@ mod tests {
         assert_eq!(groups("blend", Some(25)), 100.0);
         // 9,000 keys in partitions of 1,024.
         assert_eq!(groups("sort_scatter", None), 9.0);
-        assert_eq!(groups("emit_tiles", None), 4.0);
-        assert_eq!(groups("tile_ranges", None), 20.0);
         assert_eq!(groups("image_loss", Some(3)), 42.0);
-        assert_eq!(groups("compact", Some(8)), 8.0);
+        assert_eq!(groups("emit_tiles", Some(8)), 8.0);
     }
 
     #[test]
@@ -301,6 +299,6 @@ mod tests {
     #[test]
     fn loops_that_nobody_counted_are_told() {
         let uncounted = |name| of(&[dispatch(name, Some(1))])[0].dispatch.as_ref().unwrap().uncounted_loop;
-        assert!(uncounted("compact") && !uncounted("blend") && !uncounted("tile_ranges"));
+        assert!(uncounted("density_scan") && !uncounted("blend") && !uncounted("gather_gradient"));
     }
 }

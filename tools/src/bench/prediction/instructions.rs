@@ -53,6 +53,14 @@ fn parse(text: &str, subgroup_size: u32, table: Table) -> Vec<Compiled> {
 }
 
 impl Table {
+    /// Threads of a workgroup of `sort_tiles` (`engine::render::sort_tiles::threads`).
+    pub(super) fn sort_tiles_threads(self) -> u32 {
+        match self {
+            Self::Nvidia => 128,
+            Self::Amd => 256,
+        }
+    }
+
     /// Subgroup size of a kernel on such a GPU.
     pub(super) fn subgroup_size(self, kernel: &str) -> u32 {
         let choice = CHOICES.iter().find(|c| c.vendor == AMD && (c.kernels.is_empty() || c.kernels.contains(&kernel)));
@@ -139,6 +147,6 @@ mod tests {
     fn loops_are_found_in_the_spirv() {
         let of = |name: &str| has_loop(engine::kernels().find(|k| k.name == name).unwrap().spirv);
         assert!(of("blend") && of("nearest_superpoints"));
-        assert!(!of("tile_ranges") && !of("gather_gradient"));
+        assert!(!of("display") && !of("gather_gradient"));
     }
 }

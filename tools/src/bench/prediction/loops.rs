@@ -16,15 +16,22 @@ const LARGEST_SUPERPOINT: f64 = 3.0;
 const BUSIEST_LANE: f64 = 3.0;
 /// Subtiles of 8×8 pixels, one per subgroup of 32 lanes with two pixels each, in a tile.
 pub(super) const SUBTILES: f64 = 4.0;
-/// Of a splat: half of 125 by the delays in NAK's assembly for two, and half of 90 of waits, an assumption: 30 for shared memory,
-/// 60 for four times exp2, partly hidden.
-const BLEND_CYCLES: f64 = 107.0;
+/// Of a splat: half of 160 by the delays in NAK's assembly for two, the loop's branches with them, and half of 90 of waits, an
+/// assumption: 30 for shared memory, 60 for four times exp2, partly hidden.
+const BLEND_CYCLES: f64 = 125.0;
+/// Of a batch of splats: counted.
+const BLEND_BATCH: f64 = 130.0;
+/// Round trips that a batch waits for: it was fetched while the one before was blended, which mostly takes as long; the rest is an assumption.
+const BATCH_LOADS: f64 = 0.25;
 /// Rows of a histogram that a workgroup of `sort_scatter` adds up in a round.
 const ROWS_OF_ROUND: f64 = 32.0;
 /// The push constant `totals_row` of a sort without `sort_spine`.
 const NOT_PRESCANNED: u64 = u32::MAX as u64;
 /// Most tiles of a splat that one thread emits.
 const SERIAL_TILES: f64 = 16.0;
+/// Pairs that a thread of `sort_tiles` has on their way at a time, and most buckets.
+const SORT_TILES_AT_ONCE: f64 = 4.0;
+const SORT_TILES_BUCKETS: f64 = 1024.0;
 /// Depth of one round of a matrix product.
 const PRODUCT_DEPTH: f64 = 64.0;
 
@@ -142,20 +149,53 @@ fn pairs(k: &Known<'_>) -> Trips {
     Trips { total: pairs / k.lanes, longest }
 }
 
+/// Threads of the workgroup that sorts a tile's list.
+fn sort_threads(k: &Known<'_>) -> f64 {
+    (k.subgroups * k.lanes / k.of("tiles").max(1.0)).max(1.0)
+}
+
+/// Rounds of `sort_tiles` with so many pairs for each thread: of mean lists, and of the longest one.
+fn sort_rounds_of(k: &Known<'_>, pairs: f64) -> Trips {
+    let rounds = |splats: f64| (splats / pairs / sort_threads(k)).ceil().max(1.0);
+    Trips {
+        total: k.subgroups * rounds(k.splats_per_tile()),
+        longest: rounds(k.subtiles.longest * k.splats_per_tile()),
+    }
+}
+
+/// The same with the buckets that a thread has: one for each pair, more or less.
+fn bucket_rounds(k: &Known<'_>) -> Trips {
+    let rounds = |splats: f64| (splats.min(SORT_TILES_BUCKETS) / sort_threads(k)).ceil().max(1.0);
+    Trips {
+        total: k.subgroups * rounds(k.splats_per_tile()),
+        longest: rounds(k.subtiles.longest * k.splats_per_tile()),
+    }
+}
+
+/// Share of a program that its usual path has, one round of each loop with it: counted in NAK's assembly for Turing. In
+/// `sort_tiles` the rest is for longer lists and for depths that are all alike, in `emit_tiles` for splats of more than 16 tiles.
+pub(super) fn usual_share(kernel: &str) -> f64 {
+    match kernel {
+        "sort_tiles" => 700.0 / 3073.0,
+        "emit_tiles" => 413.0 / 966.0,
+        _ => 1.0,
+    }
+}
+
 /// The loops that take time in frames and training steps.
 pub(super) const LOOPS: &[Loop] = &[
     Loop {
         kernels: BLEND,
         round: "a batch of splats chosen for a subtile (counted)",
-        body: Body::Of(120.0),
+        body: Body::Of(BLEND_BATCH),
         alone: None,
-        loads: 2.0,
+        loads: BATCH_LOADS,
         trips: batches,
     },
     Loop {
         kernels: BLEND,
-        round: "a splat blended into a subtile's pixels (counted: 104 for two)",
-        body: Body::Of(54.0),
+        round: "a splat blended into a subtile's pixels (counted: 95 for two)",
+        body: Body::Of(50.0),
         alone: Some(BLEND_CYCLES),
         loads: 0.0,
         trips: hits,
@@ -178,18 +218,50 @@ pub(super) const LOOPS: &[Loop] = &[
     },
     Loop {
         kernels: &["deform_project"],
-        round: "a row of tiles counted, as many as the busiest lane has",
-        body: Body::Of(45.0),
+        round: "a row of tiles counted (counted), as many as the busiest lane has",
+        body: Body::Of(100.0),
         alone: None,
         loads: 0.0,
         trips: |k| each(k.subgroups, BUSIEST_LANE * k.tiles_per_splat().sqrt()),
     },
     Loop {
         kernels: &["emit_tiles"],
-        round: "a tile instance written, as many as the busiest lane has",
-        body: Body::Of(45.0),
+        round: "a row of tiles found (counted), as many as the busiest lane has",
+        body: Body::Of(160.0),
         alone: None,
         loads: 0.0,
+        trips: |k| each(k.subgroups, BUSIEST_LANE * k.tiles_per_splat().sqrt()),
+    },
+    Loop {
+        kernels: &["sort_tiles"],
+        round: "four pairs of a thread ranged, counted and placed in buckets (counted)",
+        body: Body::Of(240.0),
+        alone: None,
+        loads: 3.0,
+        trips: |k| sort_rounds_of(k, SORT_TILES_AT_ONCE),
+    },
+    Loop {
+        kernels: &["sort_tiles"],
+        round: "a pair's place among those of its bucket (counted: 44, and 20 for each of four there, as many as the busiest lane has)",
+        body: Body::Of(124.0),
+        alone: None,
+        loads: 0.0,
+        trips: |k| sort_rounds_of(k, 1.0),
+    },
+    Loop {
+        kernels: &["sort_tiles"],
+        round: "a bucket of a thread cleared, summed and given its begin (counted)",
+        body: Body::Of(32.0),
+        alone: None,
+        loads: 0.0,
+        trips: bucket_rounds,
+    },
+    Loop {
+        kernels: &["emit_tiles"],
+        round: "a tile instance appended (counted), as many as the busiest lane has",
+        body: Body::Of(63.0),
+        alone: None,
+        loads: 1.0,
         trips: |k| each(k.subgroups, (BUSIEST_LANE * k.tiles_per_splat()).min(SERIAL_TILES)),
     },
     Loop {
@@ -282,8 +354,11 @@ pub(super) fn atomics(kernel: &str, constants: &[u32], k: &Known<'_>) -> f64 {
         // HAS_NEXT
         "sort_scatter" if constants.get(1) == Some(&0) => 0.0,
         "sort_scatter" | "sort_histogram" => k.of("keys"),
-        "compact" => k.of("visible"),
         "emit_tiles" => k.of("instances"),
+        // Two per row of tiles.
+        "deform_project" => 2.0 * k.of("visible") * k.tiles_per_splat().sqrt(),
+        // A pair twice, in shared memory, which is not slower.
+        "sort_tiles" => 0.0,
         "blend_backward_native" => 10.0 * hits(k).total,
         _ => 0.0,
     }

@@ -65,13 +65,13 @@ mod tests {
         };
         let measured = [
             Measured::for_tests("exact", 10.0, 0.0),
-            knob("depth_bits", "16", 8.0, 1e-4),
+            knob("stop", "0.001", 8.0, 1e-4),
             knob("sh", "f16", 9.99, 1e-6),
             knob("alpha_cut", "1/64", 5.0, 1e-2),
             knob("alpha_cut", "1/128", 6.0, 1e-3),
             knob("resolution", "0.5", 11.0, 1e-1),
         ];
         let names: Vec<String> = combinations(&measured).into_iter().map(|s| s.name).collect();
-        assert_eq!(names, ["depth_bits=16, alpha_cut=1/128", "depth_bits=16, alpha_cut=1/64"]);
+        assert_eq!(names, ["alpha_cut=1/128, stop=0.001", "alpha_cut=1/64, stop=0.001"]);
     }
 }

@@ -15,7 +15,7 @@ use super::measured::{ErrorOf, Measured, VISIBLE, VISIBLE_SHARE};
 use super::settings::Setting;
 use super::views::Views;
 use crate::cli::args::SweepArgs;
-use crate::report::measure::{Quantiles, with_keys, with_push};
+use crate::report::measure::{Quantiles, with_push};
 use crate::report::processor::processor_seconds;
 
 /// Timed frames of a setting where the arguments do not say, on a GPU and on a CPU.
@@ -139,7 +139,7 @@ impl<'a> Measurer<'a> {
         let workload = renderer.workload(&counted);
         let commands = renderer.commands();
         let dispatches = commands.map(|c| c.kernels().into_iter().zip(c.push_constants())).into_iter().flatten();
-        let bytes = dispatches.map(|((label, kernel), push)| bytes_of(kernel, label, &workload, push)).sum();
+        let bytes = dispatches.map(|((_, kernel), push)| bytes_of(kernel, &workload, push)).sum();
         Ok(Measured {
             setting,
             frame_ms: Quantiles::of(frame_ms),
@@ -183,20 +183,20 @@ impl<'a> Measurer<'a> {
     }
 }
 
-fn bytes_of(kernel: &Kernel, label: &str, workload: &Workload, push: &[u8]) -> u64 {
-    (kernel.bytes)(&with_push(&with_keys(workload, label), kernel, push))
+fn bytes_of(kernel: &Kernel, workload: &Workload, push: &[u8]) -> u64 {
+    (kernel.bytes)(&with_push(workload, kernel, push))
 }
 
 /// Stages in the order of the pipeline.
-pub(super) const STAGES: [&str; 6] = ["networks", "project", "depth sort", "tiles", "blend", "other"];
+pub(super) const STAGES: [&str; 6] = ["networks", "project", "tiles", "sort", "blend", "other"];
 
 /// The stage of an operation.
 fn stage(label: &str) -> &'static str {
     match label {
         l if l.contains("network") || l.starts_with("field") || l.starts_with("linear") => STAGES[0],
         l if l.starts_with("deform_project") => STAGES[1],
-        l if l.starts_with("compact") || l.contains("depth") => STAGES[2],
-        l if l.contains("tile") => STAGES[3],
+        l if l.starts_with("scan_tiles") || l.starts_with("emit_tiles") => STAGES[2],
+        l if l.starts_with("sort_tiles") => STAGES[3],
         l if l.starts_with("blend") => STAGES[4],
         _ => STAGES[5],
     }
@@ -214,12 +214,10 @@ mod tests {
             ("field_waves", "networks"),
             ("linear_forward", "networks"),
             ("deform_project", "project"),
-            ("compact", "depth sort"),
-            ("sort_scatter depth 3", "depth sort"),
-            ("sort_scatter tile 0", "tiles"),
-            ("sum_tile_counts", "tiles"),
+            ("scan_tiles", "tiles"),
             ("emit_tiles", "tiles"),
-            ("tile_ranges", "tiles"),
+            ("sort_tiles", "sort"),
+            ("sort_tiles long", "sort"),
             ("blend", "blend"),
             ("fill zeroed", "other"),
         ] {

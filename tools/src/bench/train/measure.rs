@@ -122,7 +122,7 @@ pub(crate) fn predicted(
     data: &TrainingData,
 ) -> Option<Predicted> {
     let work = trainer.workload(step);
-    let of_dispatch = |label: &str, kernel: &Kernel, push: &[u8]| of_dispatch(&work, label, kernel, push);
+    let of_dispatch = |kernel: &Kernel, push: &[u8]| of_dispatch(&work, kernel, push);
     let recorded = recorded(trainer.commands(), &work, &of_dispatch);
     let view = data.views.first()?;
     let still = Scene { gaussians: gaussians.clone(), ..Scene::default() };
@@ -175,23 +175,19 @@ fn profile(
     let total: f64 = medians.iter().sum();
     let work = trainer.workload(&step);
     let timed = labels.into_iter().zip(medians).collect();
-    let of_dispatch = |label: &str, kernel: &Kernel, push: &[u8]| of_dispatch(&work, label, kernel, push);
+    let of_dispatch = |kernel: &Kernel, push: &[u8]| of_dispatch(&work, kernel, push);
     let name = |label: &str, kernel: Option<&Kernel>| kernel.map_or(label, |k| k.name).to_owned();
     let rows = operation_rows(timed, trainer.commands(), copy_gb_per_s, &of_dispatch, &name);
     Ok((rows, (!totals.is_empty() && total > 0.0).then(|| Quantiles::of(totals))))
 }
 
 /// A dispatch's amount of work: the step's, the numbers in its push constants, and how many keys a sort has.
-fn of_dispatch(step: &Workload, label: &str, kernel: &Kernel, push: &[u8]) -> Workload {
+fn of_dispatch(step: &Workload, kernel: &Kernel, push: &[u8]) -> Workload {
     let mut work = with_push(step, kernel, push);
     // Of a gradient by the networks' outputs: r and τ, or the non-rigid offset.
     work.0.insert("planes", if step.get("nonrigid") > 0 { 10 } else { 6 });
-    let keys = match label {
-        l if l.contains("pair") => work.get("gaussians") * (work.get("neighbors") + 1),
-        l if l.contains("tile") => work.get("instances"),
-        _ => work.get("visible"),
-    };
-    work.0.insert("keys", keys);
+    // Of Gaussians and superpoints, the only keys that a step sorts.
+    work.0.insert("keys", work.get("gaussians") * (work.get("neighbors") + 1));
     work
 }
 
@@ -202,13 +198,12 @@ mod tests {
 
     #[test]
     fn a_dispatch_counts_its_push_constants_and_its_keys() {
-        let step = Workload([("gaussians", 7), ("neighbors", 3), ("instances", 50), ("visible", 5)].into());
+        let step = Workload([("gaussians", 7), ("neighbors", 3)].into());
         let layer = &engine::render::linear_forward::LINEAR_FORWARD;
         let words: Vec<u8> = (1..=layer.push.len() as u32).flat_map(u32::to_le_bytes).collect();
-        let work = of_dispatch(&step, layer.name, layer, &words);
+        let work = of_dispatch(&step, layer, &words);
         assert_eq!((work.get("rows"), work.get("outputs"), work.get("inputs")), (1, 2, 3 + 4));
         assert_eq!((layer.bytes)(&work), 4 * (7 + 2 * 7 + 2));
-        let keys = |label: &str| of_dispatch(&step, label, layer, &[]).get("keys");
-        assert_eq!(["sort_scatter pairs 0", "sort_scatter tile 1", "sort_scatter depth 0"].map(keys), [28, 50, 5]);
+        assert_eq!(work.get("keys"), 28);
     }
 }

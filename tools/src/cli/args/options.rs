@@ -74,7 +74,7 @@ pub struct QualityArgs {
     /// Error allowed for speed: exact: none; high: none that is visible
     #[arg(long, value_name = "exact|high", default_value = "high", value_parser = preset)]
     pub quality: Quality,
-    /// Override single knobs of --quality (see `spgs help quality`): cull, alpha_cut, stop, depth_bits, position, sh_degree, sh, colour,
+    /// Override single knobs of --quality (see `spgs help quality`): cull, alpha_cut, stop, position, sh_degree, sh, colour,
     /// table_step, interpolation, network, nonrigid, resolution
     #[arg(long, value_name = "KNOB=VALUE,…", value_parser = knobs)]
     pub set: Option<String>,

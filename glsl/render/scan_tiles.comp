@@ -1,0 +1,106 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_ballot : require
+#extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_vote : require
+#extension GL_EXT_control_flow_attributes : require
+
+// Where the list of each tile begins: sums twice over what deform_project has counted, from changes to counts and from counts
+// to starts. One workgroup: 4,096 tiles at a time, sixteen neighbours per thread, all on their way from memory at once.
+//
+// Each list begins empty: emit_tiles moves its end. After the last tile stands the end of all lists. A frame that has more
+// instances than there is room for fails here: its lists have no room, so nothing is emitted and nothing blended.
+
+#include "lib/frame.glsl"
+#include "lib/limits.glsl"
+#include "lib/subgroup.glsl"
+
+layout(local_size_x = 256) in;
+
+layout(std430, set = 0, binding = 1) buffer CountersBlock { uint counters[]; };
+layout(std430, set = 0, binding = 2) readonly buffer TileChangeBlock { uvec4 tile_change[]; };
+layout(std430, set = 0, binding = 3) writeonly buffer RangesBlock { uvec2 ranges[]; };
+layout(std430, set = 0, binding = 4) writeonly buffer IndirectBlock { uint indirect[]; };
+
+layout(constant_id = 1) const uint LONG = 0; // with lists of more pairs, `indirect` dispatches a workgroup per tile; 0: no such dispatch
+
+const uint QUADS = 4u;                             // four tiles each, of a thread at a time
+const uint TILES_AT_ONCE = SCAN_THREADS * 4u * QUADS;
+
+shared uint all_instances; // to process: none when the frame failed
+shared uint some_are_long;
+
+void main() {
+    uint thread = thread_index();
+    uint tiles = frame.tile_count;
+    if (thread == 0u) {
+        // A step of training may have failed before it began, with the one before it.
+        uint counted = counters[COUNT_INSTANCES_LOW];
+        bool failed = counters[COUNT_INSTANCES_HIGH] != 0u || counted > frame.instance_capacity
+            || counters[COUNT_FAILED] != 0u;
+        counters[COUNT_FAILED] = failed ? FAILED_INSTANCES : 0u;
+        all_instances = failed ? 0u : counted;
+        counters[COUNT_INSTANCES] = all_instances;
+        some_are_long = 0u;
+    }
+    barrier();
+    uint instances = all_instances;
+    uint longest = 0u;
+    uint count_before = 0u; // of the last tile of the block before
+    uint start_before = 0u;
+    for (uint first = 0u; first < tiles; first += TILES_AT_ONCE) {
+        uint own = first + thread * (4u * QUADS);
+        uvec4 change[QUADS];
+        [[unroll]] for (uint q = 0u; q < QUADS; q++) {
+            // The buffer is whole blocks long.
+            change[q] = tile_change[own / 4u + q];
+        }
+        uint sum = 0u;
+        [[unroll]] for (uint q = 0u; q < QUADS; q++) {
+            sum += change[q].x + change[q].y + change[q].z + change[q].w;
+        }
+        uint change_of_block;
+        uint count = count_before + workgroup_exclusive_add(sum, change_of_block);
+        uint running = count;
+        uint instances_here = 0u;
+        [[unroll]] for (uint q = 0u; q < QUADS; q++) {
+            [[unroll]] for (uint c = 0u; c < 4u; c++) {
+                running += change[q][c];
+                longest = max(longest, running);
+                instances_here += running;
+            }
+        }
+        uint instances_of_block;
+        uint start = start_before + workgroup_exclusive_add(instances_here, instances_of_block);
+        [[unroll]] for (uint q = 0u; q < QUADS; q++) {
+            [[unroll]] for (uint c = 0u; c < 4u; c++) {
+                uint tile = own + 4u * q + c;
+                count += change[q][c];
+                if (tile < tiles) {
+                    // At most where all end, whatever was counted: nothing is written past the room there is.
+                    ranges[tile] = uvec2(min(start, instances));
+                }
+                start += count;
+            }
+        }
+        count_before += change_of_block;
+        start_before += instances_of_block;
+    }
+    if (thread == 0u) {
+        ranges[tiles] = uvec2(instances);
+    }
+    uint long_from = LONG;
+    if (long_from != 0u) {
+        uint any_long = subgroupAny(longest > long_from) ? 1u : 0u;
+        if (gl_SubgroupInvocationID == 0u) {
+            atomicOr(some_are_long, any_long);
+        }
+        barrier();
+        if (thread == 0u) {
+            indirect[0] = instances != 0u && some_are_long != 0u ? tiles : 0u;
+            indirect[1] = 1u;
+            indirect[2] = 1u;
+        }
+    }
+}

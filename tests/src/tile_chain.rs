@@ -1,0 +1,134 @@
+//! From projected Gaussians to the tile lists, kernel by kernel beside the twins, on the device or on the executable model.
+
+use engine::gpu::interface::Interface;
+use engine::render::emit_tiles::{EMIT_TILES, EmitTiles, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
+use engine::render::frame::Frame;
+use engine::render::scan_tiles::{SCAN_TILES, ScanTilesBuffers, ScanTilesConstants, range_words};
+use engine::render::sort_tiles::{self, SORT_TILES, SortTilesBuffers};
+
+use crate::model::Options;
+use crate::{KernelCase, TestGpu};
+
+/// What runs a kernel and compares it with its twin.
+pub trait Runner {
+    /// What the kernel leaves.
+    ///
+    /// # Panics
+    /// When it differs from what the twin leaves.
+    fn check<I: Interface>(&self, case: KernelCase<I>) -> I::Buffers<Vec<u32>>;
+    /// Whether it is a CPU, and the threads of a workgroup of `sort_tiles`.
+    fn kind(&self) -> (bool, u32);
+}
+
+impl Runner for TestGpu {
+    fn check<I: Interface>(&self, case: KernelCase<I>) -> I::Buffers<Vec<u32>> {
+        case.check(self, "chain")
+    }
+
+    fn kind(&self) -> (bool, u32) {
+        let device = || (self.info().is_cpu(), sort_tiles::threads(self.info(), self.subgroup_size_of(&SORT_TILES)));
+        crate::model::options().map_or_else(device, |options| options.kind())
+    }
+}
+
+impl Runner for Options {
+    fn check<I: Interface>(&self, case: KernelCase<I>) -> I::Buffers<Vec<u32>> {
+        let result = case.run_model(self);
+        result.assert_equal(&format!("{self:?}"));
+        result.gpu
+    }
+
+    fn kind(&self) -> (bool, u32) {
+        match self.lanes {
+            lanes @ ..16 => (true, lanes),
+            32 => (false, 128),
+            _ => (false, 256),
+        }
+    }
+}
+
+/// Pairs of a long list, in tests: some are.
+const LONG_LIST: u32 = 300;
+
+/// What `deform_project` leaves.
+#[derive(Debug, Clone)]
+pub struct TileChain {
+    /// With the capacity.
+    pub frame: Frame,
+    /// `[8]`
+    pub counters: Vec<u32>,
+    /// `[N]`
+    pub tile_count: Vec<u32>,
+    /// `[N]` splats.
+    pub splats: Vec<u32>,
+    /// Changes from tile to tile.
+    pub tile_change: Vec<u32>,
+    /// Sums over blocks of Gaussians.
+    pub instance_block: Vec<u32>,
+    /// Where its super sums start.
+    pub block_capacity: u32,
+    /// Of `emit_tiles`.
+    pub constants: EmitTilesConstants,
+}
+
+/// What the chain leaves.
+#[derive(Debug)]
+pub struct TileLists {
+    /// `[8]`
+    pub counters: Vec<u32>,
+    /// `[T+1][2]`
+    pub ranges: Vec<u32>,
+    /// `[instances]`
+    pub values: Vec<u32>,
+}
+
+impl TileChain {
+    /// The words of the frame.
+    pub fn frame_words(&self) -> Vec<u32> {
+        bytemuck::cast_slice(&[self.frame]).to_vec()
+    }
+
+    /// `emit_tiles` after `scan_tiles`.
+    pub fn emission(&self, runner: &impl Runner) -> KernelCase<EmitTiles> {
+        let ranges = vec![0; range_words(self.frame.tile_count) as usize];
+        let (counters, tile_change) = (self.counters.clone(), self.tile_change.clone());
+        let indirect = Some(vec![0; 3]);
+        let buffers = ScanTilesBuffers { frame: self.frame_words(), counters, tile_change, ranges, indirect };
+        let constants = ScanTilesConstants { long: LONG_LIST };
+        let scanned = runner.check(KernelCase { kernel: &SCAN_TILES, constants, push: (), buffers, groups: 1 });
+        let buffers = EmitTilesBuffers {
+            frame: self.frame_words(),
+            counters: scanned.counters,
+            tile_count: self.tile_count.clone(),
+            splats: self.splats.clone(),
+            instance_block: self.instance_block.clone(),
+            ranges: scanned.ranges,
+            pairs: vec![0; 2 * self.frame.instance_capacity.max(1) as usize],
+            gaussian_of_slot: None,
+            first_slot: None,
+        };
+        let push = EmitTilesPush { block_capacity: self.block_capacity };
+        // One more than there are: a grid may be folded.
+        let groups = self.frame.gaussians.div_ceil(256).max(1) + 1;
+        KernelCase { kernel: &EMIT_TILES, constants: self.constants, push, buffers, groups }
+    }
+
+    /// The whole chain.
+    pub fn run(&self, runner: &impl Runner) -> TileLists {
+        let emitted = runner.check(self.emission(runner));
+        let EmitTilesBuffers { counters, ranges, pairs, .. } = emitted;
+        let values = sort(runner, self.frame_words(), ranges.clone(), pairs, false);
+        TileLists { counters, ranges, values }
+    }
+}
+
+/// The lists of pairs in their order.
+pub fn sort(runner: &impl Runner, frame: Vec<u32>, ranges: Vec<u32>, pairs: Vec<u32>, with_slots: bool) -> Vec<u32> {
+    let groups = ranges.len() as u32 / 2;
+    let (is_cpu, threads) = runner.kind();
+    let mut buffers = SortTilesBuffers { frame, ranges, values: vec![0; pairs.len() / 2], pairs };
+    for constants in sort_tiles::dispatches(is_cpu, threads, u32::MAX, with_slots) {
+        buffers = runner.check(KernelCase { kernel: &SORT_TILES, constants, push: (), buffers, groups });
+    }
+    buffers.values
+}
