@@ -145,7 +145,7 @@ mod tests {
         let cost = |groups| costs(h200, &[kernel(groups, 1000.0)]).remove(0);
         let small = cost(1.0);
         assert_eq!(small.limited_by, "latency");
-        assert!((small.latency_us - (1000.0 * 5.1 / 1.98 / 1e3 + 0.8)).abs() < 1e-9, "{small:?}");
+        assert!((small.latency_us - (1000.0 * 4.7 / 1.98 / 1e3 + 0.8)).abs() < 1e-9, "{small:?}");
         let large = cost(1e5);
         assert_eq!(large.limited_by, "instructions");
         let expected = 8e8 / (528.0 * 1.98e9 * 0.7) * 1e6;
