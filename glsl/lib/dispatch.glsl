@@ -1,4 +1,4 @@
-// One-dimensional grids that may be longer than 65,535 workgroups: the host (or `compact`, for indirect dispatches)
+// One-dimensional grids that may be longer than 65,535 workgroups: the host (or `scan_tiles`, for an indirect dispatch)
 // folds n groups into x = min(n, 65535), y = ceil(n / x). The last row may run past n, so kernels check their bounds.
 #ifndef SPGS_DISPATCH
 #define SPGS_DISPATCH

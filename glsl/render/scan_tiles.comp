@@ -14,6 +14,7 @@
 
 #include "lib/frame.glsl"
 #include "lib/limits.glsl"
+#include "lib/dispatch.glsl"
 #include "lib/subgroup.glsl"
 
 layout(local_size_x = 256) in;
@@ -98,9 +99,10 @@ void main() {
         }
         barrier();
         if (thread == 0u) {
-            indirect[0] = instances != 0u && some_are_long != 0u ? tiles : 0u;
-            indirect[1] = 1u;
-            indirect[2] = 1u;
+            uvec3 groups = folded_groups(instances != 0u && some_are_long != 0u ? tiles : 0u);
+            indirect[0] = groups.x;
+            indirect[1] = groups.y;
+            indirect[2] = groups.z;
         }
     }
 }

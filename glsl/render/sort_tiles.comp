@@ -225,6 +225,10 @@ void sort_part(uint list, uint part, uint n, bool cut) {
             }
         }
     }
+    // What `values` said before this part has its order is read no more.
+    if (cut) {
+        memoryBarrierBuffer();
+    }
     barrier();
     if (some_is_full != 0u) {
         sort_bitonic(n);

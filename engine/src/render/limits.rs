@@ -10,7 +10,7 @@ pub const SORT_ROUNDS: u32 = 16;
 pub const SORT_PARTITION: u32 = 4096;
 /// Columns of a histogram row, whatever the digit's width.
 pub const SORT_DIGITS: u32 = 256;
-/// Elements per block sum of `visible_block` and `instance_block`.
+/// Elements per block sum of `instance_block`.
 pub const SCAN_BLOCK: u32 = 256;
 /// Block sums per super sum.
 pub const SCAN_SUPER: u32 = 256;

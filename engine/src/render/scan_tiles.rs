@@ -76,7 +76,8 @@ fn scan_tiles_twin(call: Call<'_, ScanTiles>) {
     b.ranges[end..end + 2].fill(instances);
     if let Some(indirect) = b.indirect.as_mut().filter(|_| constants.long != 0) {
         let groups = if instances != 0 && longest > constants.long { frame.tile_count } else { 0 };
-        indirect[..3].copy_from_slice(&[groups, 1, 1]);
+        let x = groups.min(65_535);
+        indirect[..3].copy_from_slice(&[x, if x == 0 { 0 } else { groups.div_ceil(x) }, 1]);
     }
     b.counters[COUNT_INSTANCES as usize] = instances;
     b.counters[COUNT_FAILED as usize] = if failed { FAILED_INSTANCES } else { 0 };

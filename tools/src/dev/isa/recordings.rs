@@ -7,6 +7,7 @@ use engine::metrics::Planes;
 use engine::metrics::lpips::{Lpips, Network, Range, Weights};
 use engine::render::display::{DisplayMode, DisplayOptions, Screen};
 use engine::render::quality::KNOBS;
+use engine::render::radix_sort::DeviceSort;
 use engine::render::{
     PixelFormat, Quality, RenderOptions, Renderer, SceneHandle, SceneOptions, View as EmbeddedView, ViewOptions,
 };
@@ -29,8 +30,8 @@ const COUNTS: [usize; 3] = [300, 8, 4];
 const MANY: u32 = 900;
 /// Superpoints of a Gaussian with soft ones.
 const SOFT: usize = 3;
-/// Gaussians whose sort needs a spine.
-const LARGE: usize = 530_000;
+/// Keys of sorts with few and with many keys per thread, and of one that needs a spine.
+const KEYS: [usize; 3] = [100_000, 200_000, 600_000];
 
 /// A kind of run.
 pub type Recording = (&'static str, fn(&Gpu) -> Result<()>);
@@ -41,7 +42,7 @@ pub const RECORDINGS: &[Recording] = &[
     ("frames", frames),
     ("frames with each knob", knobs),
     ("frames of deformation fields", field_frames),
-    ("frames with a spine", large_frames),
+    ("sorts", sorts),
     ("frames on the screen", screens),
     ("frames in a host's images", embedded),
     ("training", training),
@@ -127,11 +128,8 @@ fn field_frames(gpu: &Gpu) -> Result<()> {
     Ok(())
 }
 
-fn large_frames(gpu: &Gpu) -> Result<()> {
-    for (_, quality) in Quality::PRESETS {
-        draw(gpu, &random_scene(LARGE, 1, 0), &RenderOptions { quality, ..RenderOptions::default() })?;
-    }
-    Ok(())
+fn sorts(gpu: &Gpu) -> Result<()> {
+    KEYS.into_iter().try_for_each(|keys| DeviceSort::new(gpu, &vec![0; keys], 32)?.run().map(drop))
 }
 
 fn screens(gpu: &Gpu) -> Result<()> {
