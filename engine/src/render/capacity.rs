@@ -5,7 +5,7 @@ use crate::gpu::Gpu;
 
 use super::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE};
 use super::renderer::FrameStatistics;
-use super::work_buffers::COUNTER_WORDS;
+use super::work_buffers::{COUNTER_WORDS, PAIR_BYTES};
 
 /// Tile instances that the first frame has room for, per Gaussian.
 const FIRST_INSTANCES_PER_GAUSSIAN: u64 = 2;
@@ -17,10 +17,10 @@ pub(crate) fn first(gaussians: u32) -> u64 {
     (u64::from(gaussians) * FIRST_INSTANCES_PER_GAUSSIAN).max(4096)
 }
 
-/// Most tile instances that one binding of 4-byte words holds, or that the caller allows.
+/// Most tile instances that one binding of pairs holds, or that the caller allows.
 pub(crate) fn limit(gpu: &Gpu, max_instances: Option<u64>) -> u64 {
     let c = &gpu.info().capabilities;
-    let device = (c.max_storage_buffer_range.min(c.max_allocation_bytes) / 4).min(1 << 31);
+    let device = (c.max_storage_buffer_range.min(c.max_allocation_bytes) / PAIR_BYTES).min(1 << 31);
     max_instances.unwrap_or(u64::MAX).min(device)
 }
 

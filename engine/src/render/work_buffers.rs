@@ -7,6 +7,8 @@ use crate::gpu::{Buffer, Gpu, Memory, SLICE_ALIGNMENT, Slice};
 use super::scan_tiles::{range_words, tile_change_words};
 use super::tiles::block_words;
 
+/// Bytes of a pair, the largest thing that there is for each tile instance.
+pub(crate) const PAIR_BYTES: u64 = 8;
 /// Words of `counters`.
 pub(crate) const COUNTER_WORDS: u64 = 8;
 
@@ -56,7 +58,7 @@ impl WorkBuffers {
             tile_count: words("tile_count", gaussians.into())?,
             ranges: words("ranges", range_words(tiles).into())?,
             indirect: words("indirect", 3)?,
-            pairs: words("pairs", 2 * u64::from(instances.max(1)))?,
+            pairs: words("pairs", PAIR_BYTES / 4 * u64::from(instances.max(1)))?,
             values: words("values", instances.into())?,
             zeroed,
         })
