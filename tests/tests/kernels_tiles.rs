@@ -5,7 +5,7 @@ use engine::render::emit_tiles::EmitTilesConstants;
 use engine::render::frame::Frame;
 use engine::render::limits::{FAILED_INSTANCES, INSTANCE_GAUSSIAN};
 use engine::render::scan_tiles::tile_change_words;
-use engine::render::sort_tiles::SORT_TILES_CAPACITY;
+use engine::render::sort_tiles::{SORT_TILES, SORT_TILES_CAPACITY, long_from};
 use engine::render::tiles::block_words;
 use tests_harness::tile_chain::{TileChain, TileLists, sort};
 use tests_harness::{TestGpu, widths};
@@ -245,8 +245,27 @@ fn splats_over_the_whole_screen() {
     scene.assert_lists(&done);
 }
 
-/// Lists around what a workgroup sorts at once and far beyond, of depths that are all alike, that crowd in a corner of their range,
-/// and that are anything.
+/// Pairs of the longest list that a workgroup of one subgroup sorts on a CPU device.
+fn longest_of_few_threads(gpu: &TestGpu) -> u32 {
+    long_from(true, gpu.subgroup_size_of(&SORT_TILES).min(16), u32::MAX)
+}
+
+/// Sorts lists of pairs, beside the twin. Room that is not used lies between them.
+fn sort_lists(gpu: &TestGpu, lists: &[Vec<[u32; 2]>]) {
+    let (mut ranges, mut pairs) = (vec![], vec![]);
+    for list in lists {
+        let start = pairs.len() as u32;
+        ranges.extend([start, start + list.len() as u32]);
+        pairs.extend(list);
+        pairs.resize(pairs.len() + 3, [0; 2]);
+    }
+    ranges.extend([pairs.len() as u32; 2]);
+    let frame = Frame { tile_count: lists.len() as u32, ..Frame::default() };
+    sort(gpu, bytemuck::cast_slice(&[frame]).to_vec(), ranges, pairs.as_flattened().to_vec(), false);
+}
+
+/// Lists around what a workgroup sorts at once, around what few threads of a CPU device do, and far beyond, of depths that are all
+/// alike, that crowd in a corner of their range, and that are anything.
 #[test]
 fn lists_of_every_length_and_kind() {
     let gpu = tests_harness::shared_gpu();
@@ -260,33 +279,36 @@ fn lists_of_every_length_and_kind() {
         ("crowded", |rng, i| if i % 100 == 0 { 1e6_f32.to_bits() } else { (1.0 + 1e-5 * rng.unit()).to_bits() }),
         ("falling", |_, i| (1e4 - i as f32 * 1e-2).to_bits()),
     ];
-    let all = [0, 1, 2, 7, 64, 255, 257, 1000, SORT_TILES_CAPACITY, SORT_TILES_CAPACITY + 1, 5000, 40_000];
+    let (capacity, few) = (SORT_TILES_CAPACITY, longest_of_few_threads(&gpu));
+    let all = [0, 1, 2, 7, 64, 255, 257, 1000, capacity, capacity + 1, 5000, few, few + 1, 40_000];
     let most = if tests_harness::small() { 5000 } else { u32::MAX };
     for (name, depth) in kinds {
-        let lengths: Vec<u32> = all.into_iter().filter(|n| *n <= most).collect();
-        let mut ranges = vec![];
-        let mut start = 0;
-        for n in &lengths {
-            ranges.extend([start, start + n]);
-            // Room that is not used lies between lists.
-            start += n + 3;
-        }
-        ranges.extend([start, start]);
-        let mut pairs = vec![0; 2 * start as usize];
-        for range in ranges.chunks_exact(2) {
-            let mut names: Vec<u32> = (0..range[1] - range[0]).collect();
+        let list = |n: u32| {
+            let mut names: Vec<u32> = (0..n).collect();
             for i in (1..names.len()).rev() {
                 names.swap(i, rng.next() as usize % (i + 1));
             }
-            for (i, name) in (range[0]..range[1]).zip(names) {
-                let quadrants = rng.next() & !INSTANCE_GAUSSIAN;
-                pairs[2 * i as usize..2 * i as usize + 2].copy_from_slice(&[depth(&mut rng, name), name | quadrants]);
-            }
-        }
-        let frame = Frame { tile_count: lengths.len() as u32, ..Frame::default() };
+            let pair = |g: u32| [depth(&mut rng, g), g | rng.next() & !INSTANCE_GAUSSIAN];
+            names.into_iter().map(pair).collect()
+        };
         println!("{name}");
-        sort(&gpu, bytemuck::cast_slice(&[frame]).to_vec(), ranges, pairs, false);
+        sort_lists(&gpu, &all.into_iter().filter(|n| *n <= most).map(list).collect::<Vec<_>>());
     }
+}
+
+/// Where every pair that is looked at before a list is cut is nearer than all others, the cut leaves nearly the whole list in one
+/// part, which is then sorted in memory.
+#[test]
+fn a_list_that_cannot_be_cut() {
+    let gpu = tests_harness::shared_gpu();
+    let mut rng = Rng(5);
+    let mut list = |n: u32| -> Vec<[u32; 2]> {
+        let near = |i: u32| i.is_multiple_of(n / 128) && i / (n / 128) < 128;
+        let mut depth = |i: u32| if near(i) { rng.unit() } else { 2.0 + rng.unit() };
+        (0..n).map(|i| [depth(i).to_bits(), n - i]).collect()
+    };
+    let lists = [3000, if tests_harness::small() { 5000 } else { longest_of_few_threads(&gpu) }].map(&mut list);
+    sort_lists(&gpu, &lists);
 }
 
 #[test]

@@ -172,7 +172,8 @@ fn scan_tiles(
     work: &WorkBuffers,
     frame: &FrameBuffers,
 ) -> Result<()> {
-    let long = sort_tiles::long_from(gpu.info().is_cpu(), scene.gaussians);
+    let (is_cpu, threads) = sort_workgroup(gpu);
+    let long = sort_tiles::long_from(is_cpu, threads, scene.gaussians);
     let buffers = ScanTilesBuffers {
         frame: frame.frame.whole(),
         counters: work.counters.clone(),
@@ -214,6 +215,12 @@ fn emit_tiles(
     r.dispatch(&EMIT_TILES, constants, push, buffers, groups)
 }
 
+/// Whether the device is a CPU, and the threads of a workgroup that sorts a list.
+fn sort_workgroup(gpu: &Gpu) -> (bool, u32) {
+    let info = gpu.info();
+    (info.is_cpu(), sort_tiles::threads(info, gpu.subgroup_size_of(&SORT_TILES)))
+}
+
 fn sort_tiles(
     gpu: &Gpu,
     r: &mut Recorder,
@@ -228,7 +235,7 @@ fn sort_tiles(
         pairs: work.pairs.whole(),
         values: work.values.whole(),
     };
-    let (is_cpu, threads) = (gpu.info().is_cpu(), sort_tiles::threads(gpu.info(), gpu.subgroup_size_of(&SORT_TILES)));
+    let (is_cpu, threads) = sort_workgroup(gpu);
     for constants in sort_tiles::dispatches(is_cpu, threads, scene.gaussians, shape.slots.is_some()) {
         let (label, groups) = match constants.shortest {
             1 => ("sort_tiles", Groups::Direct(shape.tiles.into())),

@@ -29,13 +29,14 @@ crate::gpu_constants! {
     }
 }
 
-/// Pairs that llvmpipe sorts with few threads: it ends all loops of an invocation after 65,535 rounds together.
-const LONGEST_OF_FEW_THREADS: u32 = 16_384;
+/// Pairs of a list, for each thread of a small workgroup, that llvmpipe sorts whatever the depths are: it ends all loops of an
+/// invocation after 65,535 rounds together. A bitonic sort of 1,024 pairs per thread has 46,592, and with all others it is too much.
+const PAIRS_OF_FEW_THREADS: u32 = 512;
 
 /// Threads of a workgroup. On a CPU device, where a workgroup is run by one core and each barrier costs a switch between its
 /// subgroups, one subgroup. On NVIDIA 128: what a workgroup does whatever the length of its list is half of the work for usual ones.
-/// Elsewhere 256: shared memory limits how many workgroups are in flight, and by ACO twice as many threads are then (10 waves of
-/// a SIMD of RDNA, not 5).
+/// Elsewhere 256: shared memory limits how many workgroups are in flight, and by ACO twice as many threads are then (12 waves of
+/// a SIMD of RDNA).
 pub fn threads(info: &DeviceInfo, subgroup_size: u32) -> u32 {
     match info.vendor {
         _ if info.is_cpu() => subgroup_size,
@@ -51,15 +52,17 @@ pub fn dispatches(is_cpu: bool, threads: u32, gaussians: u32, with_slots: bool) 
     if !is_cpu {
         return vec![all];
     }
-    let short = SortTilesConstants { longest: LONGEST_OF_FEW_THREADS, at_once: 1, ..all };
-    let long = SortTilesConstants { shortest: LONGEST_OF_FEW_THREADS + 1, threads: MAX_THREADS, ..all };
-    if long_from(is_cpu, gaussians) == 0 { vec![short] } else { vec![short, long] }
+    let longest = PAIRS_OF_FEW_THREADS * threads;
+    let short = SortTilesConstants { longest, at_once: 1, ..all };
+    let long = SortTilesConstants { shortest: longest + 1, threads: MAX_THREADS, ..all };
+    if long_from(is_cpu, threads, gaussians) == 0 { vec![short] } else { vec![short, long] }
 }
 
 /// Lists with more pairs than that have a dispatch of their own, with the arguments that `scan_tiles` writes; 0: there is none.
-pub fn long_from(is_cpu: bool, gaussians: u32) -> u32 {
+pub fn long_from(is_cpu: bool, threads: u32, gaussians: u32) -> u32 {
+    let longest = PAIRS_OF_FEW_THREADS * threads;
     // No Gaussian is twice in a list.
-    if is_cpu && gaussians > LONGEST_OF_FEW_THREADS { LONGEST_OF_FEW_THREADS } else { 0 }
+    if is_cpu && gaussians > longest { longest } else { 0 }
 }
 
 /// Of instances the Gaussian counts, of slots all bits.

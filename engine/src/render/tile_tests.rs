@@ -5,7 +5,9 @@ use super::ellipse::{Ellipse, quadrants_of_tile};
 use super::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use super::frame::Frame;
 use super::limits::*;
-use super::scan_tiles::{SCAN_TILES, ScanTilesBuffers, ScanTilesConstants, range_words, tile_change_words};
+use super::scan_tiles::{
+    SCAN_TILES, ScanTilesBuffers, ScanTilesConstants, TILES_AT_ONCE, range_words, tile_change_words,
+};
 use super::sort_tests::Rng;
 use super::sort_tiles::{self, SORT_TILES, SortTilesBuffers};
 use super::tiles::*;
@@ -325,10 +327,19 @@ fn one_splat_over_the_whole_screen() {
 }
 
 #[test]
+fn glsl_has_the_same_sizes() {
+    let of = |glsl: &str, line: &str| assert!(glsl.contains(line), "{line}");
+    let capacity = sort_tiles::SORT_TILES_CAPACITY;
+    of(include_str!("../../../glsl/render/sort_tiles.comp"), &format!("const uint CAPACITY = {capacity}u;"));
+    let quads = TILES_AT_ONCE / (256 * 4);
+    of(include_str!("../../../glsl/render/scan_tiles.comp"), &format!("const uint QUADS = {quads}u;"));
+}
+
+#[test]
 fn a_cpu_device_sorts_every_length_once() {
-    for gaussians in [1, 16_384, 16_385, u32::MAX] {
+    for gaussians in [1, 4096, 4097, u32::MAX] {
         let all = sort_tiles::dispatches(true, 8, gaussians, false);
-        for n in [1, 100, 16_384, 16_385, 1 << 30].into_iter().filter(|n| *n <= gaussians) {
+        for n in [1, 100, 4096, 4097, 1 << 30].into_iter().filter(|n| *n <= gaussians) {
             let by = all.iter().filter(|c| (c.shortest..=c.longest).contains(&n)).count();
             assert_eq!(by, 1, "{n} of {gaussians}");
         }

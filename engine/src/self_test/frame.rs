@@ -5,10 +5,14 @@ use glam::DVec3;
 use super::check;
 use crate::error::{Error, Result};
 use crate::gpu::Gpu;
+use crate::gpu::interface::of_words;
+use crate::gpu::proof::KernelCase;
 use crate::image::{Image, difference};
 use crate::reference::{self, ReferenceOptions};
+use crate::render::frame::Frame;
+use crate::render::sort_tiles::{self, SORT_TILES, SORT_TILES_CAPACITY, SortTiles, SortTilesBuffers};
 use crate::render::{RenderOptions, Renderer};
-use crate::scene::synthetic::moving_scene;
+use crate::scene::synthetic::{Random, moving_scene};
 use crate::scene::{Camera, Scene};
 
 /// Gaussians and superpoints of the test's scene.
@@ -22,6 +26,8 @@ pub(super) const SIZE: [u32; 2] = [45, 29];
 /// The times that are drawn.
 pub(super) const TIMES: [f64; 2] = [0.3, 0.85];
 pub(super) const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.125];
+/// Pairs of a list at one depth: more than a bucket of `sort_tiles` is to have.
+const ALIKE: u32 = 300;
 /// Bounds against the f64 reference, as the tests have them.
 const MIN_PSNR: f64 = 65.0;
 const MAX_DIFFERENCE: f64 = 0.02;
@@ -30,7 +36,34 @@ const MAX_DIFFERENCE: f64 = 0.02;
 pub(super) fn test(gpu: &Gpu) -> Result<()> {
     let (scene, options) = (scene(), RenderOptions { background: BACKGROUND, ..RenderOptions::default() });
     watched_frames(gpu, &scene, &options)?;
+    long_lists(gpu)?;
     whole_frame(gpu, &scene, &options)
+}
+
+/// What the lists of so small a scene do not show of `sort_tiles`: many pairs at one depth, and more than are sorted at once.
+fn long_lists(gpu: &Gpu) -> Result<()> {
+    let mut random = Random::new(SEED);
+    let (mut ranges, mut pairs) = (Vec::new(), Vec::new());
+    for (count, depths) in [(ALIKE, 1), (SORT_TILES_CAPACITY + 500, 1 << 20)] {
+        let first = pairs.len() as u32 / 2;
+        ranges.extend([first, first + count]);
+        let pair = |g: u32| [random.bits() as u32 % depths + 1, count - g];
+        pairs.extend((0..count).flat_map(pair));
+    }
+    ranges.extend([pairs.len() as u32 / 2; 2]);
+    let tiles = ranges.len() as u32 / 2 - 1;
+    let frame = bytemuck::cast_slice(&[Frame { tile_count: tiles, ..Frame::default() }]).to_vec();
+    let values = vec![0; pairs.len() / 2];
+    let mut buffers = SortTilesBuffers { frame, ranges, pairs, values };
+    let threads = sort_tiles::threads(gpu.info(), gpu.subgroup_size_of(&SORT_TILES));
+    for constants in sort_tiles::dispatches(gpu.info().is_cpu(), threads, u32::MAX, false) {
+        let result = KernelCase::new(&SORT_TILES, constants, (), buffers, tiles).run(gpu)?;
+        if let Some(mismatch) = result.mismatch() {
+            return Err(mismatch.into_error());
+        }
+        buffers = of_words::<SortTiles>(result.gpu);
+    }
+    Ok(())
 }
 
 /// What is drawn.

@@ -35,8 +35,7 @@ pub struct NamedPlan {
     pub text: String,
 }
 
-/// Plans of the demo's frame (motion by the key-time table), of a static scene, of motion by network F, and of a scene with
-/// many Gaussians; of training steps.
+/// Plans of the demo's frame (motion by the key-time table), of a static scene, and of motion by network F; of training steps.
 pub fn plans(gpu: &Gpu) -> Result<Vec<NamedPlan>> {
     let demo = (demo_scene(), demo_camera(0.0, 640, 480));
     let small = |scene: Scene| {
@@ -47,7 +46,6 @@ pub fn plans(gpu: &Gpu) -> Result<Vec<NamedPlan>> {
         ("frame", demo, MotionSource::Auto),
         ("static", small(random_scene(1000, 1, 3)), MotionSource::Auto),
         ("network", small(moving_scene(1000, 8, 4, 1, true)), MotionSource::Network),
-        ("large", small(random_scene(600_000, 1, 0)), MotionSource::Auto),
     ];
     cases
         .into_iter()

@@ -172,21 +172,20 @@ fn bucket_rounds(k: &Known<'_>) -> Trips {
     }
 }
 
-/// Share of a program that its usual path has, one round of each loop with it: counted in NAK's assembly for Turing. In
+/// Shares of programs that their usual paths have, one round of each loop with it: counted in NAK's assembly for Turing. In
 /// `sort_tiles` the rest is for longer lists and for depths that are all alike, in `emit_tiles` for splats of more than 16 tiles.
+pub(super) const USUAL_PATHS: &[(&str, f64)] = &[("sort_tiles", 700.0 / 3073.0), ("emit_tiles", 413.0 / 966.0)];
+
+/// The share of a kernel.
 pub(super) fn usual_share(kernel: &str) -> f64 {
-    match kernel {
-        "sort_tiles" => 700.0 / 3073.0,
-        "emit_tiles" => 413.0 / 966.0,
-        _ => 1.0,
-    }
+    USUAL_PATHS.iter().find(|(name, _)| *name == kernel).map_or(1.0, |(_, share)| *share)
 }
 
 /// The loops that take time in frames and training steps.
 pub(super) const LOOPS: &[Loop] = &[
     Loop {
         kernels: BLEND,
-        round: "a batch of splats chosen for a subtile (counted)",
+        round: "a batch of splats chosen for a subtile (counted), a quarter of a round trip to memory besides,",
         body: Body::Of(BLEND_BATCH),
         alone: None,
         loads: BATCH_LOADS,

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::demand::{self, Demand};
-use super::loops::LOOPS;
+use super::loops::{LOOPS, USUAL_PATHS};
 use super::model::{Cost, costs};
 use super::profile::{Constant, HOST_US, HOST_WRITES_GB_PER_S, PROFILES, Profile};
 use super::subtiles::Subtiles;
@@ -108,7 +108,13 @@ pub(crate) fn predict(of: Kind, recorded: &[Recorded], subtiles: Subtiles) -> Op
     let gpus: Vec<OnGpu> = PROFILES.iter().map(|p| on_gpu(of, p, recorded, subtiles, is_goal)).collect();
     let compiled = |name: &str| gpus.iter().flat_map(|g| &g.operations).any(|o| o.demand.is_of(name));
     let used = LOOPS.iter().filter(|l| l.kernels().iter().any(|k| compiled(k)));
-    let loops = used.map(|l| Assumed { round: l.round, instructions: l.body.describe() }).collect();
+    let rounds = used.map(|l| Assumed { round: l.round, instructions: l.body.describe() });
+    let usual = USUAL_PATHS.iter().filter(|(kernel, _)| compiled(kernel));
+    let usual = usual.map(|(kernel, share)| Assumed {
+        round: kernel,
+        instructions: format!("{:.0} % of its program's instructions on its usual path (counted)", 100.0 * share),
+    });
+    let loops = rounds.chain(usual).collect();
     let is_dispatch = |r: &&Recorded| matches!(r.operation.task, engine::gpu::RecordedTask::Dispatch { .. });
     Some(Predicted {
         of,
