@@ -87,6 +87,22 @@ fn angle(a: [DVec3; 2], b: [DVec3; 2]) -> f64 {
     (0.5 * skew.length()).atan2(0.5 * (trace - 1.0))
 }
 
+/// Adjusted Rand index of two divisions of the same things into numbered parts (Hubert and Arabie 1985): 1 where they are the
+/// same, about 0 where they have nothing in common. Things that only one of the two has are left out.
+pub fn adjusted_rand(a: &[u32], b: &[u32]) -> f64 {
+    let size = |v: &[u32]| 1 + v.iter().copied().max().unwrap_or(0) as usize;
+    let mut table = vec![vec![0_u64; size(b)]; size(a)];
+    a.iter().zip(b).for_each(|(&x, &y)| table[x as usize][y as usize] += 1);
+    let pairs = |n: u64| (n * n.saturating_sub(1) / 2) as f64;
+    let both: f64 = table.iter().flatten().map(|&n| pairs(n)).sum();
+    let rows: f64 = table.iter().map(|row| pairs(row.iter().sum())).sum();
+    let columns: f64 = (0..size(b)).map(|y| pairs(table.iter().map(|row| row[y]).sum())).sum();
+    let expected = rows * columns / pairs(a.len() as u64);
+    let most = 0.5 * (rows + columns) - expected;
+    // One part each, or each thing its own part, in both.
+    if most == 0.0 { 1.0 } else { (both - expected) / most }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -100,6 +116,15 @@ mod tests {
             let found = angle([x, y], [turn * x, turn * y * 3.0]);
             assert!((found - angle_in).abs() < 1e-9 + 1e-7 * angle_in, "{angle_in}: {found}");
         }
+    }
+
+    #[test]
+    fn divisions_are_compared() {
+        assert_eq!(adjusted_rand(&[0, 0, 1, 1], &[5, 5, 2, 2]), 1.0);
+        // By hand: 1 pair in both, 2 and 1 in each, of 6: (1 − 1/3) / (3/2 − 1/3).
+        assert!((adjusted_rand(&[0, 0, 1, 1], &[0, 0, 1, 2]) - 4.0 / 7.0).abs() < 1e-12);
+        assert!(adjusted_rand(&[0, 0, 1, 1], &[0, 1, 0, 1]) < 0.0);
+        assert_eq!([adjusted_rand(&[0; 3], &[1; 3]), adjusted_rand(&[0, 1], &[1, 0])], [1.0; 2]);
     }
 
     #[test]

@@ -23,6 +23,7 @@ mod divide;
 mod measure;
 mod merge;
 mod parts;
+mod refit;
 mod report;
 mod rigid;
 mod sample;
@@ -46,8 +47,9 @@ use crate::scene::{Blend, Camera, Gaussians, Scene};
 use crate::train::bake::Views;
 
 use divide::{adopt, at_rest, divide};
-pub use measure::Spread;
+pub use measure::{Spread, adjusted_rand};
 use parts::Parts;
+pub use refit::{Refitted, refit};
 pub use report::{Report, SizeChange};
 use rigid::Frame;
 use sample::{Moment, Sampler, Samples};

@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 use glam::{DQuat, DVec3};
 
+use super::measure::adjusted_rand;
 use super::*;
 use crate::reference::{freeze, place_scene};
 use crate::scene::synthetic::{Random, moving_scene, random_blend};
@@ -56,19 +57,6 @@ fn one_pose_each(means: &[DVec3], scale: f32, keys: usize, pose: impl Fn(usize, 
 fn about(center: DVec3, r: DVec3, shift: DVec3) -> Frame {
     let turn = crate::reference::exp(r);
     Frame { turn, shift: center + shift - turn * center }
-}
-
-/// Adjusted Rand index of two divisions (Hubert and Arabie 1985): 1 where they are the same.
-fn adjusted_rand(a: &[u32], b: &[u32]) -> f64 {
-    let size = |v: &[u32]| 1 + v.iter().copied().max().unwrap_or(0) as usize;
-    let mut table = vec![vec![0_u64; size(b)]; size(a)];
-    a.iter().zip(b).for_each(|(&x, &y)| table[x as usize][y as usize] += 1);
-    let pairs = |n: u64| (n * n.saturating_sub(1) / 2) as f64;
-    let both: f64 = table.iter().flatten().map(|&n| pairs(n)).sum();
-    let rows: f64 = table.iter().map(|row| pairs(row.iter().sum())).sum();
-    let columns: f64 = (0..size(b)).map(|y| pairs(table.iter().map(|row| row[y]).sum())).sum();
-    let expected = rows * columns / pairs(a.len() as u64);
-    (both - expected) / (0.5 * (rows + columns) - expected)
 }
 
 /// B bodies of different sizes that overlap, each with its own motion; which is whose.

@@ -70,7 +70,7 @@ impl Trainer {
             min_opacity: if prunes { f64::from(d.min_opacity).max(1e-30) } else { 1e-30 },
             percent_dense: f64::from(d.clone_extent),
             extent: self.schedule.extent(),
-            world_size: large.then_some(f64::from(d.max_extent)),
+            world_size: (large && d.max_extent > 0.0).then_some(f64::from(d.max_extent)),
             max_screen_radius: (large && d.max_radius_px > 0.0).then_some(d.max_radius_px),
             max_gaussians: self.most_gaussians(),
             seed: self.config.seed,

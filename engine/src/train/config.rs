@@ -59,6 +59,8 @@ pub struct Config {
     pub motion: MotionConfig,
     /// The non-rigid stage.
     pub nonrigid: NonrigidConfig,
+    /// The end of a run, without network F.
+    pub refit: RefitConfig,
     /// Weights of the losses.
     pub loss: LossConfig,
     /// Step sizes.
@@ -136,6 +138,17 @@ pub struct NonrigidConfig {
     pub rate: f64,
     /// Learning rate of G at the end (code: 1.6e-6).
     pub rate_final: f64,
+}
+
+/// The end of a run: motion made of few rigid parts, whose key poses are trained in place of network F
+/// ([`refit`](crate::distill::refit())). Not in paper or code.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RefitConfig {
+    /// The last iterations of a run that moves are these; 0: network F is trained to the end (paper and code).
+    pub iterations: u64,
+    /// How far the parts may be from where network F has the Gaussians, as a share of the photos' shorter side.
+    pub error: f64,
 }
 
 /// Weights of the losses.
@@ -254,7 +267,7 @@ pub struct DensityConfig {
     pub min_opacity: f32,
     /// Radius on screen above which a Gaussian goes, pixels, once opacities were reset for the first time; 0: no limit (20).
     pub max_radius_px: f32,
-    /// World size above which it goes then too, as a share of the scene's extent (0.1).
+    /// World size above which it goes then too, as a share of the scene's extent (0.1); 0: no limit.
     pub max_extent: f32,
     /// From `until` on, every so many iterations, those go that the photos show least; 0: never.
     pub unseen_interval: u64,
@@ -343,6 +356,12 @@ impl Config {
         if self.iterations == 0 || self.schedule.reference_iterations == 0 || self.density.interval == 0 {
             return wrong("iterations", "0".into(), "at least 1 (also reference_iterations and density.interval)");
         }
+        // Neither is scaled, or both are.
+        let length = if self.schedule.scale { self.schedule.reference_iterations } else { self.iterations };
+        if self.refit.iterations >= length {
+            let found = self.refit.iterations.to_string();
+            return wrong("refit.iterations", found, &format!("less than the {length} of the run"));
+        }
         if self.budget.max_gaussians == 0 {
             return wrong("budget.max_gaussians", "0".into(), "at least 1");
         }
@@ -352,6 +371,9 @@ impl Config {
             ("loss.lambda_rotation", f64::from(self.loss.lambda_rotation), 0.0, 1e6),
             ("loss.lambda_translation", f64::from(self.loss.lambda_translation), 0.0, 1e6),
             ("schedule.time_window_centre", self.schedule.time_window_centre, 0.0, 1.0),
+            ("refit.error", self.refit.error, 1e-6, 1.0),
+            ("density.max_extent", f64::from(self.density.max_extent), 0.0, 1e12),
+            ("density.max_radius_px", f64::from(self.density.max_radius_px), 0.0, 1e9),
             ("density.unseen_share", self.density.unseen_share, 0.0, 0.5),
             ("near", f64::from(self.near), 0.0, 1e6),
             ("gaussians.initial_opacity", f64::from(self.gaussians.initial_opacity), 1e-6, 0.999_999),
@@ -386,6 +408,11 @@ impl Config {
         Ok(())
     }
 
+    /// Iterations without network F at the end of a run that moves; none where the model is to keep network F.
+    pub fn refit_iterations(&self) -> u64 {
+        if self.export.keep_network { 0 } else { self.refit.iterations.min(self.iterations.saturating_sub(1)) }
+    }
+
     /// The configuration with its schedule in iterations of this run: every one that is given for
     /// `schedule.reference_iterations` times `iterations / reference_iterations`, and with its rates of SH
     /// ([`LearningRates::sh_length_exponent`]). Intervals of density control, logs and checkpoints stay.
@@ -404,6 +431,7 @@ impl Config {
                 &mut c.schedule.time_window,
                 &mut c.schedule.sh_degree_interval,
                 &mut c.schedule.time_noise_iterations,
+                &mut c.refit.iterations,
                 &mut c.density.from,
                 &mut c.density.until,
                 &mut c.density.opacity_reset_interval,

@@ -59,9 +59,13 @@ impl Schedule {
         self.stage
     }
 
-    /// Number of iterations of the stage.
+    /// Number of iterations of the stage; those of the rigid one end where [`refit`](crate::distill::refit()) begins.
     pub fn iterations(&self) -> u64 {
-        if self.stage == Stage::Nonrigid { self.config.nonrigid.iterations } else { self.config.iterations }
+        match self.stage {
+            Stage::Nonrigid => self.config.nonrigid.iterations,
+            Stage::Rigid => self.config.iterations.saturating_sub(self.config.refit_iterations()),
+            Stage::Static | Stage::Table => self.config.iterations,
+        }
     }
 
     /// Whether superpoints move the Gaussians at `iteration`.
@@ -250,6 +254,26 @@ mod tests {
         assert_eq!((1..40_000).filter(|&i| s.resets_opacity(i)).collect::<Vec<_>>(), [3000, 6000, 9000, 12_000]);
         assert!(!s.prunes_large(3000) && s.prunes_large(3100));
         assert!((1..=40_000).all(|i| !s.prunes_unseen(i)));
+    }
+
+    #[test]
+    fn the_rigid_stage_ends_where_the_refit_begins() {
+        let mut config = Config::default();
+        config.refit.iterations = 10_000;
+        let iterations = |config: &Config, stage| Schedule::new(config, stage, 4.0).iterations();
+        let all = |config: &Config| [Stage::Rigid, Stage::Static, Stage::Table].map(|stage| iterations(config, stage));
+        assert_eq!(all(&config), [30_000, 40_000, 40_000]);
+        assert_eq!(iterations(&config, Stage::Nonrigid), 20_000);
+        let short = Config { iterations: 6000, ..config.clone() }.scaled();
+        assert_eq!((short.refit_iterations(), all(&short)), (1500, [4500, 6000, 6000]));
+        // At least one iteration is network F's.
+        let shortest = Config { iterations: 1, ..config.clone() }.scaled();
+        assert_eq!((shortest.refit_iterations(), iterations(&shortest, Stage::Rigid)), (0, 1));
+        config.export.keep_network = true;
+        assert_eq!((config.refit_iterations(), iterations(&config, Stage::Rigid)), (0, 40_000));
+        config.refit.iterations = 40_000;
+        let error = config.check().unwrap_err().to_string();
+        assert!(error.contains("refit.iterations") && error.contains("40000"), "{error}");
     }
 
     #[test]

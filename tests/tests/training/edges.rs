@@ -145,6 +145,10 @@ fn the_printed_configuration_is_the_one_for_the_data() {
     has(&paper, ["preset = \"dnerf\"", "method = \"paper\"", "coarse_to_fine = 0"]);
     if let Some(capture) = tests_harness::data("nerfies_capture1") {
         has(&print(&capture, &[]), ["preset = \"hypernerf\"", "method = \"best\"", "coarse_to_fine = 0"]);
+        has(
+            &print(&capture, &[]),
+            ["interval = 100\nopacity_reset_interval = 6000", "max_extent = 0.0", "max_radius_px = 0.0"],
+        );
     }
 }
 

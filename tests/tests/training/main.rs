@@ -15,5 +15,6 @@ mod lost;
 mod nonrigid;
 mod numbers;
 mod quality;
+mod refit;
 mod soft;
 mod table;

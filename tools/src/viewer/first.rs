@@ -1,5 +1,7 @@
 //! The state in which the window opens, from the arguments.
 
+use std::collections::VecDeque;
+
 use engine::error::Result;
 use engine::render::Quality;
 use engine::scene::Scene;
@@ -54,6 +56,7 @@ pub(super) fn first_state(args: &ViewerArgs) -> Result<State> {
         requests: Vec::new(),
         shortcuts: Vec::new(),
         clicked: None,
+        clicks: VecDeque::new(),
         typing: false,
         messages: Vec::new(),
         recording: None,

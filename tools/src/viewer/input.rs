@@ -70,7 +70,13 @@ pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut 
     // A drag has moved in the frame of its release too.
     let delta = ui.input(|i| i.pointer.delta());
     let delta = [f64::from(delta.x), f64::from(delta.y)];
-    let click = click(ui, response, state);
+    let found = click(ui, response, state);
+    state.clicks.extend(found);
+    // The edit mode begins and ends between two frames: a click that came after Ctrl+E waits for that.
+    let click = if edit_mode_changes_before_click(ui) { None } else { state.clicks.pop_front() };
+    if !state.clicks.is_empty() {
+        ui.ctx().request_repaint();
+    }
     let is_taken = state.edit.on && editing::pointer(ui, response, click, state);
     if !is_taken {
         move_camera(response, state, delta, height, modifiers);
@@ -89,6 +95,17 @@ pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut 
     let typing = ui.ctx().wants_keyboard_input();
     let was_typing = std::mem::replace(&mut state.typing, typing);
     if typing || was_typing { Thrust::default() } else { keys(ui.ctx(), state) }
+}
+
+fn edit_mode_changes_before_click(ui: &egui::Ui) -> bool {
+    let is_toggle = |event: &egui::Event| matches!(event, egui::Event::Key { key: Key::E, pressed: true, repeat: false, modifiers, .. } if modifiers.command);
+    let lets_go = |event: &egui::Event| {
+        matches!(event, egui::Event::PointerButton { button: PointerButton::Primary, pressed: false, .. })
+    };
+    ui.input(|i| {
+        let end = i.events.iter().rposition(lets_go).unwrap_or(0);
+        i.events[..end].iter().any(is_toggle)
+    })
 }
 
 /// The click that ended in this frame. For egui two quick clicks are a double click wherever they are: here at one place only.
@@ -411,6 +428,28 @@ mod tests {
         press(Key::Q, Modifiers::COMMAND, &mut quits);
         press(Key::E, Modifiers::COMMAND, &mut quits);
         assert_eq!(quits.requests, [Request::Quit, Request::Edit(Ask::Toggle)]);
+    }
+
+    #[test]
+    fn a_click_right_after_ctrl_e_is_the_edit_mode_s() {
+        let context = egui::Context::default();
+        let mut state = state();
+        let at = pos2(300.0, 200.0);
+        let button = |pressed| Event::PointerButton {
+            pos: at,
+            button: PointerButton::Primary,
+            pressed,
+            modifiers: Modifiers::NONE,
+        };
+        let toggle =
+            Event::Key { key: Key::E, physical_key: None, pressed: true, repeat: false, modifiers: Modifiers::COMMAND };
+        frame(&context, &mut state, Modifiers::NONE, vec![Event::PointerMoved(at)]);
+        frame(&context, &mut state, Modifiers::NONE, vec![toggle, button(true), button(false)]);
+        assert_eq!(std::mem::take(&mut state.requests), [Request::Edit(Ask::Toggle)], "the click waits");
+        state.edit.on = true;
+        frame(&context, &mut state, Modifiers::NONE, vec![]);
+        let [Request::Edit(Ask::Run(commands))] = state.requests.as_slice() else { panic!("{:?}", state.requests) };
+        assert!(commands.contains("click 300"), "{commands}");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! What the window shows and what its user asked for: plain data between input, interface and drawing.
 
+use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -150,6 +151,8 @@ pub(super) struct State {
     pub(super) shortcuts: Vec<egui::Key>,
     /// Where the scene was clicked last, points.
     pub(super) clicked: Option<egui::Pos2>,
+    /// Clicks of the scene that wait for their frame.
+    pub(super) clicks: VecDeque<Click>,
     /// A field of the interface had the keyboard at the end of the last frame.
     pub(super) typing: bool,
     pub(super) messages: Vec<Message>,

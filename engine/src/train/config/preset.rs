@@ -8,7 +8,7 @@ use crate::data::dataset::DatasetOptions;
 
 use super::{
     AdamConfig, BudgetConfig, Config, DensityConfig, ExportConfig, Form, GaussiansConfig, LearningRates, LogConfig,
-    LossConfig, MotionConfig, NonrigidConfig, RotationForm, Schedule,
+    LossConfig, MotionConfig, NonrigidConfig, RefitConfig, RotationForm, Schedule,
 };
 
 /// A named set of values.
@@ -82,11 +82,18 @@ impl Preset {
     /// The paper's values but for what measured better; the table in tools/docs/training.md has the runs that chose each.
     pub fn best(self) -> Config {
         let mut c = Config { method: Method::Best, ..self.config() };
+        c.density.unseen_interval = 5000;
+        c.refit.iterations = 10_000;
+        c.learning_rate.sh_length_exponent = 0.5;
         if self == Self::Dnerf {
             c.schedule.coarse_to_fine = 20_000;
-            c.density.unseen_interval = 5000;
             c.motion.lost_objects = true;
-            c.learning_rate.sh_length_exponent = 0.5;
+            c.refit.error = 0.01;
+        } else {
+            // A capture has a background, whose Gaussians are large, and few first points.
+            c.density =
+                DensityConfig { max_radius_px: 0.0, max_extent: 0.0, opacity_reset_interval: 6000, ..c.density };
+            (c.density.from, c.density.interval, c.density.prune_interval) = (500, 100, 0);
         }
         c
     }
@@ -129,6 +136,7 @@ impl Default for Config {
             gaussians: GaussiansConfig::default(),
             motion: MotionConfig::default(),
             nonrigid: NonrigidConfig::default(),
+            refit: RefitConfig::default(),
             loss: LossConfig::default(),
             learning_rate: LearningRates::default(),
             adam: AdamConfig::default(),
@@ -204,6 +212,12 @@ impl Default for LossConfig {
             lambda_rotation: 100.0,
             lambda_translation: 100.0,
         }
+    }
+}
+
+impl Default for RefitConfig {
+    fn default() -> Self {
+        Self { iterations: 0, error: 0.005 }
     }
 }
 

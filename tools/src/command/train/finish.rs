@@ -3,16 +3,18 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use engine::distill;
 use engine::error::Result;
 use engine::file::picture::{self, Alpha};
-use engine::scene::Camera;
+use engine::scene::{Camera, Scene};
 use engine::train::evaluate::{self, Coverage, ViewScore};
 use engine::train::export::{Exported, export};
+use engine::train::schedule::Stage;
 use serde_json::json;
 
 use super::report::{self, Pair};
 use super::run::{Run, options};
-use crate::cli::{gpu_session, model, output};
+use crate::cli::{gpu_session, model, output, progress};
 use crate::report::files::create_folder;
 use crate::report::provenance;
 
@@ -26,15 +28,20 @@ impl Run<'_> {
     pub(super) fn finish(self, data_path: &Path, as_json: bool) -> Result<()> {
         let cameras: Vec<Camera> =
             self.data.train.iter().map(|v| Camera { time: v.time, ..v.camera.clone() }).collect();
-        let Exported { mut scene, decisions } = export(self.gpu, &self.trainer, &cameras)?;
-        scene.metadata = self.provenance(data_path, &decisions)?;
+        let Exported { mut scene, mut decisions } = export(self.gpu, &self.trainer, &cameras)?;
+        let mut i = self.trainer.iteration();
+        if let Some((refitted, line)) = self.refit(&scene)? {
+            i += self.trainer.schedule().config().refit_iterations();
+            decisions.push(line);
+            scene = refitted;
+        }
+        scene.metadata = self.provenance(data_path, i, &decisions)?;
         let path = self.out.join("model.safetensors");
         engine::file::save(&path, &scene)?;
         let (scores, pairs, coverage) = self.evaluate_all(&scene)?;
         self.warn_of_emptiness(&coverage);
         let [psnr, ssim] = evaluate::mean(&scores);
         let split = if self.data.test.is_empty() { "train" } else { "test" };
-        let i = self.trainer.iteration();
         self.log.line(i, json!({ "evaluation": { "split": split, "psnr": psnr, "ssim": ssim, "views": scores } }))?;
         let seconds = self.log.seconds();
         let mut facts = vec![
@@ -66,6 +73,49 @@ impl Run<'_> {
         Ok(())
     }
 
+    /// The last iterations of a run that moves, and a line on them: see [`distill::refit()`].
+    fn refit(&self, scene: &Scene) -> Result<Option<(Scene, String)>> {
+        let (config, begin) = (self.trainer.schedule().config(), self.trainer.iteration());
+        if self.trainer.schedule().stage() != Stage::Rigid || config.refit_iterations() == 0 {
+            return Ok(None);
+        }
+        let bar = progress::training(config.refit_iterations(), 0, self.quiet);
+        let mut logged = Ok(());
+        let mut smooth = f64::NAN;
+        let refitted = distill::refit(
+            self.gpu,
+            scene,
+            &self.data.train,
+            config,
+            &mut |what, done, _| bar.set_message(format!("rigid parts: {what} {done}")),
+            &mut |step| {
+                smooth = if smooth.is_nan() { step.psnr } else { 0.95 * smooth + 0.05 * step.psnr };
+                bar.set_message(format!("rigid parts: loss {:.4}, PSNR {smooth:.2} dB", step.loss));
+                bar.inc(1);
+                if logged.is_ok() && config.log.logs(step.iteration) {
+                    let line = json!({
+                        "loss": step.loss, "l1": step.l1, "ssim": step.ssim, "psnr": step.psnr,
+                        "gaussians": step.gaussians, "superpoints": step.superpoints, "view": step.view,
+                    });
+                    logged = self.log.line(begin + step.iteration, line);
+                }
+            },
+        )?;
+        bar.finish_and_clear();
+        logged?;
+        Ok(refitted.map(|r| {
+            let ([before, after], [bound, off]) = (r.superpoints, r.error_px);
+            let line = format!(
+                "refit: {after} superpoints, {before} before, off by {off:.2} px of {bound:.2} allowed, then trained for {} iterations \
+                 without network F: loss {:.4} → {:.4}",
+                config.refit_iterations(),
+                r.loss[0],
+                r.loss[1]
+            );
+            (r.scene, line)
+        }))
+    }
+
     /// Says so when much of what the photos show is left empty: often an object that the static warm-up lost.
     fn warn_of_emptiness(&self, coverage: &Coverage) {
         let config = self.trainer.config();
@@ -81,7 +131,7 @@ impl Run<'_> {
     }
 
     /// Scores every held-out view of the exported model; writes pictures of a few beside their photos.
-    fn evaluate_all(&self, scene: &engine::scene::Scene) -> Result<(Vec<ViewScore>, Vec<Pair>, Coverage)> {
+    fn evaluate_all(&self, scene: &Scene) -> Result<(Vec<ViewScore>, Vec<Pair>, Coverage)> {
         let mut coverage = Coverage::default();
         let images = self.out.join("images");
         create_folder(&images)?;
@@ -111,7 +161,7 @@ impl Run<'_> {
     }
 
     /// What the model file says of where it comes from.
-    fn provenance(&self, data_path: &Path, decisions: &[String]) -> Result<BTreeMap<String, String>> {
+    fn provenance(&self, data_path: &Path, iterations: u64, decisions: &[String]) -> Result<BTreeMap<String, String>> {
         let name =
             data_path.file_name().map_or_else(|| data_path.display().to_string(), |n| n.to_string_lossy().into());
         let data = json!({
@@ -121,7 +171,7 @@ impl Run<'_> {
         let info = self.gpu.info();
         let provenance = json!({
             "program": concat!("spgs ", env!("CARGO_PKG_VERSION")), "commit": provenance::commit(),
-            "device": info.name, "driver": info.driver, "iterations": self.trainer.iteration(),
+            "device": info.name, "driver": info.driver, "iterations": iterations,
             "seconds": self.log.seconds(), "export": decisions,
         });
         Ok(BTreeMap::from([
