@@ -4,6 +4,7 @@ mod background;
 mod decide;
 mod finish;
 pub mod log;
+mod refit;
 pub mod report;
 mod run;
 

@@ -1,20 +1,24 @@
 //! The end of a run: model, evaluation of the test split, pictures, report.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use engine::distill;
+use engine::data::dataset::Dataset;
+use engine::data::loader::ImageLoader;
 use engine::error::Result;
 use engine::file::picture::{self, Alpha};
+use engine::gpu::Gpu;
 use engine::scene::{Camera, Scene};
+use engine::train::config::Config;
 use engine::train::evaluate::{self, Coverage, ViewScore};
 use engine::train::export::{Exported, export};
-use engine::train::schedule::Stage;
+use engine::train::schedule::Schedule;
 use serde_json::json;
 
+use super::log::SharedLog;
 use super::report::{self, Pair};
 use super::run::{Run, options};
-use crate::cli::{gpu_session, model, output, progress};
+use crate::cli::{gpu_session, model, output};
 use crate::report::files::create_folder;
 use crate::report::provenance;
 
@@ -24,14 +28,40 @@ const SHOWN: usize = 6;
 /// (`bending_creature`), 0.011 and 0.024 where nothing was (`robot_dance`, `dnerf_lego`).
 const MOST_EMPTY: f64 = 0.04;
 
-impl Run<'_> {
+/// What is left of a run when its trainer is gone.
+pub(super) struct End<'a> {
+    pub(super) gpu: &'a Gpu,
+    pub(super) out: PathBuf,
+    pub(super) data: &'a Dataset,
+    held_out: ImageLoader,
+    pub(super) log: SharedLog,
+    pub(super) quiet: bool,
+    /// As given, not scaled.
+    config: Config,
+    pub(super) schedule: Schedule,
+    /// The trainer's last iteration.
+    pub(super) reached: u64,
+}
+
+impl<'a> Run<'a> {
     pub(super) fn finish(self, data_path: &Path, as_json: bool) -> Result<()> {
-        let cameras: Vec<Camera> =
-            self.data.train.iter().map(|v| Camera { time: v.time, ..v.camera.clone() }).collect();
-        let Exported { mut scene, mut decisions } = export(self.gpu, &self.trainer, &cameras)?;
-        let mut i = self.trainer.iteration();
+        let Run { gpu, out, data, held_out, trainer, log, quiet, .. } = self;
+        let cameras: Vec<Camera> = data.train.iter().map(|v| Camera { time: v.time, ..v.camera.clone() }).collect();
+        let exported = export(gpu, &trainer, &cameras)?;
+        let (config, schedule, reached) = (trainer.config().clone(), trainer.schedule().clone(), trainer.iteration());
+        // What comes trains again, and needs the room.
+        drop(trainer);
+        let end: End<'a> = End { gpu, out, data, held_out, log, quiet, config, schedule, reached };
+        end.finish(exported, data_path, as_json)
+    }
+}
+
+impl End<'_> {
+    fn finish(self, exported: Exported, data_path: &Path, as_json: bool) -> Result<()> {
+        let Exported { mut scene, mut decisions } = exported;
+        let mut i = self.reached;
         if let Some((refitted, line)) = self.refit(&scene)? {
-            i += self.trainer.schedule().config().refit_iterations();
+            i += self.schedule.config().refit_iterations();
             decisions.push(line);
             scene = refitted;
         }
@@ -73,52 +103,9 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// The last iterations of a run that moves, and a line on them: see [`distill::refit()`].
-    fn refit(&self, scene: &Scene) -> Result<Option<(Scene, String)>> {
-        let (config, begin) = (self.trainer.schedule().config(), self.trainer.iteration());
-        if self.trainer.schedule().stage() != Stage::Rigid || config.refit_iterations() == 0 {
-            return Ok(None);
-        }
-        let bar = progress::training(config.refit_iterations(), 0, self.quiet);
-        let mut logged = Ok(());
-        let mut smooth = f64::NAN;
-        let refitted = distill::refit(
-            self.gpu,
-            scene,
-            &self.data.train,
-            config,
-            &mut |what, done, _| bar.set_message(format!("rigid parts: {what} {done}")),
-            &mut |step| {
-                smooth = if smooth.is_nan() { step.psnr } else { 0.95 * smooth + 0.05 * step.psnr };
-                bar.set_message(format!("rigid parts: loss {:.4}, PSNR {smooth:.2} dB", step.loss));
-                bar.inc(1);
-                if logged.is_ok() && config.log.logs(step.iteration) {
-                    let line = json!({
-                        "loss": step.loss, "l1": step.l1, "ssim": step.ssim, "psnr": step.psnr,
-                        "gaussians": step.gaussians, "superpoints": step.superpoints, "view": step.view,
-                    });
-                    logged = self.log.line(begin + step.iteration, line);
-                }
-            },
-        )?;
-        bar.finish_and_clear();
-        logged?;
-        Ok(refitted.map(|r| {
-            let ([before, after], [bound, off]) = (r.superpoints, r.error_px);
-            let line = format!(
-                "refit: {after} superpoints, {before} before, off by {off:.2} px of {bound:.2} allowed, then trained for {} iterations \
-                 without network F: loss {:.4} → {:.4}",
-                config.refit_iterations(),
-                r.loss[0],
-                r.loss[1]
-            );
-            (r.scene, line)
-        }))
-    }
-
     /// Says so when much of what the photos show is left empty: often an object that the static warm-up lost.
     fn warn_of_emptiness(&self, coverage: &Coverage) {
-        let config = self.trainer.config();
+        let config = &self.config;
         let may_be_fast = config.motion.enabled && !self.data.is_static && config.schedule.time_window == 0;
         match coverage.empty_share() {
             Some(share) if share > MOST_EMPTY && may_be_fast => log::warn!(
@@ -144,7 +131,7 @@ impl Run<'_> {
             scene,
             &self.held_out,
             &all,
-            &options(self.trainer.config()),
+            &options(&self.config),
             |score, rendered, truth| {
                 coverage.add(rendered, truth);
                 if score.index.is_multiple_of(step) {
@@ -175,7 +162,7 @@ impl Run<'_> {
             "seconds": self.log.seconds(), "export": decisions,
         });
         Ok(BTreeMap::from([
-            ("training".into(), json!(self.trainer.config()).to_string()),
+            ("training".into(), json!(self.config).to_string()),
             ("data".into(), data.to_string()),
             ("provenance".into(), provenance.to_string()),
         ]))
