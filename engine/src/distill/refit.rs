@@ -4,7 +4,7 @@
 //! are trained ([`tune`]): a step does not run the network, and a part's pose is learnt from all that shows it.
 
 use super::tune::{Lessons, TuneOptions, tune};
-use super::{Options, Tick, distill};
+use super::{Distilled, Options, Tick, distill};
 use crate::data::dataset::View;
 use crate::error::{Error, Result};
 use crate::gpu::Gpu;
@@ -17,6 +17,9 @@ use crate::train::trainer::StepReport;
 /// Cameras in which the bound is measured, at most.
 const CAMERAS: usize = 12;
 
+/// More Gaussians than these keep their superpoints: to fit parts would take longer than to train them.
+const MOST_FITTED: usize = 30_000;
+
 /// What became of a run's motion.
 #[derive(Debug, Clone)]
 pub struct Refitted {
@@ -24,8 +27,8 @@ pub struct Refitted {
     pub scene: Scene,
     /// Superpoints before and after.
     pub superpoints: [usize; 2],
-    /// How far the parts were allowed to be off, pixels, and were off before they were trained.
-    pub error_px: [f64; 2],
+    /// How far the parts were allowed to be off, pixels, and were off before they were trained; `None`: superpoints were kept.
+    pub error_px: Option<[f64; 2]>,
     /// Mean loss of the first and of the last tenth of the steps.
     pub loss: [f64; 2],
 }
@@ -62,15 +65,57 @@ pub fn refit(
         return Ok(None);
     }
     let views = views(photos, config);
-    let options = Options { error_px: bound_px(photos, config), ..Options::default() };
-    let mut place = |time: f64| freeze(scene, time, MotionSource::Table);
-    let fitted = distill(scene, &mut place, &views, &options, tick)?;
+    let fitted = parts(scene, &views, bound_px(photos, config), MOST_FITTED, tick)?;
+    let student = fitted.as_ref().map_or(scene, |f| &f.scene);
     let mut none = |_: &Camera| Err(Error::usage("refit", "an image of the teacher", "photos alone"));
     let lessons = Lessons { photos: photos.to_vec(), cameras: Vec::new(), times: scene.time_range(), draw: &mut none };
     let (seed, background, near) = (config.seed, config.background, config.near);
     let how = TuneOptions { iterations, seed, background, near, rate_px: None };
-    let tuned = tune(gpu, &fitted.scene, &views, lessons, &how, watch)?;
+    let tuned = tune(gpu, student, &views, lessons, &how, watch)?;
     let superpoints = [scene, &tuned.scene].map(|s| s.deformation.superpoint_count());
-    let largest = fitted.yardstick.measure(&fitted.scene, &views)?.error_px.largest;
-    Ok(Some(Refitted { scene: tuned.scene, superpoints, error_px: [options.error_px, largest], loss: tuned.loss }))
+    let off = |f: &Distilled| -> Result<[f64; 2]> {
+        let displacement = f.yardstick.measure(&f.scene, &views)?;
+        Ok([displacement.bound_px, displacement.error_px.largest])
+    };
+    let error_px = fitted.as_ref().map(off).transpose()?;
+    Ok(Some(Refitted { scene: tuned.scene, superpoints, error_px, loss: tuned.loss }))
+}
+
+/// Rigid parts in place of the superpoints of a scene with a table; `None` where it has more than `most` Gaussians.
+fn parts(
+    scene: &Scene,
+    views: &Views<Camera>,
+    error_px: f64,
+    most: usize,
+    tick: &mut Tick<'_>,
+) -> Result<Option<Distilled>> {
+    if scene.gaussians.len() > most {
+        return Ok(None);
+    }
+    let mut place = |time: f64| freeze(scene, time, MotionSource::Table);
+    let options = Options { error_px, ..Options::default() };
+    distill(scene, &mut place, views, &options, tick).map(Some)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+    use glam::DVec3;
+
+    use super::*;
+    use crate::scene::synthetic::moving_scene;
+
+    #[test]
+    fn superpoints_become_few_parts_or_stay() {
+        let scene = moving_scene(300, 12, 5, 7, false);
+        let camera = Camera::look_at(DVec3::new(0.0, 0.0, -5.0), DVec3::ZERO, DVec3::Y, 0.8, [100, 100]);
+        let views = Views { cameras: vec![camera], near: 0.2, everywhere: true };
+        let n = scene.gaussians.len();
+        let found = |most: usize| parts(&scene, &views, 2.0, most, &mut |_, _, _| {}).unwrap();
+        assert!(found(n - 1).is_none());
+        let fitted = found(n).unwrap();
+        let [before, after] = [&scene, &fitted.scene].map(|s| s.deformation.superpoint_count());
+        assert!(after > 0 && after <= before, "{before} → {after}");
+        assert!(fitted.yardstick.measure(&fitted.scene, &views).unwrap().is_within());
+    }
 }

@@ -49,13 +49,16 @@ impl End<'_> {
             other => other?,
         };
         Ok(refitted.map(|r| {
-            let ([before, after], [bound, off]) = (r.superpoints, r.error_px);
+            let [before, after] = r.superpoints;
+            let parts = match r.error_px {
+                Some([bound, off]) => {
+                    format!("{after} superpoints, {before} before, off by {off:.2} px of {bound:.2} allowed, then")
+                }
+                None => format!("{after} superpoints, as before, for there are many Gaussians;"),
+            };
+            let (iterations, [first, last]) = (config.refit_iterations(), r.loss);
             let line = format!(
-                "refit: {after} superpoints, {before} before, off by {off:.2} px of {bound:.2} allowed, then trained for {} iterations \
-                 without network F: loss {:.4} → {:.4}",
-                config.refit_iterations(),
-                r.loss[0],
-                r.loss[1]
+                "refit: {parts} trained for {iterations} iterations without network F: loss {first:.4} → {last:.4}"
             );
             (r.scene, line)
         }))
