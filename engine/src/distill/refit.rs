@@ -14,11 +14,8 @@ use crate::train::bake::Views;
 use crate::train::config::Config;
 use crate::train::trainer::StepReport;
 
-/// Cameras in which the bound is measured, at most.
-const CAMERAS: usize = 12;
-
-/// More Gaussians than these keep their superpoints: to fit parts would take longer than to train them.
-const MOST_FITTED: usize = 30_000;
+/// Cameras of a data set in which a bound is measured, at most.
+pub const CAMERAS: usize = 12;
 
 /// What became of a run's motion.
 #[derive(Debug, Clone)]
@@ -33,6 +30,12 @@ pub struct Refitted {
     pub loss: [f64; 2],
 }
 
+/// So many of all, in equal steps; all where there are fewer.
+pub fn spread<T>(all: &[T], count: usize) -> impl Iterator<Item = &T> {
+    let count = count.min(all.len());
+    (0..count).map(move |k| &all[k * all.len() / count])
+}
+
 /// The bound in pixels of these photos: `refit.error` of their shorter side.
 fn bound_px(photos: &[View], config: &Config) -> f64 {
     let side = photos.iter().map(|v| v.camera.width.min(v.camera.height)).max().unwrap_or(1);
@@ -40,9 +43,8 @@ fn bound_px(photos: &[View], config: &Config) -> f64 {
 }
 
 fn views(photos: &[View], config: &Config) -> Views<Camera> {
-    let count = CAMERAS.min(photos.len());
     let camera = |v: &View| Camera { time: v.time, ..v.camera.clone() };
-    let cameras = (0..count).map(|k| camera(&photos[k * photos.len() / count])).collect();
+    let cameras = spread(photos, CAMERAS).map(camera).collect();
     Views { cameras, near: f64::from(config.near), everywhere: true }
 }
 
@@ -65,7 +67,8 @@ pub fn refit(
         return Ok(None);
     }
     let views = views(photos, config);
-    let fitted = parts(scene, &views, bound_px(photos, config), MOST_FITTED, tick)?;
+    let most = config.refit.most_divided as usize;
+    let fitted = parts(scene, &views, bound_px(photos, config), most, tick)?;
     let student = fitted.as_ref().map_or(scene, |f| &f.scene);
     let mut none = |_: &Camera| Err(Error::usage("refit", "an image of the teacher", "photos alone"));
     let lessons = Lessons { photos: photos.to_vec(), cameras: Vec::new(), times: scene.time_range(), draw: &mut none };
@@ -106,16 +109,21 @@ mod tests {
     use crate::scene::synthetic::moving_scene;
 
     #[test]
-    fn superpoints_become_few_parts_or_stay() {
-        let scene = moving_scene(300, 12, 5, 7, false);
+    fn superpoints_that_move_alike_become_one_or_stay() {
+        let mut scene = moving_scene(300, 12, 5, 7, false);
+        let moved = scene.deformation.superpoint_deformation_mut().unwrap();
+        let table = moved.table.as_mut().unwrap();
+        for rows in [&mut table.rotation, &mut table.translation] {
+            rows.chunks_exact_mut(12)
+                .for_each(|row| row.copy_from_slice(&std::array::from_fn::<_, 12, _>(|j| row[j % 2])));
+        }
         let camera = Camera::look_at(DVec3::new(0.0, 0.0, -5.0), DVec3::ZERO, DVec3::Y, 0.8, [100, 100]);
         let views = Views { cameras: vec![camera], near: 0.2, everywhere: true };
         let n = scene.gaussians.len();
-        let found = |most: usize| parts(&scene, &views, 2.0, most, &mut |_, _, _| {}).unwrap();
+        let found = |most: usize| parts(&scene, &views, 0.5, most, &mut |_, _, _| {}).unwrap();
         assert!(found(n - 1).is_none());
         let fitted = found(n).unwrap();
-        let [before, after] = [&scene, &fitted.scene].map(|s| s.deformation.superpoint_count());
-        assert!(after > 0 && after <= before, "{before} → {after}");
+        assert_eq!(fitted.scene.deformation.superpoint_count(), 2);
         assert!(fitted.yardstick.measure(&fitted.scene, &views).unwrap().is_within());
     }
 }

@@ -34,8 +34,7 @@ use session::{Taught, step};
 pub use summary::Summary;
 pub use tune::Tuning;
 
-/// Cameras that pixels are measured through, at most, and the size of those that are made.
-const CAMERAS: usize = 12;
+/// Size of the cameras that are made where no data set has any.
 const SIZE: [u32; 2] = [800, 800];
 /// Views in which images are compared: on a GPU, and on a CPU.
 const COMPARED: [u32; 2] = [256, 16];
@@ -165,15 +164,15 @@ fn look<'a>(args: &DistillArgs, moments: Moments<'a>) -> Result<Taught<'a>> {
     let (cameras, measured_in) = match &args.data {
         Some(data) => {
             let all = cameras_of(data, args.downscale)?;
-            let some = spread(&all, CAMERAS);
+            let some: Vec<Camera> = distill::spread(&all, distill::CAMERAS).cloned().collect();
             let size = some.first().map(|c| format!("{}x{}", c.width, c.height)).unwrap_or_default();
             let measured_in = format!("{} cameras of {}, {size}", some.len(), name(data));
             (some, measured_in)
         }
         None => {
-            let around = views::around(&moments, SIZE, CAMERAS, None)?;
+            let around = views::around(&moments, SIZE, distill::CAMERAS, None)?;
             options.near = around.near;
-            (around.cameras, format!("{CAMERAS} views of {}x{} around the scene", SIZE[0], SIZE[1]))
+            (around.cameras, format!("{} views of {}x{} around the scene", distill::CAMERAS, SIZE[0], SIZE[1]))
         }
     };
     let views = Views { cameras, near: f64::from(options.near), everywhere: true };
@@ -225,13 +224,7 @@ fn compared(args: &DistillArgs, taught: &Taught<'_>, gpu: Option<&Gpu>) -> Resul
         return Ok(views::around(&taught.moments, size, count, None)?.cameras);
     };
     let all = cameras_of(data, args.downscale)?;
-    Ok(spread(&all, count))
-}
-
-/// So many of the cameras, in equal steps; all where there are fewer.
-fn spread(all: &[Camera], count: usize) -> Vec<Camera> {
-    let count = count.min(all.len());
-    (0..count).map(|k| all[k * all.len() / count].clone()).collect()
+    Ok(distill::spread(&all, count).cloned().collect())
 }
 
 fn name(path: &Path) -> String {

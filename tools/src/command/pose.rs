@@ -106,7 +106,7 @@ fn search(gpu: &Gpu, scene: &Scene, views: &[View], options: &Options, quiet: bo
     let found = follow(gpu, scene, views, options, None, &mut watch);
     bar.finish_and_clear();
     // Files appear whole or not at all.
-    interrupt.end_at_next();
+    interrupt.end_at_next(None);
     found
 }
 

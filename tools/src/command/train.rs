@@ -101,11 +101,7 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     run.bar.finish_and_clear();
     gpu_session::report_validation(&gpu);
     if !finished {
-        let at = run.trainer.iteration();
-        output::error_line(&format!(
-            "spgs: interrupted; iteration {at} is saved in {}; go on with --resume",
-            checkpoints.display()
-        ));
+        output::error_line(&run.interrupted());
         return Ok(());
     }
     run.finish(path, args.json)

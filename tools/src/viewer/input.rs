@@ -97,8 +97,12 @@ pub(super) fn scene_input(ui: &egui::Ui, response: &egui::Response, state: &mut 
     if typing || was_typing { Thrust::default() } else { keys(ui.ctx(), state) }
 }
 
+/// Whether Ctrl+E was pressed in this frame before the button was let go.
 fn edit_mode_changes_before_click(ui: &egui::Ui) -> bool {
-    let is_toggle = |event: &egui::Event| matches!(event, egui::Event::Key { key: Key::E, pressed: true, repeat: false, modifiers, .. } if modifiers.command);
+    let is_toggle = |event: &egui::Event| match event {
+        egui::Event::Key { key: Key::E, pressed: true, repeat: false, modifiers, .. } => modifiers.command,
+        _ => false,
+    };
     let lets_go = |event: &egui::Event| {
         matches!(event, egui::Event::PointerButton { button: PointerButton::Primary, pressed: false, .. })
     };

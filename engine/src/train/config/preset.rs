@@ -80,6 +80,7 @@ impl Preset {
     }
 
     /// The paper's values but for what measured better; the table in tools/docs/training.md has the runs that chose each.
+    /// A trainer's run of a moving scene with them ends where [`refit`](crate::distill::refit()) begins, on its exported model.
     pub fn best(self) -> Config {
         let mut c = Config { method: Method::Best, ..self.config() };
         c.density.unseen_interval = 5000;
@@ -217,7 +218,7 @@ impl Default for LossConfig {
 
 impl Default for RefitConfig {
     fn default() -> Self {
-        Self { iterations: 0, error: 0.005 }
+        Self { iterations: 0, error: 0.005, most_divided: 30_000 }
     }
 }
 

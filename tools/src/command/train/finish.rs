@@ -60,9 +60,10 @@ impl End<'_> {
     fn finish(self, exported: Exported, data_path: &Path, as_json: bool) -> Result<()> {
         let Exported { mut scene, mut decisions } = exported;
         let mut i = self.reached;
-        if let Some((refitted, line)) = self.refit(&scene)? {
+        let (refitted, line) = self.refit(&scene)?;
+        decisions.extend(line);
+        if let Some(refitted) = refitted {
             i += self.schedule.config().refit_iterations();
-            decisions.push(line);
             scene = refitted;
         }
         scene.metadata = self.provenance(data_path, i, &decisions)?;

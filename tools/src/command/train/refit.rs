@@ -10,11 +10,11 @@ use super::finish::End;
 use crate::cli::progress;
 
 impl End<'_> {
-    /// The last iterations of a run that moves, and a line on them: see [`distill::refit()`].
-    pub(super) fn refit(&self, scene: &Scene) -> Result<Option<(Scene, String)>> {
+    /// What the last iterations of a run that moves make of its model, and a line on them: see [`distill::refit()`].
+    pub(super) fn refit(&self, scene: &Scene) -> Result<(Option<Scene>, Option<String>)> {
         let (config, begin) = (self.schedule.config(), self.reached);
         if self.schedule.stage() != Stage::Rigid || config.refit_iterations() == 0 {
-            return Ok(None);
+            return Ok((None, None));
         }
         let bar = progress::training(config.refit_iterations(), 0, self.quiet);
         let mut logged = Ok(());
@@ -48,19 +48,20 @@ impl End<'_> {
             }
             other => other?,
         };
-        Ok(refitted.map(|r| {
-            let [before, after] = r.superpoints;
-            let parts = match r.error_px {
-                Some([bound, off]) => {
-                    format!("{after} superpoints, {before} before, off by {off:.2} px of {bound:.2} allowed, then")
-                }
-                None => format!("{after} superpoints, as before, for there are many Gaussians;"),
-            };
-            let (iterations, [first, last]) = (config.refit_iterations(), r.loss);
-            let line = format!(
-                "refit: {parts} trained for {iterations} iterations without network F: loss {first:.4} → {last:.4}"
-            );
-            (r.scene, line)
-        }))
+        let iterations = config.refit_iterations();
+        let Some(r) = refitted else {
+            return Ok((None, Some(format!("refit: the last {iterations} iterations are left out"))));
+        };
+        let ([before, after], [first, last]) = (r.superpoints, r.loss);
+        let parts = match r.error_px {
+            Some([bound, off]) => {
+                format!("{after} superpoints, {before} before, off by {off:.2} px of {bound:.2} allowed, then")
+            }
+            None => format!("{after} superpoints, as before, for there are many Gaussians;"),
+        };
+        let line = format!(
+            "refit: {parts} trained for {iterations} iterations without network F: loss {first:.4} → {last:.4}"
+        );
+        Ok((Some(r.scene), Some(line)))
     }
 }

@@ -74,9 +74,15 @@ impl Run<'_> {
                 return Ok(false);
             }
         }
-        interrupt.end_at_next();
+        interrupt.end_at_next(Some(self.interrupted()));
         self.background.join()?;
         Ok(true)
+    }
+
+    /// What is said of a run that is cut off.
+    pub(super) fn interrupted(&self) -> String {
+        let (at, folder) = (self.trainer.iteration(), self.out.join("checkpoints"));
+        format!("spgs: interrupted; iteration {at} is saved in {}; go on with --resume", folder.display())
     }
 
     /// Whether an evaluation or a checkpoint follows an iteration.
