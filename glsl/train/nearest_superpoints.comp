@@ -61,15 +61,31 @@ float squared_distance(vec3 a, vec3 b) {
         d_b = before ? d_a : here ? d : d_b;          \
     }
 
+// Above the K nearest: the farthest of last step's, where they are now, and a little more, so that one at that distance with a
+// lower index is found. Infinite where the row has no K superpoints yet.
+float upper_bound(vec3 x, uint row) {
+    uint neighbors = NEIGHBORS;
+    uint bound = 0u;
+    [[unroll]] for (uint k = 0u; k < MAX_NEIGHBORS; k++) {
+        if (k < neighbors) {
+            uint j = neighbor[row + k];
+            uint at = 3u * min(j, step_data.superpoints - 1u);
+            vec3 q = vec3(superpoint_position[at], superpoint_position[at + 1u], superpoint_position[at + 2u]);
+            // Positive floats are in the order of their bits.
+            bound = max(bound, j < step_data.superpoints ? floatBitsToUint(squared_distance(x, q)) + 1u : INFINITE);
+        }
+    }
+    return uintBitsToFloat(bound);
+}
+
 // Each lane loads one superpoint and the subgroup takes turns to broadcast it: no shared memory, no barrier. Candidates
-// come in index order, so that of equal distances the lowest index stays first.
-void find_nearest(vec3 x, out uint nearest[MAX_NEIGHBORS]) {
+// come in index order, so that of equal distances the lowest index stays first. Those from `worst` on are passed over.
+void find_nearest(vec3 x, float worst, out uint nearest[MAX_NEIGHBORS]) {
     uint size = SUBGROUP_SIZE;
     uint neighbors = NEIGHBORS;
     uint superpoints = step_data.superpoints;
     float d_0 = uintBitsToFloat(INFINITE);
     float d_1 = d_0, d_2 = d_0, d_3 = d_0, d_4 = d_0, d_5 = d_0, d_6 = d_0;
-    float worst = d_0;
     uint n_0 = 0u, n_1 = 0u, n_2 = 0u, n_3 = 0u, n_4 = 0u, n_5 = 0u, n_6 = 0u;
     for (uint base = 0u; base < superpoints; base += size) {
         uint mine = 3u * min(base + gl_SubgroupInvocationID, superpoints - 1u);
@@ -88,8 +104,9 @@ void find_nearest(vec3 x, out uint nearest[MAX_NEIGHBORS]) {
                 MOVE_ON(1u, d_0, n_0, d_1, n_1)
                 n_0 = d < d_0 ? index : n_0;
                 d_0 = min(d, d_0);
-                worst = neighbors > 6u ? d_6 : neighbors > 5u ? d_5 : neighbors > 4u ? d_4 : neighbors > 3u ? d_3
+                float last = neighbors > 6u ? d_6 : neighbors > 5u ? d_5 : neighbors > 4u ? d_4 : neighbors > 3u ? d_3
                     : neighbors > 2u ? d_2 : neighbors > 1u ? d_1 : d_0;
+                worst = min(worst, last);
             }
         }
     }
@@ -237,7 +254,7 @@ void main() {
     uint at = min(i, n - 1u);
     vec3 x = vec3(mean[at], mean[n + at], mean[2u * n + at]);
     uint nearest[MAX_NEIGHBORS];
-    find_nearest(x, nearest);
+    find_nearest(x, upper_bound(x, at * slots), nearest);
     if (i < n) {
         update_row(i * slots, nearest);
         write_weights(i, i * slots, nearest);

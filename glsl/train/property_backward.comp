@@ -38,9 +38,9 @@ layout(std430, set = 0, binding = 14) writeonly buffer PropertyMeanGradientBlock
 #include "lib/property_mean.glsl"
 #include "lib/association_adam.glsl"
 
-vec3 residual_plane(uint plane, uint i) {
-    uint n = step_data.gaussians;
-    return vec3(residual[plane * n + i], residual[(plane + 1u) * n + i], residual[(plane + 2u) * n + i]);
+vec3 residual_vector(uint first, uint i) {
+    uint at = 9u * i + first;
+    return vec3(residual[at], residual[at + 1u], residual[at + 2u]);
 }
 
 // Gradient of a superpoint's mean property over the weight sum: -Σ a g / Σ a.
@@ -50,11 +50,11 @@ vec3 pulled(uint plane, uint j) {
     return -inverse_weight(j) * sum;
 }
 
-void write_vector(uint plane, uint i, vec3 value) {
-    uint n = step_data.gaussians;
-    own_gradient[plane * n + i] = value.x;
-    own_gradient[(plane + 1u) * n + i] = value.y;
-    own_gradient[(plane + 2u) * n + i] = value.z;
+void write_vector(uint first, uint i, vec3 value) {
+    uint at = 9u * i + first;
+    own_gradient[at] = value.x;
+    own_gradient[at + 1u] = value.y;
+    own_gradient[at + 2u] = value.z;
 }
 
 void main() {
@@ -66,9 +66,9 @@ void main() {
         vec3 turned, position, rotation, translation;
         uint own = own_superpoint(i);
         moved_properties(own, canonical_mean(i), turned, position, rotation, translation);
-        vec3 g_p = residual_plane(0u, i);
-        vec3 g_r = residual_plane(3u, i);
-        vec3 g_t = residual_plane(6u, i);
+        vec3 g_p = residual_vector(0u, i);
+        vec3 g_r = residual_vector(3u, i);
+        vec3 g_t = residual_vector(6u, i);
         // The Gaussian's properties act directly and through the superpoints' means.
         vec3 d_p = g_p;
         vec3 d_r = g_r;

@@ -113,9 +113,9 @@ void main() {
         vec3 g_r = step_data.weight_rotation * scale * error_r;
         vec3 g_t = step_data.weight_translation * scale * error_t;
         for (uint c = 0u; c < 3u; c++) {
-            residual[c * n + i] = g_p[c];
-            residual[(3u + c) * n + i] = g_r[c];
-            residual[(6u + c) * n + i] = g_t[c];
+            residual[9u * i + c] = g_p[c];
+            residual[9u * i + 3u + c] = g_r[c];
+            residual[9u * i + 6u + c] = g_t[c];
         }
         if (paper == 0u && counters[COUNT_FAILED] == 0u) {
             float gradient[MAX_NEIGHBORS];

@@ -2,7 +2,7 @@
 #extension GL_GOOGLE_include_directive : require
 
 // The properties of each Gaussian (paper's form of the property losses): position at the step's time, so(3) vector and
-// translation of its superpoint, as 9 planes.
+// translation of its superpoint, a row of 9.
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 
@@ -27,9 +27,9 @@ void main() {
         vec3 turned, position, rotation, translation;
         moved_properties(own_superpoint(i), canonical_mean(i), turned, position, rotation, translation);
         for (uint c = 0u; c < 3u; c++) {
-            property_value[c * n + i] = position[c];
-            property_value[(3u + c) * n + i] = rotation[c];
-            property_value[(6u + c) * n + i] = translation[c];
+            property_value[9u * i + c] = position[c];
+            property_value[9u * i + 3u + c] = rotation[c];
+            property_value[9u * i + 6u + c] = translation[c];
         }
     }
 }

@@ -12,11 +12,13 @@
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 layout(constant_id = 1) const uint MOMENTS = 1u;     // sum a and a * mean
-layout(constant_id = 2) const uint PAIR_PLANES = 0u; // planes of pair_data to sum with weight a, at most 9
-layout(constant_id = 3) const uint OWN_FIRST = 0u;   // planes OWN_FIRST .. OWN_FIRST + OWN_PLANES of own_data to sum
-layout(constant_id = 4) const uint OWN_PLANES = 0u;  // at most 9
+layout(constant_id = 2) const uint PAIR_VALUES = 0u; // values of a row of pair_data to sum with weight a: 9 or none
+layout(constant_id = 3) const uint OWN_FIRST = 0u;   // values OWN_FIRST .. OWN_FIRST + OWN_VALUES of own_data to sum
+layout(constant_id = 4) const uint OWN_VALUES = 0u;  // at most 9
 layout(constant_id = 5) const uint BY_SUBGROUP = 0u; // 1: a superpoint per subgroup
 layout(constant_id = 6) const uint SLOT_PLANES = 0u; // planes of own_data of each slot: every pair has its own; 0: none has
+layout(constant_id = 7) const uint OWN_ROW = 0u;     // values of a row of own_data; 0: it is planes
+layout(constant_id = 8) const uint RANGES = 0u;      // where pairs start: 0 looked for, 1 looked for and stored, 2 stored before
 
 #define STEP_BINDING 0
 #include "lib/step.glsl"
@@ -36,6 +38,7 @@ layout(std430, set = 0, binding = 4) readonly buffer MeanBlock { float mean[]; }
 layout(std430, set = 0, binding = 5) readonly buffer PairDataBlock { float pair_data[]; };
 layout(std430, set = 0, binding = 6) readonly buffer OwnDataBlock { float own_data[]; };
 layout(std430, set = 0, binding = 7) writeonly buffer SuperpointSumBlock { float superpoint_sum[]; };
+layout(std430, set = 0, binding = 9) buffer SuperpointRangeBlock { uint superpoint_range[]; };
 
 layout(push_constant) uniform PushBlock {
     uint neighbors;    // K: the slot of pairs with the Gaussian's own superpoint
@@ -79,7 +82,7 @@ bool add_if_finite(inout float sums[SUM_VALUES], float addend[SUM_VALUES], uint 
 
 void add_pair(inout float sums[SUM_VALUES], uint pair) {
     uint moments = MOMENTS;
-    uint planes = PAIR_PLANES;
+    uint values = PAIR_VALUES;
     uint n = step_data.gaussians;
     uint value = pair_value[pair];
     uint i = value & PAIR_MASK;
@@ -95,8 +98,8 @@ void add_pair(inout float sums[SUM_VALUES], uint pair) {
         }
     }
     [[unroll]] for (uint c = 0u; c < 9u; c++) {
-        if (c < planes) {
-            addend[FIRST_PAIR_VALUE + c] = a * pair_data[c * n + i];
+        if (c < values) {
+            addend[FIRST_PAIR_VALUE + c] = a * pair_data[values * i + c];
         }
     }
     if (!add_if_finite(sums, addend, 0u, 13u)) {
@@ -105,15 +108,16 @@ void add_pair(inout float sums[SUM_VALUES], uint pair) {
 }
 
 void add_own(inout float sums[SUM_VALUES], uint pair) {
-    uint planes = OWN_PLANES;
+    uint values = OWN_VALUES;
     uint slot_planes = SLOT_PLANES;
+    uint row = OWN_ROW;
     uint n = step_data.gaussians;
     uint value = pair_value[pair];
     uint i = value & PAIR_MASK;
     uint first = OWN_FIRST + (value >> PAIR_SHIFT) * slot_planes;
     float addend[SUM_VALUES];
     [[unroll]] for (uint c = 0u; c < 9u; c++) {
-        addend[c] = c < planes ? own_data[(first + c) * n + i] : 0.0;
+        addend[c] = c < values ? own_data[row != 0u ? row * i + first + c : (first + c) * n + i] : 0.0;
     }
     if (!add_if_finite(sums, addend, FIRST_OWN_VALUE, 9u)) {
         report_not_finite(push.status_group, i);
@@ -124,9 +128,19 @@ void add_own(inout float sums[SUM_VALUES], uint pair) {
 // finds an empty segment.
 uvec3 find_segment(uint superpoint, uint member) {
     uint by_subgroup = BY_SUBGROUP;
+    uint ranges = RANGES;
     uint bound = 0u;
     if (member < 3u) {
-        bound = lower_bound(superpoint + (member == 2u ? 1u : 0u), member == 1u ? push.neighbors : 0u);
+        uint at = member * step_data.superpoints + superpoint;
+        bool stored = superpoint < step_data.superpoints;
+        if (ranges == 2u) {
+            bound = stored ? superpoint_range[at] : 0u;
+        } else {
+            bound = lower_bound(superpoint + (member == 2u ? 1u : 0u), member == 1u ? push.neighbors : 0u);
+        }
+        if (ranges == 1u && stored) {
+            superpoint_range[at] = bound;
+        }
     }
     uvec3 segment;
     if (by_subgroup == 1u) {
@@ -166,8 +180,8 @@ void store_sums_of_subgroup(uint superpoint, float sums[SUM_VALUES]) {
 void main() {
     uint size = SUBGROUP_SIZE;
     uint moments = MOMENTS;
-    uint pair_planes = PAIR_PLANES;
-    uint own_planes = OWN_PLANES;
+    uint pair_values = PAIR_VALUES;
+    uint own_values = OWN_VALUES;
     uint slot_planes = SLOT_PLANES;
     uint by_subgroup = BY_SUBGROUP;
     uint superpoint = by_subgroup == 1u ? workgroup_index() * gl_NumSubgroups + gl_SubgroupID : workgroup_index();
@@ -178,12 +192,12 @@ void main() {
     [[unroll]] for (uint v = 0u; v < SUM_VALUES; v++) {
         sums[v] = 0.0;
     }
-    if (moments != 0u || pair_planes != 0u) {
+    if (moments != 0u || pair_values != 0u) {
         for (uint pair = segment.x + member; pair < segment.y; pair += members) {
             add_pair(sums, pair);
         }
     }
-    if (own_planes != 0u) {
+    if (own_values != 0u) {
         uvec2 own = slot_planes != 0u ? segment.xy : segment.yz;
         for (uint pair = own.x + member; pair < own.y; pair += members) {
             add_own(sums, pair);

@@ -28,8 +28,16 @@ struct Chain<'a> {
 }
 
 /// Sums of the weights and of the weighted means only.
-const MOMENTS: SuperpointSumConstants =
-    SuperpointSumConstants { moments: 1, pair_planes: 0, own_first: 0, own_planes: 0, by_subgroup: 0, slot_planes: 0 };
+const MOMENTS: SuperpointSumConstants = SuperpointSumConstants {
+    moments: 1,
+    pair_values: 0,
+    own_first: 0,
+    own_values: 0,
+    by_subgroup: 0,
+    slot_planes: 0,
+    own_row: 0,
+    ranges: 0,
+};
 const NOTHING: SuperpointSumConstants = SuperpointSumConstants { moments: 0, ..MOMENTS };
 
 impl Case {
@@ -39,21 +47,21 @@ impl Case {
         let m = self.position.len();
         let (first, property_sum, properties, logit) = if form == PropertyLoss::Paper {
             let values = chain.values();
-            let first = chain.sum(SuperpointSumConstants { pair_planes: 9, ..MOMENTS }, &values);
+            let first = chain.sum(SuperpointSumConstants { pair_values: 9, ..MOMENTS }, &values);
             let (residual, _) = chain.residual(Some(&first));
-            let residual_sum = chain.sum(SuperpointSumConstants { pair_planes: 9, ..NOTHING }, &residual);
+            let residual_sum = chain.sum(SuperpointSumConstants { pair_values: 9, ..NOTHING }, &residual);
             let (own, logit) = chain.backward(&first, residual_sum, residual);
-            let own_sum = chain.sum(SuperpointSumConstants { own_planes: 9, ..NOTHING }, &own);
+            let own_sum = chain.sum(SuperpointSumConstants { own_values: 9, own_row: 9, ..NOTHING }, &own);
             (first, own_sum, 2, logit)
         } else {
             let (residual, logit) = chain.residual(None);
-            let constants = SuperpointSumConstants { pair_planes: 9, own_first: 3, own_planes: 6, ..MOMENTS };
+            let constants = SuperpointSumConstants { pair_values: 9, own_first: 3, own_values: 6, own_row: 9, ..MOMENTS };
             let sums = chain.sum(constants, &residual);
             (sums.clone(), sums, 1, logit)
         };
         let mut rng = Rng(99);
         let pose_gradient = bits((0..6 * self.mean.len()).map(|_| rng.signed()));
-        let pose_sum = chain.sum(SuperpointSumConstants { own_planes: 6, ..NOTHING }, &pose_gradient);
+        let pose_sum = chain.sum(SuperpointSumConstants { own_values: 6, ..NOTHING }, &pose_gradient);
         let buffers = SuperpointGradientBuffers {
             step: self.step_words(),
             pose: self.pose_words(),
@@ -76,7 +84,7 @@ impl Case {
         let chain = Chain::new(self, gpu, failed, true, format!("soft, N = {n}, K = {k}"));
         let mut rng = Rng(98);
         let pose_gradient = bits((0..SLOT_PLANES as usize * k * n).map(|_| rng.signed()));
-        let constants = SuperpointSumConstants { own_planes: 6, slot_planes: SLOT_PLANES, ..NOTHING };
+        let constants = SuperpointSumConstants { own_values: 6, slot_planes: SLOT_PLANES, ..NOTHING };
         chain.sum(constants, &pose_gradient);
         let (_, before) = chain.residual(None);
         assert_eq!(before, chain.rows.logit, "the property losses moved logits on their own");
@@ -139,17 +147,21 @@ impl<'a> Chain<'a> {
             pair_value: rows.pair_value.clone(),
             weight: rows.weight.clone(),
             mean: rows.mean.clone(),
-            pair_data: (constants.pair_planes > 0).then(|| data.to_vec()),
-            own_data: (constants.own_planes > 0).then(|| data.to_vec()),
+            pair_data: (constants.pair_values > 0).then(|| data.to_vec()),
+            own_data: (constants.own_values > 0).then(|| data.to_vec()),
             superpoint_sum: vec![0; SUM_PLANES * m],
             status: status::clear().to_vec(),
+            superpoint_range: None,
         };
-        let mut sums = Vec::new();
-        for by_subgroup in [false, true] {
-            let constants = SuperpointSumConstants { by_subgroup: by_subgroup.into(), ..constants };
+        // Ranges looked for, looked for and stored, stored before.
+        let (mut sums, mut stored) = (Vec::new(), vec![0; 3 * m]);
+        for (by_subgroup, ranges) in [(false, 1), (true, 1), (false, 2), (true, 2), (true, 0)] {
+            let constants = SuperpointSumConstants { by_subgroup: by_subgroup.into(), ranges, ..constants };
             let groups = groups(by_subgroup, self.gpu.subgroup_size_of(&SUPERPOINT_SUM), m as u32);
-            let case = KernelCase { kernel: &SUPERPOINT_SUM, constants, push, buffers: buffers.clone(), groups };
-            sums = case.check(self.gpu, &format!("{}, {constants:?}", self.context)).superpoint_sum;
+            let buffers = SuperpointSumBuffers { superpoint_range: (ranges > 0).then(|| stored.clone()), ..buffers.clone() };
+            let case = KernelCase { kernel: &SUPERPOINT_SUM, constants, push, buffers, groups };
+            let done = case.check(self.gpu, &format!("{}, {constants:?}", self.context));
+            (sums, stored) = (done.superpoint_sum, done.superpoint_range.unwrap_or(stored));
         }
         sums
     }

@@ -21,9 +21,19 @@ use crate::train::property_loss::property_total::{PROPERTY_TOTAL, PropertyTotalB
 use crate::train::property_loss::property_values::{PROPERTY_VALUES, PropertyValuesBuffers};
 use crate::train::status;
 
-/// Sums of the weights and of the weighted means only.
-const MOMENTS: SuperpointSumConstants =
-    SuperpointSumConstants { moments: 1, pair_planes: 0, own_first: 0, own_planes: 0, by_subgroup: 0, slot_planes: 0 };
+/// The first sum of a step: of the weights and the weighted means. What it finds of the sort's order is stored.
+const FIRST: SuperpointSumConstants = SuperpointSumConstants {
+    moments: 1,
+    pair_values: 0,
+    own_first: 0,
+    own_values: 0,
+    by_subgroup: 0,
+    slot_planes: 0,
+    own_row: 0,
+    ranges: 1,
+};
+/// Values of a Gaussian that the property losses sum: three vectors.
+const ROW: u32 = 9;
 
 impl SuperpointState {
     /// The part before the frame: soft superpoints' weights. A frame that fails and runs again finds the same.
@@ -39,7 +49,7 @@ impl SuperpointState {
         }
         self.record_sort(r)?;
         match self.options.property_loss {
-            PropertyLoss::Off => self.record_sum(r, b, &self.first_sum, MOMENTS, [None, None], status::ASSOCIATION),
+            PropertyLoss::Off => self.record_sum(r, b, &self.first_sum, FIRST, [None, None], status::ASSOCIATION),
             PropertyLoss::Code => self.record_code(r, b),
             PropertyLoss::Paper => self.record_paper(r, b),
         }
@@ -48,7 +58,7 @@ impl SuperpointState {
     /// The part after `deform_project_backward`: `pose_gradient` `float[6][N]` (soft: `float[K][7][N]`) →
     /// [`SuperpointState::gradient`].
     pub fn record_reduce_pose(&self, r: &mut Recorder, b: &StepBuffers, pose_gradient: &Slice) -> Result<()> {
-        self.record_own_sum(r, b, &self.pose_sum, 6, pose_gradient, status::POSE)?;
+        self.record_own_sum(r, b, &self.pose_sum, [6, 0], pose_gradient, status::POSE)?;
         self.record_association_update(r, b, pose_gradient)?;
         let (properties, property_sum) = match self.options.property_loss {
             PropertyLoss::Off => (0, None),
@@ -166,7 +176,7 @@ impl SuperpointState {
         self.record_residual(r, b, None)?;
         let residual = self.work.residual.whole();
         // Position (planes 0-2) is a constant of each Gaussian: only rotation and translation pull at its own superpoint.
-        let constants = SuperpointSumConstants { pair_planes: 9, own_first: 3, own_planes: 6, ..MOMENTS };
+        let constants = SuperpointSumConstants { pair_values: ROW, own_first: 3, own_values: 6, own_row: ROW, ..FIRST };
         self.record_sum(r, b, &self.first_sum, constants, [Some(&residual), Some(&residual)], status::ASSOCIATION)?;
         self.record_total(r, b)
     }
@@ -181,13 +191,13 @@ impl SuperpointState {
             property_value: own.clone(),
         };
         r.dispatch(&PROPERTY_VALUES, (), (), buffers, self.per_gaussian())?;
-        let constants = SuperpointSumConstants { pair_planes: 9, ..MOMENTS };
+        let constants = SuperpointSumConstants { pair_values: ROW, ..FIRST };
         self.record_sum(r, b, &self.first_sum, constants, [Some(&own), None], status::ASSOCIATION)?;
         self.record_residual(r, b, Some(&self.first_sum))?;
-        let constants = SuperpointSumConstants { pair_planes: 9, ..SuperpointSumConstants::default() };
+        let constants = SuperpointSumConstants { pair_values: ROW, ranges: 2, ..Default::default() };
         self.record_sum(r, b, &self.residual_sum, constants, [Some(&residual), None], status::ASSOCIATION)?;
         self.record_property_backward(r, b)?;
-        self.record_own_sum(r, b, &self.own_sum, 9, &own, status::ASSOCIATION)?;
+        self.record_own_sum(r, b, &self.own_sum, [ROW, ROW], &own, status::ASSOCIATION)?;
         self.record_total(r, b)
     }
 
@@ -249,20 +259,20 @@ impl SuperpointState {
         r.dispatch(&PROPERTY_TOTAL, (), (), buffers, Groups::Direct(1))
     }
 
-    /// The first `own_planes` planes of `data`, summed over each superpoint's own Gaussians; with soft superpoints of poses,
-    /// over all that it moves in part.
+    /// The first values of `data`, planes or `ROW`s, summed over each superpoint's own Gaussians; with soft superpoints of
+    /// poses, over all that it moves in part.
     fn record_own_sum(
         &self,
         r: &mut Recorder,
         b: &StepBuffers,
         sums: &Buffer,
-        own_planes: u32,
+        [own_values, own_row]: [u32; 2],
         data: &Slice,
         group: usize,
     ) -> Result<()> {
         let soft = self.options.blend_slots() > 0 && group == status::POSE;
         let slot_planes = if soft { SLOT_PLANES } else { 0 };
-        let constants = SuperpointSumConstants { own_planes, slot_planes, ..SuperpointSumConstants::default() };
+        let constants = SuperpointSumConstants { own_values, slot_planes, own_row, ranges: 2, ..Default::default() };
         self.record_sum(r, b, sums, constants, [None, Some(data)], group)
     }
 
@@ -291,6 +301,7 @@ impl SuperpointState {
             own_data,
             superpoint_sum: sums.whole(),
             status: b.status.clone(),
+            superpoint_range: Some(self.range.whole()),
         };
         let push =
             SuperpointSumPush { neighbors: self.options.neighbors, pairs: w.plan.capacity, status_group: group as u32 };

@@ -121,6 +121,8 @@ pub struct SuperpointState {
     pub(super) residual_sum: Buffer,
     pub(super) own_sum: Buffer,
     pub(super) pose_sum: Buffer,
+    /// Where each superpoint's pairs start in the step's order.
+    pub(super) range: Buffer,
 }
 
 impl SuperpointState {
@@ -237,6 +239,7 @@ impl SuperpointState {
             residual_sum: sums("residual_sum")?,
             own_sum: sums("own_sum")?,
             pose_sum: sums("pose_sum")?,
+            range: device("superpoint_range", 3 * m)?,
             options,
         })
     }

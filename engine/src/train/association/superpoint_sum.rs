@@ -46,16 +46,20 @@ crate::gpu_constants! {
     pub struct SuperpointSumConstants {
         /// 1: Σa and Σa·mean.
         moments,
-        /// Planes of `pair_data`, at most 9.
-        pair_planes,
-        /// First plane of `own_data`.
+        /// Values of a row of `pair_data`: 9, or 0.
+        pair_values,
+        /// First value of `own_data`.
         own_first,
-        /// Its planes, at most 9.
-        own_planes,
+        /// Its values, at most 9.
+        own_values,
         /// 1: a subgroup sums a superpoint, else a workgroup ([`by_subgroup`]).
         by_subgroup,
         /// With soft superpoints, how many planes of `own_data` each slot has: then every pair has its own. Else 0.
         slot_planes,
+        /// Values of a row of `own_data`; 0: it is planes.
+        own_row,
+        /// Where each superpoint's pairs start: 0: looked for; 1: looked for, and stored; 2: as stored by a dispatch before.
+        ranges,
     }
 }
 
@@ -72,14 +76,16 @@ crate::gpu_buffers! {
         weight: Read F32,
         /// `[3][N]`.
         mean: Read F32,
-        /// `[pair_planes][N]`, summed with weight a; absent without planes.
+        /// `[N][pair_values]`, summed with weight a; absent without values.
         pair_data: optional Read F32,
-        /// `[own_first + own_planes][N]`, summed over a superpoint's own Gaussians, or `[K][slot_planes][N]` over all pairs;
-        /// absent without planes.
+        /// `[own_first + own_values][N]` or `[N][own_row]`, summed over a superpoint's own Gaussians, or `[K][slot_planes][N]`
+        /// over all pairs; absent without values.
         own_data: optional Read F32,
         /// `[22][M]` ([`SUM_PLANES`]).
         superpoint_sum: Write F32,
         status: Atomic U32,
+        /// `[3][M]`: the first pair, the first with the Gaussian's own superpoint, one beyond the last; absent without `ranges`.
+        superpoint_range: optional Update U32,
     }
 }
 
@@ -101,8 +107,9 @@ crate::kernel! {
 fn superpoint_sum_twin(call: Call<'_, SuperpointSum>) {
     let Call { constants, push, buffers: b, .. } = call;
     let SuperpointSumConstants { moments, .. } = constants;
-    let [pair_planes, own_first, own_planes, slot_planes] =
-        [constants.pair_planes, constants.own_first, constants.own_planes, constants.slot_planes].map(|c| c as usize);
+    let [pair_values, own_first, own_values] =
+        [constants.pair_values, constants.own_first, constants.own_values].map(|c| c as usize);
+    let [slot_planes, own_row] = [constants.slot_planes, constants.own_row].map(|c| c as usize);
     let pair_data = b.pair_data.as_deref().unwrap_or_default();
     let own_data = b.own_data.as_deref().unwrap_or_default();
     let step: Step = twin::struct_at(b.step, 0);
@@ -114,23 +121,32 @@ fn superpoint_sum_twin(call: Call<'_, SuperpointSum>) {
         let mut addend = [0.0_f32; SUM_PLANES];
         let own_slot = slot == push.neighbors as usize;
         if own_slot != (slot_planes != 0) {
-            for c in 0..own_planes {
-                let plane = own_first + slot * slot_planes + c;
-                addend[FIRST_OWN_VALUE + c] = twin::f32_at(own_data, plane * n + i);
+            for c in 0..own_values {
+                let value = own_first + slot * slot_planes + c;
+                let at = if own_row != 0 { own_row * i + value } else { value * n + i };
+                addend[FIRST_OWN_VALUE + c] = twin::f32_at(own_data, at);
             }
         }
-        if !own_slot && (moments != 0 || pair_planes != 0) {
+        if !own_slot && (moments != 0 || pair_values != 0) {
             let a = twin::f32_at(b.weight, slot * n + i);
             if moments != 0 {
                 addend[0] = a;
                 (0..3).for_each(|c| addend[1 + c] = a * twin::f32_at(b.mean, c * n + i));
             }
-            (0..pair_planes).for_each(|c| addend[FIRST_PAIR_VALUE + c] = a * twin::f32_at(pair_data, c * n + i));
+            (0..pair_values).for_each(|c| addend[FIRST_PAIR_VALUE + c] = a * twin::f32_at(pair_data, pair_values * i + c));
         }
         if addend.iter().all(|v| v.is_finite()) {
             total[b.pair_key[p] as usize].iter_mut().zip(addend).for_each(|(t, v)| *t += f64::from(v));
         } else {
             status::report(b.status, push.status_group as usize, i as u32);
+        }
+    }
+    if let Some(range) = b.superpoint_range.filter(|_| constants.ranges == 1) {
+        for j in 0..m {
+            for (row, (superpoint, slot)) in [(j, 0), (j, push.neighbors), (j + 1, 0)].into_iter().enumerate() {
+                let before = |p: &usize| (b.pair_key[*p], b.pair_value[*p] >> PAIR_SHIFT) < (superpoint as u32, slot);
+                range[row * m + j] = (0..push.pairs as usize).filter(before).count() as u32;
+            }
         }
     }
     for (j, values) in total.iter().enumerate() {

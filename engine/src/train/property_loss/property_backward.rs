@@ -37,9 +37,9 @@ crate::gpu_buffers! {
         logit_moment_1: Update F32,
         /// `[N][K']`.
         logit_moment_2: Update F32,
-        /// `[9][N]` of `property_residual`.
+        /// `[N][9]` of `property_residual`.
         residual: Read F32,
-        /// `[9][N]`: gradient by the own superpoint's rotation (a left tangent), so(3) vector and translation.
+        /// `[N][9]`: gradient by the own superpoint's rotation (a left tangent), so(3) vector and translation.
         own_gradient: Write F32,
         /// `[3][N]`: gradient by the canonical centre.
         property_mean_gradient: Write F32,
@@ -70,7 +70,7 @@ fn property_backward_twin(call: Call<'_, PropertyBackward>) {
     for i in 0..n {
         let s = b.superpoint_of_gaussian[i].min(step.superpoints - 1) as usize;
         let Properties { turned, value } = moved_properties(b.pose, s, planes(b.mean, 0, n, i));
-        let g = [0, 3, 6].map(|p| planes(b.residual, p, n, i));
+        let g = [0, 3, 6].map(|p| std::array::from_fn(|c| twin::f32_at(b.residual, 9 * i + p + c)));
         let mut d = g;
         let (mut d_a, mut d_total) = (vec![0.0_f32; k], 0.0);
         let a: Vec<f32> = (0..k).map(|k| twin::f32_at(b.weight, k * n + i)).collect();
@@ -87,7 +87,7 @@ fn property_backward_twin(call: Call<'_, PropertyBackward>) {
             d_total += a[k] * d_a[k];
         }
         let pose_gradient = [cross(turned, d[0]), d[1], std::array::from_fn(|c| d[0][c] + d[2][c])];
-        pose_gradient.as_flattened().iter().enumerate().for_each(|(c, x)| twin::set_f32(b.own_gradient, c * n + i, *x));
+        pose_gradient.as_flattened().iter().enumerate().for_each(|(c, x)| twin::set_f32(b.own_gradient, 9 * i + c, *x));
         let back = displacement(exp(value[1].map(|r| -r)), d[0]);
         (0..3).for_each(|c| twin::set_f32(b.property_mean_gradient, c * n + i, d[0][c] + back[c]));
         if b.counters[COUNT_FAILED as usize] == 0 {

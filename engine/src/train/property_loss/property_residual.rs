@@ -51,7 +51,7 @@ crate::gpu_buffers! {
         logit_moment_1: Update F32,
         /// `[N][K']`.
         logit_moment_2: Update F32,
-        /// `[9][N]`: dL/d properties.
+        /// `[N][9]`: dL/d properties.
         residual: Write F32,
         /// `vec4[workgroups]`: sums of squares of the three properties.
         loss_partial: Write F32,
@@ -102,7 +102,7 @@ fn property_residual_twin(call: Call<'_, PropertyResidual>) {
             squares[i / 256][p] += f64::from(dot(error, error));
             let scale = step.property_weights()[p] * (2.0 / (3.0 * n as f32));
             let g = error.map(|e| scale * e);
-            g.iter().enumerate().for_each(|(c, v)| twin::set_f32(b.residual, (3 * p + c) * n + i, *v));
+            g.iter().enumerate().for_each(|(c, v)| twin::set_f32(b.residual, 9 * i + 3 * p + c, *v));
             for k in 0..k {
                 gradient[k] -= a[k] * dot(g, std::array::from_fn(|c| u[k][p][c] - rebuilt[c]));
             }

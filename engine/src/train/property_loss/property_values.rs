@@ -17,13 +17,13 @@ crate::gpu_buffers! {
         superpoint_of_gaussian: Read U32,
         /// `vec4[M][2]`.
         pose: Read F32,
-        /// `[9][N]`: position at the step's time, so(3) vector, translation.
+        /// `[N][9]`: position at the step's time, so(3) vector, translation.
         property_value: Write F32,
     }
 }
 
 crate::kernel! {
-    /// Properties of each Gaussian as planes. Dispatch ceil(N / 256) workgroups.
+    /// Properties of each Gaussian as rows. Dispatch ceil(N / 256) workgroups.
     pub static PROPERTY_VALUES: PropertyValues = {
         name: "property_values",
         doc: "each Gaussian's position at the step's time, so(3) vector and translation (paper's property losses)",
@@ -44,6 +44,6 @@ fn property_values_twin(call: Call<'_, PropertyValues>) {
     for i in 0..n {
         let s = b.superpoint_of_gaussian[i].min(step.superpoints - 1) as usize;
         let v = moved_properties(b.pose, s, planes(b.mean, 0, n, i)).value;
-        v.as_flattened().iter().enumerate().for_each(|(c, x)| twin::set_f32(b.property_value, c * n + i, *x));
+        v.as_flattened().iter().enumerate().for_each(|(c, x)| twin::set_f32(b.property_value, 9 * i + c, *x));
     }
 }
