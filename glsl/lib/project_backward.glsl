@@ -20,8 +20,11 @@ struct FootprintGradient {
 // With e_k the columns of J W R (px per world unit over z), p_k = L e_k, n_k = scale_k p_k (|n_k| <= 1) and H = (h2):
 // dL/d ln scale_k = n_k' H n_k; rotation about axis k: (scale_i^2 - scale_j^2) p_i' H p_j, i, j, k cyclic. The first
 // component of L e_k would be a difference of large numbers for a needle; as a sum of minors it is not.
+//
+// `area`: where antialiased dL / d ln opacity, else 0. The opacity has a factor (det(cov - dilation) / det cov)^(1/2): its
+// denominator takes `area` off H's diagonal, its numerator is the sum of the squared minors.
 FootprintGradient footprint_backward(Footprint f, vec3 column_0, vec3 column_1, vec3 column_2, vec2 tangent, vec2 focal,
-                                     vec2 h1, vec3 h2) {
+                                     vec2 h1, vec3 h2, float area) {
     vec3 root = footprint_root(f, 1.0);
     float c = f.yy + f.dilation;
     vec3 e_x = focal.x * (vec3(column_0.x, column_1.x, column_2.x) - tangent.x * vec3(column_0.z, column_1.z, column_2.z));
@@ -29,7 +32,7 @@ FootprintGradient footprint_backward(Footprint f, vec3 column_0, vec3 column_1, 
     vec3 y = f.scale * vec3(f.m0.y, f.m1.y, f.m2.y);
     vec3 p_u = (f.dilation * e_x + cross(y, f.minor)) / (sqrt(c) * sqrt(f.det));
     vec3 p_v = e_y / sqrt(c);
-    vec3 h = TWO_LN_2 * h2;
+    vec3 h = TWO_LN_2 * h2 - vec3(area, 0.0, area);
     vec3 hp_u = h.x * p_u + h.y * p_v;
     vec3 hp_v = h.y * p_u + h.z * p_v;
     vec3 n_u = f.scale * p_u;
@@ -48,6 +51,16 @@ FootprintGradient footprint_backward(Footprint f, vec3 column_0, vec3 column_1, 
     vec3 depth = f.scale * vec3(column_0.z, column_1.z, column_2.z);
     vec2 weighted = vec2(dot(depth, hn_u), dot(depth, hn_v));
     o.tangent = -focal * vec2(root.x * weighted.x, root.y * weighted.x + root.z * weighted.y);
+    if (area != 0.0) {
+        float share = area / f.minors;
+        vec3 squares = f.scale * f.scale;
+        vec3 opposite = squares.yzx * squares.zxy; // what a minor has of the scales
+        o.relative += share * (f.minors - opposite * f.minor * f.minor);
+        o.local += share * f.minor.yzx * f.minor.zxy * squares * ((second - first) * (second + first));
+        vec3 pull = share * focal.x * focal.y * opposite * f.minor;
+        o.tangent += vec2(dot(pull, vec3(column_0.x, column_1.x, column_2.x)),
+                          dot(pull, vec3(column_0.y, column_1.y, column_2.y)));
+    }
     return o;
 }
 

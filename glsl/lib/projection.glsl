@@ -39,6 +39,7 @@ struct Footprint {
     float inverse_unit; // 2^-k
     float dilation;
     float xx, xy, yy;   // without dilation
+    float minors;       // det without dilation
     float det;          // with dilation
 };
 
@@ -66,6 +67,7 @@ Footprint footprint_of(vec3 column_0, vec3 column_1, vec3 column_2, vec3 scale, 
     float xy = m0.x * m0.y + m1.x * m1.y + m2.x * m2.y;
     float yy = m0.y * m0.y + m1.y * m1.y + m2.y * m2.y;
     float minors = minor_12 * minor_12 + minor_20 * minor_20 + minor_01 * minor_01;
+    f.minors = minors;
     f.det = minors + dilation * (xx + yy) + dilation * dilation;
     f.m0 = m0;
     f.m1 = m1;

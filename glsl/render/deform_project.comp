@@ -6,7 +6,8 @@
 //   mean(t) = Exp(r) mean + tau, R(t) = Exp(r) R(q / |q|), (r, tau) interpolated between two keys;
 //   with soft superpoints: weighted means of these over K superpoints (lib/superpoint_motion.glsl);
 //   with non-rigid offsets: mean(t) + dx, norm(Exp(r) q / |q| + dq), exp(log_scale) + ds;
-//   cov = J W R S S R' W' J' + 0.3 I with J at the clamped tangents; colour = max(0, 0.5 + sum of SH), not rotated.
+//   cov = J W R S S R' W' J' + 0.3 I with J at the clamped tangents; opacity, where antialiased, times the root of
+//   det(cov - 0.3 I) / det(cov); colour = max(0, 0.5 + sum of SH), not rotated.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -24,6 +25,7 @@ layout(constant_id = 7) const uint SH_STORAGE = 0; // 0 f32, 1 f16, 2 u8 with a 
 layout(constant_id = 8) const uint MEAN_STORAGE = 0; // 0 f32, 1 unorm16 with a range per coordinate
 layout(constant_id = 9) const uint OPTIONAL = 0; // HAS_* of the optional parameters
 layout(constant_id = 10) const uint BLEND = 0; // see lib/superpoint_motion.glsl
+layout(constant_id = 11) const uint ANTIALIASED = 0; // 1: splats keep their weight where they are wider than the Gaussian
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
@@ -172,7 +174,7 @@ bool place_centre(uint g, uint n, out float logit, out vec3 d, out vec4 turn, ou
     return usable;
 }
 
-// The ellipse of the splat, but for its opacity, and the variance along x in units of the footprint.
+// The ellipse of the splat, its opacity where antialiased, and the variance along x in units of the footprint.
 bool project_shape(uint g, uint n, vec4 turn, vec3 p, inout Ellipse e, out float variance_x) {
     variance_x = 0.0;
     Shape shape;
@@ -194,6 +196,11 @@ bool project_shape(uint g, uint n, vec4 turn, vec3 p, inout Ellipse e, out float
         e.l12 = root.y;
         e.l22 = root.z;
         variance_x = root.w;
+        uint antialiased = ANTIALIASED;
+        if (antialiased == 1u) {
+            // A Gaussian without an area on screen has no opacity: minus infinity.
+            e.log2_opacity += 0.5 * log2(footprint.minors / footprint.det);
+        }
         bool finite_mean = is_finite(vec3(e.mean, 0.0));
         bool finite_root = is_finite(root.xyz);
         bool positive = all(greaterThan(root.xz, vec2(0.0)));
@@ -270,7 +277,7 @@ uint project(uint g, uint n, out uint tiles) {
     }
     if (outcome == VISIBLE) {
         e.log2_opacity = round_opacity(e.log2_opacity);
-        if (reaches_image(e, variance_x)) {
+        if (ellipse_threshold(e) > 0.0 && reaches_image(e, variance_x)) {
             rows = tile_row_range(e, frame.size);
         }
         outcome = rows.x < rows.y ? VISIBLE : CULLED;

@@ -15,6 +15,7 @@ layout(constant_id = 4) const uint OUTPUT = 0;    // 0 gradients, 1 Adam
 layout(constant_id = 5) const uint MEAN_GRADIENT = 0; // 1: mean_gradient, of other losses, is added
 layout(constant_id = 6) const uint OPTIONAL = 0;  // HAS_* of the optional parameters
 layout(constant_id = 7) const uint BLEND = 0;     // see lib/superpoint_motion.glsl
+layout(constant_id = 8) const uint ANTIALIASED = 0; // 1: as in deform_project
 
 #define STEP_BINDING 1
 #define STATUS_BINDING 3
@@ -254,7 +255,9 @@ Gradient geometry_backward(uint g, uint n, vec3 canonical, vec3 d, vec4 turn, Sh
     uint row = 12u * g;
     vec2 h1 = vec2(splat_gradient[row + 1u], splat_gradient[row + 2u]);
     vec3 h2 = vec3(splat_gradient[row + 3u], splat_gradient[row + 4u], splat_gradient[row + 5u]);
-    FootprintGradient f = footprint_backward(footprint, column_0, column_1, column_2, tangent, focal, h1, h2);
+    uint antialiased = ANTIALIASED;
+    float area = antialiased == 1u ? splat_gradient[row] : 0.0;
+    FootprintGradient f = footprint_backward(footprint, column_0, column_1, column_2, tangent, focal, h1, h2, area);
     if (step_data.density_statistics > 0.0) {
         gather_statistics(g, n, f.mean2d, footprint_radius(footprint));
     }

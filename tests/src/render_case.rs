@@ -72,6 +72,8 @@ pub struct RenderInput {
     pub nonrigid_offset: Vec<f32>,
     /// Optional parameters.
     pub optional: Optional,
+    /// Whether splats keep the weight of their Gaussians.
+    pub antialiased: bool,
 }
 
 impl RenderInput {
@@ -94,6 +96,7 @@ impl RenderInput {
             blend: None,
             nonrigid_offset: Vec::new(),
             optional: Optional::default(),
+            antialiased: false,
         }
     }
 
@@ -113,8 +116,14 @@ impl RenderInput {
         self
     }
 
-    /// Gives it `superpoints` random poses at two keys.
+    /// Lets splats keep the weight of their Gaussians.
     #[must_use]
+    pub fn antialiased(mut self) -> Self {
+        self.antialiased = true;
+        self
+    }
+
+    /// Gives it `superpoints` random poses at two keys.
     pub fn moving(mut self, superpoints: u32, seed: u64) -> Self {
         let mut r = Random(seed);
         self.superpoints = superpoints;
@@ -200,6 +209,7 @@ impl RenderInput {
             sh_degree: self.degree,
             sh: sh.collect(),
             optional: self.optional.clone(),
+            antialiased: self.antialiased,
         };
         if self.pose.is_empty() {
             return Scene { gaussians, ..Scene::default() };
@@ -233,6 +243,7 @@ impl RenderInput {
             nonrigid: nonrigid.into(),
             optional: self.optional.present().0,
             blend: self.blend_slots(),
+            antialiased: self.antialiased.into(),
             ..DeformProjectConstants::default()
         };
         let [blend_index, blend_weight] = self.blend_words();

@@ -85,6 +85,8 @@ fn deform_project_of_random_gaussians() {
         assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("non-rigid, n = {n}"));
         let soft = input.clone().soft(2 + i % 3, 21 + i as u64);
         assert_deform_project(&soft.deform_project(&frame).run(&gpu), n, &format!("soft superpoints, n = {n}"));
+        let antialiased = soft.antialiased();
+        assert_deform_project(&antialiased.deform_project(&frame).run(&gpu), n, &format!("antialiased, n = {n}"));
         let input = input.with_optional(17 + i as u64);
         assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("optional parameters, n = {n}"));
     }
@@ -325,6 +327,7 @@ fn images_agree_with_the_reference() {
             let soft = moving.clone().soft(neighbors, 5);
             assert_close_to_reference(gpu, &soft, &test_camera(97, 160), &format!("{neighbors} soft superpoints"));
         }
+        assert_close_to_reference(gpu, &moving.clone().antialiased(), &test_camera(40, 30), "antialiased");
         let mut off_centre = test_camera(120, 90);
         (off_centre.cx, off_centre.cy, off_centre.fy) = (20.0, 100.0, 1.3 * off_centre.fy);
         assert_close_to_reference(gpu, &moving, &off_centre, "principal point off centre");
@@ -338,6 +341,7 @@ fn images_agree_with_the_reference() {
             needles.log_scale[800 + g] = if g % 2 == 0 { -9.0 } else { -1.0 };
         }
         assert_close_to_reference(gpu, &needles, &test_camera(200, 200), "needles and plates");
+        assert_close_to_reference(gpu, &needles.antialiased(), &test_camera(200, 200), "antialiased needles and plates");
         let mut huge = RenderInput::random(60, 1, 9);
         for g in 0..60 {
             huge.opacity_logit[g] = -3.5;

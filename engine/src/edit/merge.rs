@@ -38,6 +38,11 @@ pub fn merge(scene: &mut Scene, mut other: Scene, placement: &Placement) -> Resu
         let found = format!("{offset}+{rate}t");
         return Err(Error::usage("merge, time", found, "finite numbers, and a rate other than 0"));
     }
+    if scene.gaussians.antialiased != other.gaussians.antialiased {
+        let say = |antialiased: bool| if antialiased { "an antialiased scene" } else { "a scene that is not antialiased" };
+        let [found, expected] = [&other, &*scene].map(|s| say(s.gaussians.antialiased));
+        return Err(Error::usage("merge", found, expected));
+    }
     transform(&mut other, &mask, &placement.place)?;
     if other.is_dynamic() && placement.time != [1.0, 0.0] {
         retime(&mut other, &mask, TimeMap::Linear { rate: rate.recip(), offset: -offset / rate })?;

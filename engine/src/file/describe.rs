@@ -64,6 +64,8 @@ pub struct Description {
     pub gaussians: usize,
     /// SH degree.
     pub sh_degree: u32,
+    /// Whether splats keep the weight of Gaussians smaller than a pixel.
+    pub antialiased: bool,
     /// Gaussians that cannot be rendered.
     pub rejected: Rejected,
     /// Per parameter, over the valid Gaussians.
@@ -133,6 +135,7 @@ pub fn describe(path: &Path) -> Result<Description> {
         bytes,
         gaussians,
         sh_degree: scene.gaussians.sh_degree,
+        antialiased: scene.gaussians.antialiased,
         rejected: loaded.rejected,
         statistics: statistics(&scene.gaussians),
         bounds: bounds(&scene.gaussians.mean),
@@ -250,7 +253,8 @@ impl fmt::Display for Description {
         if self.format == Format::Torch {
             return self.tensors_and_warnings(f);
         }
-        writeln!(f, "Gaussians       {} (SH degree {})", self.gaussians, self.sh_degree)?;
+        let antialiased = if self.antialiased { ", antialiased" } else { "" };
+        writeln!(f, "Gaussians       {} (SH degree {}{antialiased})", self.gaussians, self.sh_degree)?;
         let r = &self.rejected;
         if r.total() > 0 {
             write!(

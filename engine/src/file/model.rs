@@ -46,6 +46,8 @@ pub use write::write;
 pub const FORMAT: &str = "spgs";
 /// Value of the metadata entry `version`; other versions are refused.
 pub const VERSION: &str = "1";
+/// Metadata entry: `true` where [`Gaussians::antialiased`](crate::scene::Gaussians::antialiased), else absent.
+const ANTIALIASED: &str = "antialiased";
 
 /// A tensor as the header describes it.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]

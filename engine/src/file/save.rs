@@ -109,6 +109,9 @@ fn lost(output: Output, scene: &Scene) -> Vec<String> {
         lost.push(format!("SH degrees 1 to {degree}"));
     }
     lost.extend(scene.gaussians.optional.iter().map(|(parameter, _)| format!("{}s", PARAMETERS[parameter].name)));
+    if scene.gaussians.antialiased && !matches!(output, Output::Spz(_)) {
+        lost.push("that it is antialiased".into());
+    }
     lost.extend(scene.deformation.parts().into_iter().map(String::from));
     lost.extend((!scene.extra.is_empty()).then(|| "further tensors".into()));
     lost.extend((!scene.metadata.is_empty()).then(|| "metadata".into()));

@@ -112,6 +112,25 @@ fn poisoned() -> (Scene, usize) {
 }
 
 #[test]
+fn formats_keep_that_a_scene_is_antialiased_or_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut scene = Scene { gaussians: gaussians(5, 1), ..Scene::default() };
+    scene.gaussians.antialiased = true;
+    let warnings = save(&folder.path().join("a.ply"), &scene).unwrap();
+    assert!(warnings.len() == 1 && warnings[0].contains("antialiased"), "{warnings:?}");
+    for name in ["a.safetensors", "a.spz"] {
+        assert!(save(&folder.path().join(name), &scene).unwrap().is_empty());
+        assert!(load(&folder.path().join(name)).unwrap().scene.gaussians.antialiased, "{name}");
+    }
+    assert_eq!(load(&folder.path().join("a.safetensors")).unwrap().scene, scene);
+    scene.metadata.insert("antialiased".into(), "maybe".into());
+    scene.gaussians.antialiased = false;
+    save(&folder.path().join("b.safetensors"), &scene).unwrap();
+    let error = load(&folder.path().join("b.safetensors")).unwrap_err().to_string();
+    assert!(error.contains("antialiased") && error.contains("maybe"), "{error}");
+}
+
+#[test]
 fn formats_without_lifespans_say_so() {
     let folder = tempfile::tempdir().unwrap();
     let mut scene = Scene { gaussians: gaussians(5, 1), ..Scene::default() };

@@ -133,6 +133,8 @@ pub struct Gaussians64 {
     pub sh: Vec<f64>,
     /// What only some scenes have.
     pub optional: Optional<f64>,
+    /// [`Gaussians::antialiased`].
+    pub antialiased: bool,
 }
 
 impl From<&Gaussians> for Gaussians64 {
@@ -146,6 +148,7 @@ impl From<&Gaussians> for Gaussians64 {
             sh_degree: g.sh_degree,
             sh: g.sh.iter().map(|&x| x.into()).collect(),
             optional: g.optional.map(f64::from),
+            antialiased: g.antialiased,
         }
     }
 }
@@ -161,6 +164,7 @@ impl Gaussians64 {
             sh_degree: self.sh_degree,
             sh: self.sh.iter().map(|&x| x as f32).collect(),
             optional: self.optional.map(|x| x as f32),
+            antialiased: self.antialiased,
         }
     }
 }

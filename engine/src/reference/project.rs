@@ -17,6 +17,7 @@ pub struct Parameters<'a, T> {
     sh_degree: u32,
     sh: &'a [T],
     optional: &'a Optional<T>,
+    antialiased: bool,
 }
 
 macro_rules! borrow_parameters {
@@ -31,6 +32,7 @@ macro_rules! borrow_parameters {
                     sh_degree: g.sh_degree,
                     sh: &g.sh,
                     optional: &g.optional,
+                    antialiased: g.antialiased,
                 }
             }
         }
@@ -159,8 +161,13 @@ pub fn project<T: Copy + Into<f64>>(
         return None;
     }
     let axes = camera.rotation * rotation;
-    let (covariance, determinant) = covariance_2d(p, axes, scale, camera);
+    let (covariance, determinant, own) = covariance_2d(p, axes, scale, camera);
     let [a, b, c] = covariance;
+    let opacity = if parameters.antialiased { opacity * (own / determinant).sqrt() } else { opacity };
+    // Not phrased like the test above: NaN is found below.
+    if opacity < ALPHA_MIN {
+        return None;
+    }
     let sh = parameters.sh_values();
     let splat = Splat {
         mean: DVec2::new(camera.fx * (p.x / p.z) + camera.cx, camera.fy * (p.y / p.z) + camera.cy),
@@ -176,10 +183,10 @@ pub fn project<T: Copy + Into<f64>>(
     (finite && splat.factor.iter().chain(&splat.color).all(|x| x.is_finite())).then_some(splat)
 }
 
-/// Σ₂ = M Mᵀ + 0.3·I as [a, b, c], and its determinant, with M = J·axes·diag(scale) (2×3).
+/// Σ₂ = M Mᵀ + 0.3·I as [a, b, c], its determinant and that of M Mᵀ, with M = J·axes·diag(scale) (2×3).
 ///
 /// det(M Mᵀ) is the sum of the squared 2×2 minors of M (Cauchy–Binet): nothing cancels, so needles keep their width.
-fn covariance_2d(p: DVec3, axes: DMat3, scale: [f64; 3], camera: &Camera) -> ([f64; 3], f64) {
+fn covariance_2d(p: DVec3, axes: DMat3, scale: [f64; 3], camera: &Camera) -> ([f64; 3], f64, f64) {
     let (x_min, x_max) = tangent_limit(camera.width, camera.fx, camera.cx);
     let (y_min, y_max) = tangent_limit(camera.height, camera.fy, camera.cy);
     let x = (p.x / p.z).max(x_min).min(x_max);
@@ -195,6 +202,7 @@ fn covariance_2d(p: DVec3, axes: DMat3, scale: [f64; 3], camera: &Camera) -> ([f
     let sum = |f: fn(DVec2) -> f64| m.iter().map(|&v| f(v)).sum::<f64>();
     let (a, b, c) = (sum(|v| v.x * v.x), sum(|v| v.x * v.y), sum(|v| v.y * v.y));
     let minor = |j: usize, k: usize| (d[j].perp_dot(d[k]) * scale[j] * scale[k]).powi(2);
-    let det = minor(0, 1) + minor(0, 2) + minor(1, 2) + DILATION * (a + c) + DILATION * DILATION;
-    ([a + DILATION, b, c + DILATION], det)
+    let own = minor(0, 1) + minor(0, 2) + minor(1, 2);
+    let det = own + DILATION * (a + c) + DILATION * DILATION;
+    ([a + DILATION, b, c + DILATION], det, own)
 }

@@ -161,6 +161,7 @@ fn deform_project(
         mean_storage: mean_storage::constant(quality.position),
         optional: scene.present.0,
         blend: scene.deformation.blend_slots(),
+        antialiased: scene.antialiased.into(),
     };
     r.dispatch(&DEFORM_PROJECT, constants, push, buffers, groups)
 }

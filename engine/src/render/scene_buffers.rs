@@ -35,6 +35,8 @@ pub(crate) struct SceneBuffers {
     pub(crate) parameter: Vec<Buffer>,
     /// Optional parameters that the scene has.
     pub(crate) present: Present,
+    /// [`Gaussians::antialiased`].
+    pub(crate) antialiased: bool,
     /// Their planes, `[planes][N]`, one parameter after another.
     pub(crate) optional: Option<Buffer>,
 }
@@ -86,6 +88,7 @@ impl SceneBuffers {
             rejected,
             parameter,
             present: g.optional.present(),
+            antialiased: g.antialiased,
             optional: optional_buffer(gpu, &g.optional)?,
         })
     }

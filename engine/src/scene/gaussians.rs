@@ -28,6 +28,10 @@ pub struct Gaussians {
     pub sh: Vec<f32>,
     /// What only some scenes have.
     pub optional: Optional,
+    /// Whether a splat keeps the weight of its Gaussian where the 0.3 px² added to its covariance Σ₂ make it wider: its opacity
+    /// is multiplied by √(det(Σ₂ − 0.3·I) / det Σ₂). A matter of how the Gaussians were trained (gsplat's rasterisation mode
+    /// `antialiased`; the 2-D filter of Mip-Splatting, Yu et al. 2024, with its width of 0.3).
+    pub antialiased: bool,
 }
 
 /// An array of [`Gaussians`]: name, shape, values.
@@ -94,6 +98,7 @@ impl Gaussians {
             sh_degree: self.sh_degree,
             sh,
             optional: self.optional.selected(indices),
+            antialiased: self.antialiased,
         }
     }
 
@@ -136,6 +141,7 @@ impl Gaussians {
             sh_degree,
             sh: required("sh", &[n, Some(k), Some(3)])?,
             optional: Optional::default(),
+            antialiased: false,
         };
         for (parameter, p) in PARAMETERS.iter().enumerate().skip(REQUIRED) {
             if let Some(values) = take(p.export, &[n, Some(p.width as usize)], false)? {

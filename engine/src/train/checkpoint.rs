@@ -92,7 +92,7 @@ impl Checkpoint {
             return Err(wrong("sh_degree", sh_degree.to_string()));
         }
         let in_file = |error: Error| Problem::from(error).corrupt(path);
-        let (parameters, saved) = parameters(Saved(tensors), sh_degree).map_err(in_file)?;
+        let (parameters, saved) = parameters(Saved(tensors), sh_degree, config.gaussians.antialiased).map_err(in_file)?;
         let checkpoint = Self { config, stage, iteration, parameters, saved };
         // What it moves by is read for its errors.
         deformation::of_checkpoint(&checkpoint.stored()).map_err(in_file)?;
@@ -149,10 +149,11 @@ fn parameter_tensors(p: &ParameterState) -> Vec<NamedTensor<'_>> {
 }
 
 /// The Gaussians' part, and what is left.
-fn parameters(mut saved: Saved, sh_degree: u32) -> Result<(ParameterState, Saved)> {
+fn parameters(mut saved: Saved, sh_degree: u32, antialiased: bool) -> Result<(ParameterState, Saved)> {
     let gaussians = Gaussians::from_arrays(sh_degree, |name, shape, required| {
         if !required && !saved.has(name) { Ok(None) } else { saved.shaped(name, shape).map(Some) }
     })?;
+    let gaussians = Gaussians { antialiased, ..gaussians };
     let (n, planes) = (gaussians.len(), planes(sh_degree, gaussians.optional.present()) as usize);
     let parameters = ParameterState {
         moment_1: saved.floats("moment_1", Some(planes * n))?,

@@ -121,6 +121,9 @@ pub struct GaussiansConfig {
     pub max_points: u32,
     /// Opacity of the first Gaussians (3DGS: 0.1).
     pub initial_opacity: f32,
+    /// Whether splats keep the weight of Gaussians smaller than a pixel ([`Gaussians::antialiased`](crate::scene::Gaussians)):
+    /// for a model that is shown at other sizes than its photos'. Paper and code: no.
+    pub antialiased: bool,
 }
 
 /// The non-rigid stage (network G).

@@ -55,6 +55,8 @@ crate::gpu_constants! {
         optional,
         /// K of soft superpoints, 2 to 4, or 0 ([`crate::render::superpoint_motion`]).
         blend,
+        /// 1: [`Gaussians::antialiased`](crate::scene::Gaussians::antialiased).
+        antialiased,
     }
 }
 

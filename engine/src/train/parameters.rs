@@ -98,6 +98,7 @@ impl Parameters {
             rejected: Rejected::default(),
             parameter: PARAMETERS.iter().enumerate().take(REQUIRED).map(parameter).collect::<Result<_>>()?,
             present: g.optional.present(),
+            antialiased: g.antialiased,
             optional: optional_buffer(gpu, &g.optional)?,
         };
         Ok(Self {
@@ -141,15 +142,16 @@ impl Parameters {
             Some(buffer) => words::<f32>(gpu, buffer, n * s.present.planes() as usize)?,
             None => Vec::new(),
         };
-        Gaussians::from_parameters(self.sh_degree, s.present, |i| {
+        let made = Gaussians::from_parameters(self.sh_degree, s.present, |i| {
             let (p, count) = (&PARAMETERS[i], n * PARAMETERS[i].width as usize);
             let first = n * s.present.planes_before(i) as usize;
             let words = match s.parameter.get(i) {
                 Some(buffer) => words(gpu, buffer, count)?,
                 None => optional.get(first..first + count).unwrap_or_default().to_vec(),
             };
-            Ok(p.from_device(words))
-        })
+            Ok::<_, Error>(p.from_device(words))
+        })?;
+        Ok(Gaussians { antialiased: s.antialiased, ..made })
     }
 }
 

@@ -160,6 +160,7 @@ impl Trainer {
         let most = config.budget.max_gaussians as usize;
         let mut first = if first.len() > most { thinned(first, most) } else { first.clone() };
         first.optional.add(Present::of_names(&config.gaussians.optional)?, first.mean.len());
+        first.antialiased = config.gaussians.antialiased;
         let state = ParameterState::new(&first, config.gaussians.sh_degree);
         Self::assemble(gpu, config, data, stage, 0, &state)
     }

@@ -94,6 +94,7 @@ pub(super) fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64)
             mean_gradient: (seed % 2) as u32,
             optional: input.optional.present().0,
             blend: input.blend_slots(),
+            antialiased: input.antialiased.into(),
         },
         push: (),
         buffers: Buffers {

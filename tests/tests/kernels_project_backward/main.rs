@@ -68,12 +68,14 @@ fn assert_gradients(result: &KernelResult<DeformProjectBackward>, input: &Render
     println!("{context}: {visible} of {n} visible;{line}");
 }
 
-/// Static, moving, non-rigid, both, moving with all optional parameters, and by soft superpoints with and without offsets.
-fn variants(n: usize, degree: u32, seed: u64) -> [(&'static str, RenderInput); 7] {
+/// Static, moving, non-rigid, both, moving with all optional parameters, antialiased with offsets, and by soft superpoints with and
+/// without offsets.
+fn variants(n: usize, degree: u32, seed: u64) -> [(&'static str, RenderInput); 8] {
     let input = RenderInput::random(n, degree, seed);
     let moving = input.clone().moving(5, seed + 1);
     let both = moving.clone().nonrigid(seed + 2);
     let soft = moving.clone().soft(2 + seed as usize % 3, seed + 5);
+    let antialiased = both.clone().antialiased();
     let soft_both = both.clone().soft(3, seed + 6);
     let optional = moving.clone().with_optional(seed + 4);
     [
@@ -82,6 +84,7 @@ fn variants(n: usize, degree: u32, seed: u64) -> [(&'static str, RenderInput); 7
         ("non-rigid", input.nonrigid(seed + 3)),
         ("both", both),
         ("optional parameters", optional),
+        ("antialiased", antialiased),
         ("soft superpoints", soft),
         ("soft superpoints, non-rigid", soft_both),
     ]
@@ -230,7 +233,7 @@ fn adam_takes_the_step_of_the_gradient() {
         // Each is two pipelines, which take seconds to compile: all with all bands, and each with one of the others; in small,
         // the last.
         let of_degree = |v: usize| {
-            if tests_harness::small() { v == 6 } else { degree == 3 || v % 3 == degree as usize }
+            if tests_harness::small() { v == 7 } else { degree == 3 || v % 3 == degree as usize }
         };
         let all = variants(n, degree, 40 + u64::from(degree)).into_iter().enumerate();
         for (_, (what, input)) in all.filter(|(v, _)| of_degree(*v)) {

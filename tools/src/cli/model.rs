@@ -61,5 +61,8 @@ pub fn describe(scene: &Scene) -> String {
     if scene.deformation.network().is_some() {
         text += ", network F";
     }
+    if scene.gaussians.antialiased {
+        text += ", antialiased";
+    }
     text
 }

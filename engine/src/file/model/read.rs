@@ -5,7 +5,7 @@ use std::path::Path;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
-use super::{FORMAT, VERSION, deformation};
+use super::{ANTIALIASED, FORMAT, VERSION, deformation};
 use crate::error::{Error, Result};
 use crate::file::tensors::{check_format, own_metadata, parse_header};
 use crate::file::{check, checksum};
@@ -23,13 +23,24 @@ pub(super) fn model(bytes: &[u8], path: &Path) -> Result<(Scene, Vec<String>)> {
     let parsed = SafeTensors::deserialize(bytes)
         .map_err(|e| Error::corrupt(path, "byte 0 (header)", e.to_string(), "a safetensors header"))?;
     let mut tensors = Tensors { map: parsed.tensors().into_iter().collect(), path };
-    let gaussians = gaussians(&mut tensors)?;
+    let mut gaussians = gaussians(&mut tensors)?;
     let deformation = deformation::read(&mut tensors, gaussians.len())?;
     let extra = tensors.rest(&mut warnings)?;
-    let metadata = own_metadata(metadata);
+    let mut metadata = own_metadata(metadata);
+    gaussians.antialiased = antialiased(metadata.remove(ANTIALIASED).as_deref(), path)?;
     let scene = Scene { gaussians, deformation, extra, metadata };
     check::scene(&scene).map_err(|problem| problem.corrupt(path))?;
     Ok((scene, warnings))
+}
+
+fn antialiased(entry: Option<&str>, path: &Path) -> Result<bool> {
+    match entry {
+        None | Some("false") => Ok(false),
+        Some("true") => Ok(true),
+        Some(other) => {
+            Err(Error::corrupt(path, format!("metadata entry `{ANTIALIASED}`"), format!("`{other}`"), "`true` or `false`"))
+        }
+    }
 }
 
 /// The tensors not taken yet.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{FORMAT, VERSION, deformation};
+use super::{ANTIALIASED, FORMAT, VERSION, deformation};
 use crate::error::Result;
 use crate::file::check;
 use crate::file::tensors::{self, NamedTensor, floats};
@@ -44,7 +44,11 @@ use crate::scene::Scene;
 /// [`crate::Error::Usage`] naming the tensor when the scene is inconsistent; [`crate::Error::Io`].
 pub fn write(path: &Path, scene: &Scene) -> Result<()> {
     check::scene(scene).map_err(|problem| problem.usage(path))?;
-    tensors::write(path, [FORMAT, VERSION], tensors(scene), &scene.metadata)
+    let mut metadata = scene.metadata.clone();
+    if scene.gaussians.antialiased {
+        metadata.insert(ANTIALIASED.into(), "true".into());
+    }
+    tensors::write(path, [FORMAT, VERSION], tensors(scene), &metadata)
 }
 
 fn tensors(scene: &Scene) -> Vec<NamedTensor<'_>> {

@@ -177,9 +177,6 @@ fn unzstd(stream: &[u8], size: usize, at: usize, path: &Path) -> Result<Vec<u8>>
 fn warnings(header: &Header, extensions: Extensions, path: &Path) -> Vec<String> {
     let name = path.display();
     let mut warnings = Vec::new();
-    if header.flags & ANTIALIASED != 0 {
-        warnings.push(format!("{name}: trained with an antialiased rasteriser: small Gaussians look larger here"));
-    }
     warnings.extend(extensions.left_out.iter().map(|what| format!("{name}: {what} is left out")));
     if header.degree > MAX_SH_DEGREE {
         warnings.push(format!("{name}: SH degree {} is left out above {MAX_SH_DEGREE}", header.degree));
@@ -189,6 +186,7 @@ fn warnings(header: &Header, extensions: Extensions, path: &Path) -> Vec<String>
 
 fn decode(header: &Header, from: &Attributes<'_>, extensions: &Extensions) -> Gaussians {
     let mut out = allocate(header.count, header.degree.min(MAX_SH_DEGREE));
+    out.antialiased = header.flags & ANTIALIASED != 0;
     let k3 = out.sh_coefficients() * 3;
     let stored = 3 * ((header.degree + 1) * (header.degree + 1) - 1) as usize;
     let unit = 1.0 / f64::from(1u32 << header.fractional_bits);

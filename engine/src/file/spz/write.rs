@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::Path;
 
-use super::{COLOR_SCALE, HEADER_4, MAGIC, PART_MAX, flip_axes};
+use super::{ANTIALIASED, COLOR_SCALE, HEADER_4, MAGIC, PART_MAX, flip_axes};
 use crate::error::{Error, Result};
 use crate::file::check;
 use crate::file::codec::{morton_order, sigmoid, smallest_three, to_byte, unit};
@@ -39,7 +39,7 @@ pub fn write(path: &Path, gaussians: &Gaussians, version: Version) -> Result<()>
     header.extend(MAGIC);
     header.extend((if version == Version::Three { 3u32 } else { 4 }).to_le_bytes());
     header.extend((g.len() as u32).to_le_bytes());
-    header.extend([g.sh_degree as u8, bits, 0]);
+    header.extend([g.sh_degree as u8, bits, if g.antialiased { ANTIALIASED } else { 0 }]);
     match version {
         Version::Three => write_atomic(path, |out| {
             header.push(0);

@@ -69,6 +69,7 @@ fn one(gaussians: &Gaussians64, deformation: &DeformationAt<'_>, i: usize) -> On
         poses: deformation.weighted_poses(i),
         offset: deformation.offsets.map(|offsets| offsets[i]),
         optional: gaussians.optional.selected(&[i]),
+        antialiased: gaussians.antialiased,
     }
 }
 

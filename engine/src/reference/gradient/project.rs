@@ -9,6 +9,12 @@
 //! - by a right tangent of the rotation about axis k: (sᵢ² − sⱼ²)·pᵢᵀHpⱼ with i, j, k cyclic (0 for a sphere, exactly);
 //! - through z of 1/z in J: −Σ nₖᵀHnₖ / z; through the tangents x/z, y/z of J: −f/z·Lᵀ Σ sₖaₖ.z·Hnₖ, 0 where clamped.
 //!
+//! Antialiased, the opacity has a factor √(det(MMᵀ) / det Σ₂), of whose logarithm g = Σh is the gradient:
+//!
+//! - its denominator takes g off the diagonal of H;
+//! - det(MMᵀ) = Σ (mₖsᵢsⱼ)² with the minors mₖ = fₓf_y/z²·(x/z, y/z, 1)·aₖ gives dL/d ln sₖ = g·(1 − (mₖsᵢsⱼ)² / det), about axis k
+//!   g·mᵢmⱼ·sₖ²(sⱼ² − sᵢ²) / det, and by the tangents g·Σ mₖ(sᵢsⱼ)²·fₓf_y/z²·aₖ.xy / det.
+//!
 //! The first component of L·eₖ is (δ·eₖ.x + Σⱼ sⱼ²eⱼ.y·(eₖ × eⱼ)) / √(c·det): the difference l₁₁eₖ.x + l₁₂eₖ.y of two large
 //! numbers, for a needle, written as a sum of minors.
 
@@ -74,6 +80,8 @@ pub struct OneGaussian {
     pub offset: Option<Offset>,
     /// Its optional parameters.
     pub optional: Optional<f64>,
+    /// [`Gaussians::antialiased`](crate::scene::Gaussians::antialiased).
+    pub antialiased: bool,
 }
 
 /// Gradients of one Gaussian.
@@ -159,16 +167,20 @@ pub fn backward(g: &OneGaussian, view: &View, splat: &SplatGradient, color: [f64
     let axis = |k: usize| view.focal / p.z * (axes.col(k).truncate() - tangent * axes.col(k).z);
     let w = whiten([axis(0), axis(1), axis(2)], scale);
 
+    let area = if g.antialiased { splat.h } else { 0.0 };
     let [uu, uv, vv] = splat.second;
+    let (uu, vv) = (uu - area, vv - area);
     let times_h = |a: DVec2| DVec2::new(uu * a.x + uv * a.y, uv * a.x + vv * a.y);
     let times_factor = |a: DVec2| DVec2::new(w.factor.x * a.x, w.factor.y * a.x + w.factor.z * a.y);
     let mean2d = times_factor(DVec2::from_array(splat.first));
-    let relative: [f64; 3] = std::array::from_fn(|k| scale[k] * scale[k] * w.axes[k].dot(times_h(w.axes[k])));
+    let without = own_area(axes, scale, tangent, view.focal / p.z, area);
+    let relative: [f64; 3] =
+        std::array::from_fn(|k| scale[k] * scale[k] * w.axes[k].dot(times_h(w.axes[k])) + without.relative[k]);
     let turn_about =
         |i: usize, j: usize| (scale[i] - scale[j]) * (scale[i] + scale[j]) * w.axes[i].dot(times_h(w.axes[j]));
-    let local = DVec3::new(turn_about(1, 2), turn_about(2, 0), turn_about(0, 1));
+    let local = DVec3::new(turn_about(1, 2), turn_about(2, 0), turn_about(0, 1)) + without.local;
     let depth_weighted: DVec2 = (0..3).map(|k| times_h(w.axes[k]) * (scale[k] * scale[k] * axes.col(k).z)).sum();
-    let mut slope_gradient = -view.focal / p.z * times_factor(depth_weighted);
+    let mut slope_gradient = -view.focal / p.z * times_factor(depth_weighted) + without.tangent;
     let inside = |at: f64, low: f64, high: f64| f64::from(u8::from(at > low && at < high));
     slope_gradient *= DVec2::new(inside(slope.x, x_min, x_max), inside(slope.y, y_min, y_max));
     slope_gradient += view.focal * mean2d;
@@ -194,6 +206,36 @@ pub fn backward(g: &OneGaussian, view: &View, splat: &SplatGradient, color: [f64
         offset: Offset { mean: moved.to_array(), rotation: rotation.offset, scale: free },
         optional: optional_gradient(g, view.time, splat.h),
         variance: w.variance,
+    }
+}
+
+/// What the area of a Gaussian without dilation passes on.
+#[derive(Default)]
+struct AreaGradient {
+    relative: [f64; 3],
+    local: DVec3,
+    tangent: DVec2,
+}
+
+/// `g`: dL/d ln √det(MMᵀ); `focal`: over z.
+fn own_area(axes: DMat3, scale: [f64; 3], tangent: DVec2, focal: DVec2, g: f64) -> AreaGradient {
+    if g == 0.0 {
+        return AreaGradient::default();
+    }
+    let ray = tangent.extend(1.0);
+    let minor: [f64; 3] = std::array::from_fn(|k| focal.x * focal.y * axes.col(k).dot(ray));
+    let opposite: [f64; 3] = std::array::from_fn(|k| (scale[(k + 1) % 3] * scale[(k + 2) % 3]).powi(2));
+    let squared: [f64; 3] = std::array::from_fn(|k| minor[k] * minor[k] * opposite[k]);
+    let share = g / squared.iter().sum::<f64>();
+    let about = |k: usize| {
+        let [i, j] = [(k + 1) % 3, (k + 2) % 3];
+        share * minor[i] * minor[j] * scale[k] * scale[k] * (scale[j] - scale[i]) * (scale[j] + scale[i])
+    };
+    let pull: DVec3 = (0..3).map(|k| axes.col(k) * (minor[k] * opposite[k])).sum();
+    AreaGradient {
+        relative: std::array::from_fn(|k| share * (squared[(k + 1) % 3] + squared[(k + 2) % 3])),
+        local: DVec3::new(about(0), about(1), about(2)),
+        tangent: share * focal.x * focal.y * pull.truncate(),
     }
 }
 

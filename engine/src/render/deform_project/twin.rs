@@ -70,8 +70,8 @@ fn sh_sum(b: &Inputs<'_>, constants: &DeformProjectConstants, n: usize, g: usize
     sum
 }
 
-/// Cholesky root (l11, l12, l22) of the conic and the variance along x. See the shader.
-fn conic_root(columns: [[f32; 3]; 3], scale: [f32; 3], tangent: [f32; 2], focal: [f32; 2]) -> [f32; 4] {
+/// Cholesky root (l11, l12, l22) of the conic, the variance along x, and det(Σ₂ − 0.3·I) / det Σ₂. See the shader.
+fn conic_root(columns: [[f32; 3]; 3], scale: [f32; 3], tangent: [f32; 2], focal: [f32; 2]) -> [f32; 5] {
     let mut m: [[f32; 2]; 3] = std::array::from_fn(|k| {
         std::array::from_fn(|i| scale[k] * focal[i] * (columns[k][i] - tangent[i] * columns[k][2]))
     });
@@ -94,7 +94,7 @@ fn conic_root(columns: [[f32; 3]; 3], scale: [f32; 3], tangent: [f32; 2], focal:
     let c = yy + dilation;
     let k = ROOT_HALF_LOG2_E * inverse_unit;
     let variance_x = (xx + dilation) / (inverse_unit * inverse_unit);
-    [k * (c / det).sqrt(), -k * xy / (c.sqrt() * det.sqrt()), k / c.sqrt(), variance_x]
+    [k * (c / det).sqrt(), -k * xy / (c.sqrt() * det.sqrt()), k / c.sqrt(), variance_x, minors / det]
 }
 
 fn reaches_image(e: &Ellipse, variance_x: f32, width: u32) -> bool {
@@ -191,7 +191,7 @@ fn project(b: &Inputs<'_>, frame: &Frame, constants: &DeformProjectConstants, g:
     }
     let in_front = p[2] > frame.near;
     let log2_opacity = -(1.0 + (-logit).exp()).log2() + log2_share(b, constants, frame, n, g);
-    let mut e = Ellipse { log2_opacity, ..Ellipse::NONE }.with_constants(constants.alpha_cut, constants.tile_cull);
+    let e = Ellipse { log2_opacity, ..Ellipse::NONE }.with_constants(constants.alpha_cut, constants.tile_cull);
     let bright = e.threshold() > 0.0;
     if !in_front || !bright {
         return Outcome::Culled;
@@ -204,13 +204,14 @@ fn project(b: &Inputs<'_>, frame: &Frame, constants: &DeformProjectConstants, g:
     let tangent = [slope[0].max(limit[0]).min(limit[1]), slope[1].max(limit[2]).min(limit[3])];
     let [fx, fy, cx, cy] = frame.intrinsics;
     let root = conic_root(columns, scale.map(|s| s / p[2]), tangent, [fx, fy]);
-    e = Ellipse { mean: [fx * slope[0] + cx, fy * slope[1] + cy], l11: root[0], l12: root[1], l22: root[2], ..e };
+    let log2_opacity = if constants.antialiased == 1 { log2_opacity + 0.5 * root[4].log2() } else { log2_opacity };
+    let mut e = Ellipse { mean: [fx * slope[0] + cx, fy * slope[1] + cy], l11: root[0], l12: root[1], l22: root[2], ..e };
     let positive = root[0] > 0.0 && root[2] > 0.0;
     if !e.mean.iter().chain(&root[..3]).all(|v| v.is_finite()) || !positive {
         return Outcome::Rejected;
     }
     e = Ellipse { log2_opacity: round_opacity(packing, log2_opacity), ..e };
-    let rows = if reaches_image(&e, root[3], frame.size[0]) { e.tile_row_range(frame.size) } else { [0, 0] };
+    let rows = if e.threshold() > 0.0 && reaches_image(&e, root[3], frame.size[0]) { e.tile_row_range(frame.size) } else { [0, 0] };
     if rows[0] >= rows[1] {
         return Outcome::Culled;
     }

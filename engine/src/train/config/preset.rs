@@ -174,6 +174,7 @@ impl Default for GaussiansConfig {
             optional: Vec::new(),
             max_points: 200_000,
             initial_opacity: 0.1,
+            antialiased: false,
         }
     }
 }

@@ -52,6 +52,7 @@ impl ProjectBackward<'_> {
             mean_gradient: u32::from(self.model.mean_gradient.is_some()),
             optional: scene.present.0,
             blend: scene.deformation.blend_slots(),
+            antialiased: scene.antialiased.into(),
         };
         let groups = u64::from(scene.gaussians.div_ceil(DEFORM_PROJECT_BACKWARD_THREADS).max(1));
         r.dispatch(&DEFORM_PROJECT_BACKWARD, constants, (), self.buffers(), Groups::Direct(groups))

@@ -34,6 +34,7 @@ struct Job {
     with_mean_gradient: bool,
     optional: Present,
     blend: u32,
+    antialiased: bool,
 }
 
 pub(super) fn deform_project_backward_twin(call: Call<'_, DeformProjectBackward>) {
@@ -51,6 +52,7 @@ pub(super) fn deform_project_backward_twin(call: Call<'_, DeformProjectBackward>
         with_mean_gradient: constants.mean_gradient == 1,
         optional: Present(constants.optional),
         blend: constants.blend,
+        antialiased: constants.antialiased == 1,
     };
     if b.counters[COUNT_FAILED as usize] != 0 {
         return;
@@ -169,6 +171,7 @@ impl Job {
             poses,
             offset,
             optional,
+            antialiased: self.antialiased,
         };
         let long = one.rotation.iter().map(|x| x * x).sum::<f64>() > 1e-24;
         let sane = one.mean.is_finite() && one.log_scale.iter().all(|s| s.abs() <= 30.0) && long;

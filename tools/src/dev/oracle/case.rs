@@ -181,6 +181,7 @@ pub fn load(path: &Path) -> Result<OracleCase> {
         sh_degree,
         sh: file.floats("sh", &[n, Some(sh_count), Some(3)])?,
         optional: Optional::default(),
+        antialiased: false,
         mean,
     };
     let view = file.floats("viewmat", &[Some(4), Some(4)])?;

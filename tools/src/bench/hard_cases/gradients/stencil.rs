@@ -49,6 +49,7 @@ impl Scene64 {
             sh_degree,
             sh: (0..n * sh).map(|_| r.range(-0.7, 0.7)).collect(),
             optional: random_optional(n, seed).map(f64::from),
+            antialiased: seed % 3 == 2,
         };
         let pose = |r: &mut Random| {
             let size = [1.0e-9, 1.0e-3, 0.3, 2.0][r.below(4)];
