@@ -341,7 +341,12 @@ fn images_agree_with_the_reference() {
             needles.log_scale[800 + g] = if g % 2 == 0 { -9.0 } else { -1.0 };
         }
         assert_close_to_reference(gpu, &needles, &test_camera(200, 200), "needles and plates");
-        assert_close_to_reference(gpu, &needles.antialiased(), &test_camera(200, 200), "antialiased needles and plates");
+        assert_close_to_reference(
+            gpu,
+            &needles.antialiased(),
+            &test_camera(200, 200),
+            "antialiased needles and plates",
+        );
         let mut huge = RenderInput::random(60, 1, 9);
         for g in 0..60 {
             huge.opacity_logit[g] = -3.5;

@@ -39,7 +39,8 @@ pub fn merge(scene: &mut Scene, mut other: Scene, placement: &Placement) -> Resu
         return Err(Error::usage("merge, time", found, "finite numbers, and a rate other than 0"));
     }
     if scene.gaussians.antialiased != other.gaussians.antialiased {
-        let say = |antialiased: bool| if antialiased { "an antialiased scene" } else { "a scene that is not antialiased" };
+        let say =
+            |antialiased: bool| if antialiased { "an antialiased scene" } else { "a scene that is not antialiased" };
         let [found, expected] = [&other, &*scene].map(|s| say(s.gaussians.antialiased));
         return Err(Error::usage("merge", found, expected));
     }

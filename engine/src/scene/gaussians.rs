@@ -239,6 +239,7 @@ impl Gaussians {
 
     /// Adds those of `other` in `range`. The lower SH degree of the two is raised, with zeros.
     pub(crate) fn append(&mut self, other: &Self, range: Range<usize>) {
+        self.antialiased = if self.is_empty() { other.antialiased } else { self.antialiased };
         self.raise_degree(other.sh_degree);
         self.mean.extend_from_slice(&other.mean[range.clone()]);
         self.log_scale.extend_from_slice(&other.log_scale[range.clone()]);

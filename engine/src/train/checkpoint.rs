@@ -92,7 +92,8 @@ impl Checkpoint {
             return Err(wrong("sh_degree", sh_degree.to_string()));
         }
         let in_file = |error: Error| Problem::from(error).corrupt(path);
-        let (parameters, saved) = parameters(Saved(tensors), sh_degree, config.gaussians.antialiased).map_err(in_file)?;
+        let (parameters, saved) =
+            parameters(Saved(tensors), sh_degree, config.gaussians.antialiased).map_err(in_file)?;
         let checkpoint = Self { config, stage, iteration, parameters, saved };
         // What it moves by is read for its errors.
         deformation::of_checkpoint(&checkpoint.stored()).map_err(in_file)?;

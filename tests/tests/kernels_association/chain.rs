@@ -55,7 +55,8 @@ impl Case {
             (first, own_sum, 2, logit)
         } else {
             let (residual, logit) = chain.residual(None);
-            let constants = SuperpointSumConstants { pair_values: 9, own_first: 3, own_values: 6, own_row: 9, ..MOMENTS };
+            let constants =
+                SuperpointSumConstants { pair_values: 9, own_first: 3, own_values: 6, own_row: 9, ..MOMENTS };
             let sums = chain.sum(constants, &residual);
             (sums.clone(), sums, 1, logit)
         };
@@ -158,7 +159,8 @@ impl<'a> Chain<'a> {
         for (by_subgroup, ranges) in [(false, 1), (true, 1), (false, 2), (true, 2), (true, 0)] {
             let constants = SuperpointSumConstants { by_subgroup: by_subgroup.into(), ranges, ..constants };
             let groups = groups(by_subgroup, self.gpu.subgroup_size_of(&SUPERPOINT_SUM), m as u32);
-            let buffers = SuperpointSumBuffers { superpoint_range: (ranges > 0).then(|| stored.clone()), ..buffers.clone() };
+            let buffers =
+                SuperpointSumBuffers { superpoint_range: (ranges > 0).then(|| stored.clone()), ..buffers.clone() };
             let case = KernelCase { kernel: &SUPERPOINT_SUM, constants, push, buffers, groups };
             let done = case.check(self.gpu, &format!("{}, {constants:?}", self.context));
             (sums, stored) = (done.superpoint_sum, done.superpoint_range.unwrap_or(stored));

@@ -37,9 +37,12 @@ fn antialiased(entry: Option<&str>, path: &Path) -> Result<bool> {
     match entry {
         None | Some("false") => Ok(false),
         Some("true") => Ok(true),
-        Some(other) => {
-            Err(Error::corrupt(path, format!("metadata entry `{ANTIALIASED}`"), format!("`{other}`"), "`true` or `false`"))
-        }
+        Some(other) => Err(Error::corrupt(
+            path,
+            format!("metadata entry `{ANTIALIASED}`"),
+            format!("`{other}`"),
+            "`true` or `false`",
+        )),
     }
 }
 

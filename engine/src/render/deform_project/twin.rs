@@ -205,13 +205,18 @@ fn project(b: &Inputs<'_>, frame: &Frame, constants: &DeformProjectConstants, g:
     let [fx, fy, cx, cy] = frame.intrinsics;
     let root = conic_root(columns, scale.map(|s| s / p[2]), tangent, [fx, fy]);
     let log2_opacity = if constants.antialiased == 1 { log2_opacity + 0.5 * root[4].log2() } else { log2_opacity };
-    let mut e = Ellipse { mean: [fx * slope[0] + cx, fy * slope[1] + cy], l11: root[0], l12: root[1], l22: root[2], ..e };
+    let mut e =
+        Ellipse { mean: [fx * slope[0] + cx, fy * slope[1] + cy], l11: root[0], l12: root[1], l22: root[2], ..e };
     let positive = root[0] > 0.0 && root[2] > 0.0;
     if !e.mean.iter().chain(&root[..3]).all(|v| v.is_finite()) || !positive {
         return Outcome::Rejected;
     }
     e = Ellipse { log2_opacity: round_opacity(packing, log2_opacity), ..e };
-    let rows = if e.threshold() > 0.0 && reaches_image(&e, root[3], frame.size[0]) { e.tile_row_range(frame.size) } else { [0, 0] };
+    let rows = if e.threshold() > 0.0 && reaches_image(&e, root[3], frame.size[0]) {
+        e.tile_row_range(frame.size)
+    } else {
+        [0, 0]
+    };
     if rows[0] >= rows[1] {
         return Outcome::Culled;
     }

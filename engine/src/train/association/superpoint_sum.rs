@@ -133,7 +133,8 @@ fn superpoint_sum_twin(call: Call<'_, SuperpointSum>) {
                 addend[0] = a;
                 (0..3).for_each(|c| addend[1 + c] = a * twin::f32_at(b.mean, c * n + i));
             }
-            (0..pair_values).for_each(|c| addend[FIRST_PAIR_VALUE + c] = a * twin::f32_at(pair_data, pair_values * i + c));
+            (0..pair_values)
+                .for_each(|c| addend[FIRST_PAIR_VALUE + c] = a * twin::f32_at(pair_data, pair_values * i + c));
         }
         if addend.iter().all(|v| v.is_finite()) {
             total[b.pair_key[p] as usize].iter_mut().zip(addend).for_each(|(t, v)| *t += f64::from(v));
