@@ -254,7 +254,12 @@ void main() {
     uint at = min(i, n - 1u);
     vec3 x = vec3(mean[at], mean[n + at], mean[2u * n + at]);
     uint nearest[MAX_NEIGHBORS];
-    find_nearest(x, upper_bound(x, at * slots), nearest);
+    // Its row is another thread's, too: it looks for nothing.
+    float bound = 0.0;
+    if (i < n) {
+        bound = upper_bound(x, i * slots);
+    }
+    find_nearest(x, bound, nearest);
     if (i < n) {
         update_row(i * slots, nearest);
         write_weights(i, i * slots, nearest);

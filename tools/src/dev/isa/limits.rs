@@ -27,12 +27,6 @@ pub const EXCEPTIONS: &[Exception] = &[
         floor: 2.0,
         why: "128 of 256 registers hold a Gaussian's parameters and their gradients at SH degree 3 for the fused Adam step",
     },
-    Exception {
-        target: "radv_vega10",
-        kernel: "property_residual",
-        floor: 2.0,
-        why: "128 of 256 registers hold the poses of a Gaussian's five superpoints; read twice they would cost more",
-    },
 ];
 
 const SHARED_ON_GCN: &str = "16 KiB of shared memory for two waves, of which a compute unit has 64 KiB for four SIMDs: \

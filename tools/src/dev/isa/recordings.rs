@@ -90,6 +90,9 @@ fn frames(gpu: &Gpu) -> Result<()> {
     for scene in [&moving, &nonrigid] {
         draw(gpu, &soft(scene), &RenderOptions::default())?;
     }
+    let mut antialiased = moving.clone();
+    antialiased.gaussians.antialiased = true;
+    draw(gpu, &antialiased, &RenderOptions::default())?;
     for (_, quality) in Quality::PRESETS {
         let options = RenderOptions { quality, ..RenderOptions::default() };
         for degree in 0..4 {
@@ -180,6 +183,7 @@ fn variants(base: &Config) -> Vec<Config> {
         with(|c| c.gaussians.optional = PARAMETERS[REQUIRED..].iter().map(|p| p.name.to_owned()).collect()),
         with(|c| (c.motion.neighbors, c.motion.association_slots) = (1, 1)),
         with(|c| c.motion.blend = SOFT as u32),
+        with(|c| c.gaussians.antialiased = true),
         with(|c| (c.motion.network_layers, c.motion.network_width) = (2, 32)),
     ];
     for degree in 0..3 {

@@ -117,7 +117,8 @@ impl Device<'_> {
         let groups = engine::gpu::Groups::Direct((n as u64).div_ceil(256));
         r.dispatch(&PROPERTY_VALUES, (), (), buffers, groups)?;
         self.gpu.run(r)?;
-        out.outputs.insert("out_mean_t", rows(&floats(self.gpu, &values, 3 * n)?));
+        let values = floats(self.gpu, &values, 9 * n)?;
+        out.outputs.insert("out_mean_t", values.chunks_exact(9).flat_map(|row| row[..3].to_vec()).collect());
         Ok(())
     }
 }
