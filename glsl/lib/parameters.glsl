@@ -3,7 +3,7 @@
 #ifndef SPGS_PARAMETERS
 #define SPGS_PARAMETERS
 
-const uint PARAMETERS = 9u;
+const uint PARAMETERS = 10u;
 const uint PARAMETER_MEAN = 0u;
 const uint PLANE_MEAN = 0u;
 const uint PARAMETER_LOG_SCALE = 1u;
@@ -27,5 +27,8 @@ const uint PLANE_OPTIONAL = 59u;
 const uint PARAMETER_LIFESPAN = 8u;
 const uint HAS_LIFESPAN = 1u;
 #define OPTIONAL_LIFESPAN(has) (0u)
+const uint PARAMETER_SMOOTHING = 9u;
+const uint HAS_SMOOTHING = 2u;
+#define OPTIONAL_SMOOTHING(has) (0u + (((has) & 1u) != 0u ? 2u : 0u))
 
 #endif

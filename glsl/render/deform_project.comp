@@ -7,7 +7,7 @@
 //   with soft superpoints: weighted means of these over K superpoints (lib/superpoint_motion.glsl);
 //   with non-rigid offsets: mean(t) + dx, norm(Exp(r) q / |q| + dq), exp(log_scale) + ds;
 //   cov = J W R S S R' W' J' + 0.3 I with J at the clamped tangents; opacity, where antialiased, times the root of
-//   det(cov - 0.3 I) / det(cov); colour = max(0, 0.5 + sum of SH), not rotated.
+//   det(cov - 0.3 I) / det(cov); with a smoothing, S'S + smoothing^2 for S'S, and the integral stays; colour = max(0, 0.5 + sum of SH), not rotated.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -38,6 +38,7 @@ layout(constant_id = 11) const uint ANTIALIASED = 0; // 1: splats keep their wei
 #include "lib/projection.glsl"
 #include "lib/parameters.glsl"
 #include "lib/lifespan.glsl"
+#include "lib/smoothing.glsl"
 
 layout(std430, set = 0, binding = 1) readonly buffer MeanBlock { uint mean[]; };
 layout(std430, set = 0, binding = 2) readonly buffer LogScaleBlock { float log_scale[]; };
@@ -174,11 +175,25 @@ bool place_centre(uint g, uint n, out float logit, out vec3 d, out vec4 turn, ou
     return usable;
 }
 
-// The ellipse of the splat, its opacity where antialiased, and the variance along x in units of the footprint.
+// Blurs a Gaussian by its smoothing; false when that is unusable.
+bool smooth_shape(uint g, uint n, inout Shape shape, inout float log2_opacity) {
+    bool usable = true;
+    uint has = OPTIONAL;
+    if ((has & HAS_SMOOTHING) != 0u) {
+        float sigma = optional[OPTIONAL_SMOOTHING(has) * n + g];
+        usable = abs(sigma) <= MAX_SCALE;
+        vec3 share;
+        shape.scale = smoothed(shape.scale, sigma, share);
+        log2_opacity += 0.5 * (log2(share.x) + log2(share.y) + log2(share.z));
+    }
+    return usable;
+}
+
+// The ellipse of the splat, its opacity where smoothed or antialiased, and the variance along x in units of the footprint.
 bool project_shape(uint g, uint n, vec4 turn, vec3 p, inout Ellipse e, out float variance_x) {
     variance_x = 0.0;
     Shape shape;
-    bool usable = place_shape(g, n, turn, shape);
+    bool usable = place_shape(g, n, turn, shape) && smooth_shape(g, n, shape, e.log2_opacity);
     if (usable) {
         vec3 axis_0;
         vec3 axis_1;

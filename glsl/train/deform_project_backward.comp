@@ -29,6 +29,7 @@ layout(constant_id = 8) const uint ANTIALIASED = 0; // 1: as in deform_project
 #include "lib/sh.glsl"
 #include "lib/projection.glsl"
 #include "lib/lifespan.glsl"
+#include "lib/smoothing.glsl"
 
 layout(std430, set = 0, binding = 2) readonly buffer CountersBlock { uint counters[]; };
 layout(std430, set = 0, binding = 4) readonly buffer SplatsBlock { vec4 splats[]; };
@@ -70,6 +71,8 @@ struct Gradient {
     vec3 translation; // of the moved centre
     vec4 offset_q;
     vec3 offset_s;
+    float smoothing;
+    float sampling; // px per world unit at the centre
 };
 
 // What every number of the Gaussian needs.
@@ -251,7 +254,15 @@ Gradient geometry_backward(uint g, uint n, vec3 canonical, vec3 d, vec4 turn, Sh
     vec2 focal = frame.intrinsics.xy;
     vec2 slope = p.xy / p.z;
     vec2 tangent = min(max(slope, frame.tan_limit.xz), frame.tan_limit.yw);
-    Footprint footprint = footprint_of(column_0, column_1, column_2, shape.scale / p.z, tangent, focal);
+    float sigma = 0.0;
+    vec3 share = vec3(1.0);
+    vec3 scale = shape.scale;
+    uint has = OPTIONAL;
+    if ((has & HAS_SMOOTHING) != 0u) {
+        sigma = optional[OPTIONAL_SMOOTHING(has) * n + g];
+        scale = smoothed(shape.scale, sigma, share);
+    }
+    Footprint footprint = footprint_of(column_0, column_1, column_2, scale / p.z, tangent, focal);
     uint row = 12u * g;
     vec2 h1 = vec2(splat_gradient[row + 1u], splat_gradient[row + 2u]);
     vec3 h2 = vec3(splat_gradient[row + 3u], splat_gradient[row + 4u], splat_gradient[row + 5u]);
@@ -270,7 +281,12 @@ Gradient geometry_backward(uint g, uint n, vec3 canonical, vec3 d, vec4 turn, Sh
     vec3 moved = rows * p_gradient + direction;
 
     Gradient o;
-    vec3 free = f.relative / shape.scale; // dL / d standard deviation
+    // Blurred, s' follows s by (s / s')^2, and the opacity, by Pi s / s', the rest of the way.
+    vec3 relative = share * f.relative + (1.0 - share) * splat_gradient[row];
+    o.sampling = max(focal.x, focal.y) / p.z;
+    vec3 per_sigma = sigma / (scale * scale);
+    o.smoothing = dot(f.relative - splat_gradient[row], per_sigma);
+    vec3 free = relative / shape.scale; // dL / d standard deviation
     vec3 local = f.local;
     o.offset_q = vec4(0.0);
     uint nonrigid = NONRIGID;
@@ -281,7 +297,7 @@ Gradient geometry_backward(uint g, uint n, vec3 canonical, vec3 d, vec4 turn, Sh
         local = quaternion_tangent(shape.rigid, o.offset_q);
     }
     o.offset_s = free;
-    o.log_scale = nonrigid == 1u ? free * shape.own : f.relative;
+    o.log_scale = nonrigid == 1u ? free * shape.own : relative;
     o.rotation = quaternion_gradient(shape.unit, shape.norm, local);
     o.translation = moved;
     o.mean = moved;
@@ -416,8 +432,21 @@ void apply_optional(inout Target t, uint plane, float slope, float rate) {
     }
 }
 
+// Measures the smoothing. The first moment, which nothing else uses, keeps the most pixels per world unit that a photo had;
+// where `rate` is 1 the smoothing follows from that, and it is measured anew.
+void measure_smoothing(Target t, uint plane, float sampling) {
+    uint at = plane * t.n + t.g;
+    uint moment = (PLANE_OPTIONAL + plane) * t.n + t.g;
+    float most = number_is_finite(sampling) ? max(moment_1[moment], sampling) : moment_1[moment];
+    bool now = step_data.rate[PARAMETER_SMOOTHING] == 1.0 && most > 0.0;
+    if (now) {
+        optional[at] = ROOT_FILTER_VARIANCE / most;
+    }
+    moment_1[moment] = now ? 0.0 : most;
+}
+
 // Optional parameters. opacity: dL / d ln opacity.
-void optional_backward(inout Target t, float opacity) {
+void optional_backward(inout Target t, float opacity, Gradient o) {
     uint has = OPTIONAL;
     if ((has & HAS_LIFESPAN) != 0u) {
         uint plane = OPTIONAL_LIFESPAN(has);
@@ -429,6 +458,16 @@ void optional_backward(inout Target t, float opacity) {
         apply_optional(t, plane, seen ? opacity * x * exp(-log_length) : 0.0, rate);
         apply_optional(t, plane + 1u, seen ? opacity * x * x : 0.0, rate);
         report(t, PARAMETER_LIFESPAN);
+    }
+    if ((has & HAS_SMOOTHING) != 0u) {
+        uint plane = OPTIONAL_SMOOTHING(has);
+        uint kind = OUTPUT;
+        if (kind == 0u) {
+            apply_optional(t, plane, o.smoothing, 0.0);
+            report(t, PARAMETER_SMOOTHING);
+        } else {
+            measure_smoothing(t, plane, o.sampling);
+        }
     }
 }
 
@@ -456,7 +495,7 @@ void main() {
         float distance = sqrt(dot(d, d));
         vec3 view = d / distance;
         vec3 along = sh_backward(t, view, colour);
-        Gradient o = Gradient(vec3(0.0), vec3(0.0), vec4(0.0), 0.0, vec3(0.0), vec3(0.0), vec4(0.0), vec3(0.0));
+        Gradient o = Gradient(vec3(0.0), vec3(0.0), vec4(0.0), 0.0, vec3(0.0), vec3(0.0), vec4(0.0), vec3(0.0), 0.0, 0.0);
         if (visible) {
             vec3 direction = (along - view * dot(view, along)) / distance;
             o = geometry_backward(g, n, canonical, d, turn, shape, direction);
@@ -466,7 +505,7 @@ void main() {
             o.mean += vec3(mean_gradient[g], mean_gradient[n + g], mean_gradient[2u * n + g]);
         }
         apply_geometry(t, canonical, o);
-        optional_backward(t, visible ? splat_gradient[12u * g] : 0.0);
+        optional_backward(t, visible ? splat_gradient[12u * g] : 0.0, o);
         uint motion = MOTION;
         if (motion == 1u) {
             write_pose_gradient(g, n, canonical, o);

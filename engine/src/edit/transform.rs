@@ -13,6 +13,7 @@ use super::similarity::Similarity;
 use super::split::{Moves, movable, split};
 use crate::error::{Error, Result};
 use crate::file::affine;
+use crate::scene::parameter::SMOOTHING;
 use crate::scene::{Gaussians, Scene};
 
 /// Changes the Gaussians of `mask` `[N]` by `s` in the world, at all times. Exact up to rounding to f32.
@@ -87,6 +88,8 @@ pub fn stretch(scene: &mut Scene, mask: &[bool], factors: DVec3, pivot: DVec3) -
 }
 
 fn stretch_gaussians(g: &mut Gaussians, mask: &[bool], map: &DAffine3) {
+    // A stretched smoothing is none.
+    g.fold_smoothing();
     let indices: Vec<usize> = (0..g.len()).filter(|&i| mask[i]).collect();
     let mut some = g.selected(&indices);
     // Colours stay.
@@ -112,6 +115,10 @@ pub(crate) fn change_gaussians<'a>(g: &mut Gaussians, mask: &[bool], of: impl Fn
             *rotation = [q.w, q.x, q.y, q.z].map(|c| c as f32);
         }
     });
+    if let Some(mut smoothing) = g.optional.take(SMOOTHING) {
+        smoothing.iter_mut().enumerate().filter(|(i, _)| mask[*i]).for_each(|(i, s)| *s *= of(i).scale as f32);
+        g.optional.set(SMOOTHING, smoothing);
+    }
 }
 
 pub(crate) fn point(x: &mut [f32; 3], s: &Similarity) {

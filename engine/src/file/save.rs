@@ -1,11 +1,12 @@
 //! Writing a model in the format of its file name.
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use super::{gltf, model, ply, sog, splat, spz};
 use crate::error::{Error, Result};
 use crate::scene::Scene;
-use crate::scene::parameter::PARAMETERS;
+use crate::scene::parameter::{PARAMETERS, SMOOTHING};
 
 /// Formats that can be written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -86,14 +87,18 @@ pub fn save(path: &Path, scene: &Scene) -> Result<Vec<String>> {
 /// # Errors
 /// As [`save`].
 pub fn save_as(path: &Path, scene: &Scene, output: Output) -> Result<Vec<String>> {
+    let mut gaussians = Cow::Borrowed(&scene.gaussians);
+    if !output.holds_motion() && scene.gaussians.optional.present().has(SMOOTHING) {
+        gaussians.to_mut().fold_smoothing();
+    }
     match output {
         Output::Safetensors => model::write(path, scene)?,
-        Output::Ply => ply::write(path, &scene.gaussians)?,
-        Output::CompressedPly => ply::write_compressed(path, &scene.gaussians)?,
-        Output::Splat => splat::write(path, &scene.gaussians)?,
-        Output::Spz(version) => spz::write(path, &scene.gaussians, version)?,
-        Output::Sog => sog::write(path, &scene.gaussians)?,
-        Output::Gltf => gltf::write(path, &scene.gaussians)?,
+        Output::Ply => ply::write(path, &gaussians)?,
+        Output::CompressedPly => ply::write_compressed(path, &gaussians)?,
+        Output::Splat => splat::write(path, &gaussians)?,
+        Output::Spz(version) => spz::write(path, &gaussians, version)?,
+        Output::Sog => sog::write(path, &gaussians)?,
+        Output::Gltf => gltf::write(path, &gaussians)?,
     }
     Ok(lost(output, scene))
 }
@@ -108,7 +113,8 @@ fn lost(output: Output, scene: &Scene) -> Vec<String> {
     if output == Output::Splat && degree > 0 {
         lost.push(format!("SH degrees 1 to {degree}"));
     }
-    lost.extend(scene.gaussians.optional.iter().map(|(parameter, _)| format!("{}s", PARAMETERS[parameter].name)));
+    let left_out = scene.gaussians.optional.present().iter().filter(|parameter| *parameter != SMOOTHING);
+    lost.extend(left_out.map(|parameter| format!("{}s", PARAMETERS[parameter].name)));
     if scene.gaussians.antialiased && !matches!(output, Output::Spz(_)) {
         lost.push("that it is antialiased".into());
     }

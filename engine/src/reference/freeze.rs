@@ -6,6 +6,7 @@ use super::deformation::place_scene;
 use super::motion::{DeformationAt, Offset, Placed, place_deformed};
 use super::project::Parameters;
 use crate::error::Result;
+use crate::scene::parameter::Optional;
 use crate::scene::{Gaussians, MotionSource, Scene};
 
 /// The Gaussians of `scene` where they are at `time`, networks F and G and deformation fields included. SH coefficients stay:
@@ -44,8 +45,10 @@ fn frozen(gaussians: &Gaussians, placed: &Placed, sizes_change: bool) -> Gaussia
         }
     }
     // What depended on time is in the opacity now.
-    if !std::mem::take(&mut gaussians.optional).is_empty() {
+    if !gaussians.optional.is_empty() {
         gaussians.opacity_logit = placed.opacity.iter().map(|o| (o / (1.0 - o)).ln() as f32).collect();
+        gaussians.fold_smoothing();
+        gaussians.optional = Optional::default();
     }
     for (i, (mean, rotation)) in placed.mean.iter().zip(&placed.rotation).enumerate() {
         gaussians.mean[i] = mean.as_vec3().to_array();

@@ -4,7 +4,7 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::{ALPHA_MIN, DILATION, Gaussians64, color_of};
 use crate::error::{Error, Result};
-use crate::scene::parameter::{LIFESPAN, Optional, PARAMETERS, Parameter, lifespan_share};
+use crate::scene::parameter::{LIFESPAN, Optional, PARAMETERS, Parameter, SMOOTHING, lifespan_share, smoothed};
 use crate::scene::{Camera, Gaussians};
 
 /// Borrowed Gaussian parameters of either precision; read as f64.
@@ -95,6 +95,13 @@ impl<T: Copy + Into<f64>> Parameters<'_, T> {
         self.log_scale[i].map(|s| s.into().exp())
     }
 
+    /// Standard deviations and opacity of Gaussian `i` with its smoothing, where it has one.
+    pub(super) fn smoothed(&self, i: usize, scale: [f64; 3], opacity: f64) -> ([f64; 3], f64) {
+        let Some(&[sigma]) = self.optional.row(SMOOTHING, i) else { return (scale, opacity) };
+        let (wide, share) = smoothed(scale, sigma.into());
+        (wide, opacity * share)
+    }
+
     /// `[K,3]` SH coefficients of Gaussian `i`, and their degree.
     pub(super) fn sh(&self, i: usize) -> (Vec<f64>, u32) {
         let count = self.sh_values();
@@ -160,6 +167,7 @@ pub fn project<T: Copy + Into<f64>>(
     if !(p.z > near && opacity >= ALPHA_MIN) {
         return None;
     }
+    let (scale, opacity) = parameters.smoothed(i, scale, opacity);
     let axes = camera.rotation * rotation;
     let (covariance, determinant, own) = covariance_2d(p, axes, scale, camera);
     let [a, b, c] = covariance;

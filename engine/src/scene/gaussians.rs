@@ -7,7 +7,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::parameter::{
-    LOG_SCALE, MEAN, OPACITY_LOGIT, Optional, PARAMETERS, Present, REQUIRED, ROTATION, SH_0, in_degree,
+    LOG_SCALE, MEAN, OPACITY_LOGIT, Optional, PARAMETERS, Present, REQUIRED, ROTATION, SH_0, SMOOTHING, in_degree,
+    smoothed,
 };
 
 /// N Gaussians. Names carry their transform: `log_scale` is exponentiated, `opacity_logit` goes through a sigmoid,
@@ -209,6 +210,19 @@ impl Gaussians {
         ((self.sh_degree + 1) * (self.sh_degree + 1)) as usize
     }
 
+    /// Makes scales and opacities of what the smoothing makes of them ([`smoothed`]), and leaves it out. Exact while nothing is
+    /// added to the scales.
+    pub fn fold_smoothing(&mut self) {
+        let Some(sigma) = self.optional.take(SMOOTHING) else { return };
+        for (i, sigma) in sigma.into_iter().enumerate() {
+            let scale = self.log_scale[i].map(|s| f64::from(s).exp());
+            let (wide, share) = smoothed(scale, sigma.into());
+            let opacity = share / (1.0 + (-f64::from(self.opacity_logit[i])).exp());
+            self.log_scale[i] = wide.map(|s| s.ln() as f32);
+            self.opacity_logit[i] = (opacity / (1.0 - opacity)).ln() as f32;
+        }
+    }
+
     /// Why Gaussian `i` cannot be rendered, if so; counts it in `rejected`. Conditions are phrased so that NaN fails.
     pub fn is_valid(&self, i: usize, rejected: &mut Rejected) -> bool {
         let k3 = self.sh_coefficients() * 3;
@@ -226,7 +240,8 @@ impl Gaussians {
             rejected.zero_rotation += 1;
             return false;
         }
-        if !self.log_scale[i].iter().all(|s| s.abs() <= MAX_ABS_LOG_SCALE) {
+        let smoothing = self.optional.row(SMOOTHING, i).map_or(0.0, |sigma| sigma[0].abs());
+        if !(self.log_scale[i].iter().all(|s| s.abs() <= MAX_ABS_LOG_SCALE) && smoothing <= MAX_ABS_LOG_SCALE.exp()) {
             rejected.absurd_scale += 1;
             return false;
         }

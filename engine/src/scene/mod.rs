@@ -12,6 +12,8 @@ pub mod synthetic;
 
 use std::collections::BTreeMap;
 
+use self::parameter::LIFESPAN;
+
 pub use camera::Camera;
 pub use deformation::{Deformation, SuperpointDeformation};
 pub use field::DeformationField;
@@ -45,7 +47,7 @@ pub struct Scene {
 impl Scene {
     /// Whether anything moves, comes or goes.
     pub fn is_dynamic(&self) -> bool {
-        self.deformation.moves() || !self.gaussians.optional.is_empty()
+        self.deformation.moves() || self.gaussians.optional.present().has(LIFESPAN)
     }
 
     /// First and last time: of what moves; 0 and 1 where Gaussians only come and go; both 0 in a scene that stands still.

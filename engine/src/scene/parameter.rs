@@ -32,6 +32,8 @@ pub enum Activation {
     SphericalHarmonics,
     /// [`lifespan_share`] of the opacity.
     Lifespan,
+    /// [`smoothed`].
+    Smoothing,
 }
 
 impl Activation {
@@ -44,6 +46,7 @@ impl Activation {
             Self::UnitQuaternion => "normalised",
             Self::SphericalHarmonics => "spherical harmonics",
             Self::Lifespan => "factor exp",
+            Self::Smoothing => "added in squares",
         }
     }
 }
@@ -94,6 +97,8 @@ pub const OPACITY_LOGIT: usize = 3;
 pub const SH_0: usize = 4;
 /// When a Gaussian is seen: the middle, and the log of the length (a standard deviation), both in units of time.
 pub const LIFESPAN: usize = 8;
+/// Standard deviation of a low-pass filter in space, world units: see [`smoothed`]. Training measures it, and does not learn it.
+pub const SMOOTHING: usize = 9;
 
 const PLAIN: Parameter = Parameter {
     name: "",
@@ -112,7 +117,7 @@ const SH: Parameter =
 
 /// Every parameter. What follows the SH bands is optional: a scene has it or not. On the device all optional ones that a scene
 /// has share a buffer of planes, and clones and children have their parent's.
-pub const PARAMETERS: [Parameter; 9] = [
+pub const PARAMETERS: [Parameter; 10] = [
     Parameter { name: "mean", width: 3, learning_rate: "mean", spatial: true, export: "mean", ..PLAIN },
     Parameter {
         name: "log_scale",
@@ -154,6 +159,7 @@ pub const PARAMETERS: [Parameter; 9] = [
         rate: 1e-3,
         ..PLAIN
     },
+    Parameter { name: "smoothing", activation: Activation::Smoothing, export: "smoothing", start: &[0.0], ..PLAIN },
 ];
 
 /// Parameters that every scene has: those up to the SH bands.
@@ -222,6 +228,13 @@ pub fn lifespan_share(middle: f64, log_length: f64, time: f64) -> f64 {
     (-0.5 * ((time - middle) * (-log_length).exp()).powi(2)).exp()
 }
 
+/// Standard deviations of a Gaussian blurred by an isotropic one of `sigma`, and what that leaves of its opacity, so that its
+/// integral stays: s'² = s² + σ², Π s / s' (the 3-D filter of Mip-Splatting, Yu et al. 2024, equation 7).
+pub fn smoothed(scale: [f64; 3], sigma: f64) -> ([f64; 3], f64) {
+    let wide = scale.map(|s| s.hypot(sigma));
+    (wide, (0..3).map(|k| scale[k] / wide[k]).product())
+}
+
 /// Which optional parameters a scene has: bit k is parameter [`REQUIRED`] + k.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct Present(pub u32);
@@ -230,16 +243,24 @@ impl Present {
     /// Those of these names.
     ///
     /// # Errors
-    /// `Usage` for the name of no optional parameter.
+    /// `Usage` for the name of no optional parameter that can be learnt.
     pub fn of_names(names: &[String]) -> Result<Self> {
         let mut made = Self::default();
         for name in names {
-            let place = PARAMETERS.iter().position(|p| p.name == name).filter(|place| *place >= REQUIRED);
-            let known = || PARAMETERS[REQUIRED..].iter().map(|p| p.name).collect::<Vec<_>>().join(", ");
+            let learnt = |place: &usize| *place >= REQUIRED && !PARAMETERS[*place].learning_rate.is_empty();
+            let place = PARAMETERS.iter().position(|p| p.name == name).filter(learnt);
+            let known = || (REQUIRED..PARAMETERS.len()).filter(learnt).map(|p| PARAMETERS[p].name);
+            let known = || known().collect::<Vec<_>>().join(", ");
             let place = place.ok_or_else(|| Error::usage("optional parameter", name.as_str(), known()))?;
-            made.0 |= 1 << (place - REQUIRED);
+            made = made.with(place);
         }
         Ok(made)
+    }
+
+    /// With this one too.
+    #[must_use]
+    pub fn with(self, parameter: usize) -> Self {
+        Self(self.0 | 1 << (parameter - REQUIRED))
     }
 
     /// Whether there is none.
@@ -316,6 +337,11 @@ impl<T: Copy> Optional<T> {
     pub fn row(&self, parameter: usize, i: usize) -> Option<&[T]> {
         let width = PARAMETERS[parameter].width as usize;
         self.get(parameter)?.get(i * width..(i + 1) * width)
+    }
+
+    /// Takes a parameter away from the Gaussians; what it was.
+    pub fn take(&mut self, parameter: usize) -> Option<Vec<T>> {
+        self.0.remove(&parameter)
     }
 
     /// Gives the Gaussians a parameter.
@@ -424,6 +450,10 @@ mod tests {
         assert!(lifespan.has(LIFESPAN) && !none.has(LIFESPAN) && !lifespan.has(MEAN));
         assert_eq!((first_plane(LIFESPAN, lifespan), planes(1, lifespan)), (59, 61));
         assert!(Present::of_names(&["mean".into()]).is_err());
+        let error = Present::of_names(&["smoothing".into()]).unwrap_err().to_string();
+        assert!(error.contains("expected lifespan"), "it is measured, not learnt: {error}");
+        let both = lifespan.with(SMOOTHING);
+        assert_eq!((first_plane(SMOOTHING, both), planes(1, both), both.planes()), (61, 62, 3));
         assert!(in_degree(SH_0, 0) && !in_degree(SH_0 + 1, 0) && in_degree(SH_0 + 3, 3) && in_degree(MEAN, 0));
     }
 
@@ -443,6 +473,15 @@ mod tests {
             assert!(p.layout == Layout::Planes && p.new_rows == NewRows::Copy, "{}", p.name);
             assert_eq!((p.start.len(), p.export), (p.width as usize, p.name));
         }
+    }
+
+    #[test]
+    fn a_blurred_gaussian_keeps_its_integral() {
+        let (wide, share) = smoothed([0.3, 2.0, 0.0], 0.4);
+        assert_eq!((wide[0], wide[2], share), (0.5, 0.4, 0.0));
+        let (wide, share) = smoothed([0.3, 2.0, 0.1], 0.4);
+        let product = |v: [f64; 3]| v.iter().product::<f64>();
+        assert!((share * product(wide) - product([0.3, 2.0, 0.1])).abs() < 1e-15);
     }
 
     #[test]

@@ -122,7 +122,9 @@ pub struct GaussiansConfig {
     /// Opacity of the first Gaussians (3DGS: 0.1).
     pub initial_opacity: f32,
     /// Whether splats keep the weight of Gaussians smaller than a pixel ([`Gaussians::antialiased`](crate::scene::Gaussians)):
-    /// for a model that is shown at other sizes than its photos'. Paper and code: no.
+    /// for a model that is shown at other sizes than its photos'. Training then measures each Gaussian's
+    /// [smoothing](crate::scene::parameter::SMOOTHING) too, each epoch: √0.2 px of the photo that shows it largest, at that photo's
+    /// time (Mip-Splatting, Yu et al. 2024). Paper and code: no.
     pub antialiased: bool,
 }
 

@@ -30,7 +30,7 @@ use crate::gpu::{Buffer, Gpu, Memory, Suite, Timing};
 use crate::render::frame::FrameOptions;
 use crate::render::work_buffers::COUNTER_WORDS;
 use crate::scene::Gaussians;
-use crate::scene::parameter::Present;
+use crate::scene::parameter::{Present, SMOOTHING};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -159,8 +159,11 @@ impl Trainer {
         let stage = if data.is_static || !config.motion.enabled { Stage::Static } else { Stage::Rigid };
         let most = config.budget.max_gaussians as usize;
         let mut first = if first.len() > most { thinned(first, most) } else { first.clone() };
-        first.optional.add(Present::of_names(&config.gaussians.optional)?, first.mean.len());
-        first.antialiased = config.gaussians.antialiased;
+        let mut present = Present::of_names(&config.gaussians.optional)?;
+        if config.gaussians.antialiased {
+            (first.antialiased, present) = (true, present.with(SMOOTHING));
+        }
+        first.optional.add(present, first.mean.len());
         let state = ParameterState::new(&first, config.gaussians.sh_degree);
         Self::assemble(gpu, config, data, stage, 0, &state)
     }
@@ -362,7 +365,11 @@ impl Trainer {
         let spacing = 1.0 / self.sampler.remaining(iteration) as f64;
         let noise =
             self.schedule.time_noise(iteration, spacing) * rng::normal(self.config.seed, TIME_STREAM, iteration);
-        Step { photo, ..self.schedule.step(iteration, Counts { gaussians, superpoints, slots }, [time + noise, time]) }
+        let counts = Counts { gaussians, superpoints, slots };
+        let mut step = Step { photo, ..self.schedule.step(iteration, counts, [time + noise, time]) };
+        // Measured over an epoch: every photo, at its time.
+        step.rate[SMOOTHING] = f32::from(u8::from(self.sampler.remaining(iteration) == 1));
+        step
     }
 
     /// The index of the target for an image size, made if need be.

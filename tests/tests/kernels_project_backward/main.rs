@@ -8,7 +8,7 @@ use engine::gpu::interface::Buffers as _;
 use engine::gpu::kernel::Access;
 use engine::render::limits::COUNT_FAILED;
 use engine::scene::Camera;
-use engine::scene::parameter::{PARAMETERS, Present, REQUIRED, first_plane, planes};
+use engine::scene::parameter::{PARAMETERS, Present, REQUIRED, SMOOTHING, first_plane, planes};
 use engine::train::deform_project_backward::{
     DEFORM_PROJECT_BACKWARD, DeformProjectBackward, OUTPUT_ADAM, OUTPUT_GRADIENT,
 };
@@ -246,7 +246,9 @@ fn adam_takes_the_step_of_the_gradient() {
             let present = input.optional.present();
             let mut culled_moved = 0;
             let of_kind = |(_, first, count): (_, usize, usize)| first..first + count;
-            let planes: Vec<usize> = kinds(&input).into_iter().flat_map(of_kind).collect();
+            // The smoothing is measured, not learnt.
+            let learnt = |(what, ..): &(&str, usize, usize)| *what != PARAMETERS[SMOOTHING].name;
+            let planes: Vec<usize> = kinds(&input).into_iter().filter(learnt).flat_map(of_kind).collect();
             for &p in &planes {
                 let rate = step.rate[parameter_of_plane(p, present)];
                 for g in 0..n {
@@ -272,7 +274,7 @@ fn adam_takes_the_step_of_the_gradient() {
                 assert!(culled_moved > planes.len(), "{what}: culled Gaussians move on");
             }
             // The step itself, not the value that hides it.
-            for (what, first, count) in kinds(&input) {
+            for (what, first, count) in kinds(&input).into_iter().filter(learnt) {
                 let steps = |after: &Buffers| -> Vec<f32> {
                     let one =
                         |p: usize, g: usize| parameter(after, present, p, n, g) - parameter(&before, present, p, n, g);
@@ -282,6 +284,45 @@ fn adam_takes_the_step_of_the_gradient() {
                 assert!(error < 1e-3 && cosine > 0.9999, "{what}: step differs by {error:e}, cosine {cosine}");
             }
         }
+    }
+}
+
+#[test]
+fn the_smoothing_follows_the_photo_that_shows_most() {
+    let gpu = tests_harness::shared_gpu();
+    let (n, camera) = (257, test_camera(120, 90));
+    let input = RenderInput::random(n, 3, 8).with_optional(11);
+    let present = input.optional.present();
+    let (moment, plane) = (first_plane(SMOOTHING, present) as usize, present.planes_before(SMOOTHING) as usize);
+    // Pixels per world unit of an earlier photo: every third Gaussian was seen larger, every third smaller, the others never.
+    let earlier = |g: usize| [1e4, 1.0, 0.0][g % 3];
+    for rate in [0.0, 1.0] {
+        let mut one = case(&input, &camera, OUTPUT_ADAM, 2);
+        let mut step = step(true);
+        step.rate[SMOOTHING] = rate;
+        one.buffers.step = bytemuck::cast_slice(&[step]).to_vec();
+        if let Some(words) = &mut one.buffers.moment_1 {
+            (0..n).for_each(|g| words[moment * n + g] = f32::to_bits(earlier(g)));
+        }
+        let before = one.buffers.clone();
+        let result = one.run(&gpu);
+        let mut measured = 0;
+        for g in 0..n {
+            let mean = DVec3::from_array(std::array::from_fn(|k| f64::from(input.mean[k * n + g])));
+            let z = (camera.rotation * (mean - camera.position)).z;
+            let now = if before.tile_count[g] > 0 { (camera.fx.max(camera.fy) / z) as f32 } else { 0.0 };
+            let most = now.max(earlier(g));
+            let turn = rate == 1.0 && most > 0.0;
+            let old = f32::from_bits(given(&before.optional)[plane * n + g]);
+            let expected = if turn { [0.2_f32.sqrt() / most, 0.0] } else { [old, most] };
+            for (side, b) in [("device", &result.gpu), ("twin", &result.twin)] {
+                let found = [given(&b.optional)[plane * n + g], given(&b.moment_1)[moment * n + g]].map(f32::from_bits);
+                let close = found.into_iter().zip(expected).all(|(f, e)| (f - e).abs() <= 1e-5 * e.abs());
+                assert!(close, "{side}, Gaussian {g}, rate {rate}: {found:?}, expected {expected:?}");
+            }
+            measured += usize::from(now > earlier(g));
+        }
+        assert!(measured > n / 4, "{measured} of {n} are shown larger than before");
     }
 }
 

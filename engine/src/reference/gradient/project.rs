@@ -15,6 +15,9 @@
 //! - det(MMᵀ) = Σ (mₖsᵢsⱼ)² with the minors mₖ = fₓf_y/z²·(x/z, y/z, 1)·aₖ gives dL/d ln sₖ = g·(1 − (mₖsᵢsⱼ)² / det), about axis k
 //!   g·mᵢmⱼ·sₖ²(sⱼ² − sᵢ²) / det, and by the tangents g·Σ mₖ(sᵢsⱼ)²·fₓf_y/z²·aₖ.xy / det.
 //!
+//! With a smoothing σ all of this is by s'ₖ = √(sₖ² + σ²). Then dL/d ln sₖ = (sₖ/s'ₖ)²·dL/d ln s'ₖ + (1 − (sₖ/s'ₖ)²)·g, because
+//! the opacity has a factor Π sₖ/s'ₖ, and dL/dσ = Σ (dL/d ln s'ₖ − g)·σ/s'ₖ².
+//!
 //! The first component of L·eₖ is (δ·eₖ.x + Σⱼ sⱼ²eⱼ.y·(eₖ × eⱼ)) / √(c·det): the difference l₁₁eₖ.x + l₁₂eₖ.y of two large
 //! numbers, for a needle, written as a sum of minors.
 
@@ -28,7 +31,7 @@ use crate::reference::project::tangent_limit;
 use crate::reference::soft::{WeightedPose, shift, turn, turned, turned_back};
 use crate::reference::{DILATION, Offset, SCALE_MIN};
 use crate::scene::Camera;
-use crate::scene::parameter::{LIFESPAN, Optional};
+use crate::scene::parameter::{LIFESPAN, Optional, SMOOTHING, smoothed};
 
 /// A camera as the projection sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -107,6 +110,8 @@ pub struct OneGradient {
     pub optional: Optional<f64>,
     /// Larger eigenvalue of Σ₂, px².
     pub variance: f64,
+    /// Pixels per world unit at the centre: the larger focal length over z.
+    pub sampling: f64,
 }
 
 impl OneGradient {
@@ -159,7 +164,9 @@ pub fn backward(g: &OneGaussian, view: &View, splat: &SplatGradient, color: [f64
     let axes = view.rotation * DMat3::from_quat(quaternion.normalize());
     let own: [f64; 3] = g.log_scale.map(f64::exp);
     let added: [f64; 3] = std::array::from_fn(|k| own[k] + g.offset.map_or(0.0, |o| o.scale[k]));
-    let scale: [f64; 3] = if g.offset.is_some() { added.map(|s| s.max(SCALE_MIN)) } else { own };
+    let sharp: [f64; 3] = if g.offset.is_some() { added.map(|s| s.max(SCALE_MIN)) } else { own };
+    let sigma = g.optional.get(SMOOTHING).and_then(|s| s.first()).copied().unwrap_or(0.0);
+    let scale = smoothed(sharp, sigma).0;
 
     let slope = DVec2::new(p.x / p.z, p.y / p.z);
     let [x_min, x_max, y_min, y_max] = view.tangent;
@@ -194,7 +201,12 @@ pub fn backward(g: &OneGaussian, view: &View, splat: &SplatGradient, color: [f64
     let moved = view.rotation.transpose() * camera_gradient + direction;
     let rotation = rotation_gradient(g.rotation, turn.unwrap_or(DQuat::IDENTITY), g.offset.map(|o| o.rotation), local);
     // dL/ds; clamped standard deviations do not depend on anything.
-    let free: [f64; 3] = std::array::from_fn(|k| if scale[k] > added[k] { 0.0 } else { relative[k] / scale[k] });
+    let by_sharp = |k: usize| {
+        let share = (sharp[k] / scale[k]).powi(2);
+        share * relative[k] + (1.0 - share) * splat.h
+    };
+    let free: [f64; 3] = std::array::from_fn(|k| if sharp[k] > added[k] { 0.0 } else { by_sharp(k) / sharp[k] });
+    let by_sigma = (0..3).map(|k| (relative[k] - splat.h) * sigma / scale[k].powi(2)).sum();
     OneGradient {
         mean: turned_back(&g.poses, moved),
         rotation: rotation.raw,
@@ -204,8 +216,9 @@ pub fn backward(g: &OneGaussian, view: &View, splat: &SplatGradient, color: [f64
         mean2d,
         poses: pose_gradients(&g.poses, g.mean, moved, rotation.world),
         offset: Offset { mean: moved.to_array(), rotation: rotation.offset, scale: free },
-        optional: optional_gradient(g, view.time, splat.h),
+        optional: optional_gradient(g, view.time, splat.h, by_sigma),
         variance: w.variance,
+        sampling: view.focal.max_element() / p.z,
     }
 }
 
@@ -239,13 +252,16 @@ fn own_area(axes: DMat3, scale: [f64; 3], tangent: DVec2, focal: DVec2, g: f64) 
     }
 }
 
-/// Gradients of the optional parameters; `h`: of the log of the opacity.
-fn optional_gradient(g: &OneGaussian, time: f64, h: f64) -> Optional<f64> {
+/// Gradients of the optional parameters; `h`: of the log of the opacity, `by_sigma`: of the smoothing.
+fn optional_gradient(g: &OneGaussian, time: f64, h: f64, by_sigma: f64) -> Optional<f64> {
     let mut gradient = Optional::default();
     if let Some(&[middle, log_length]) = g.optional.get(LIFESPAN) {
         let inverse = (-log_length).exp();
         let x = (time - middle) * inverse;
         gradient.set(LIFESPAN, vec![h * x * inverse, h * x * x]);
+    }
+    if g.optional.get(SMOOTHING).is_some() {
+        gradient.set(SMOOTHING, vec![by_sigma]);
     }
     gradient
 }

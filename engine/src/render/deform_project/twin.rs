@@ -13,7 +13,7 @@ use super::{
     DEFORM_PROJECT_THREADS, DeformProject, DeformProjectBuffers, DeformProjectConstants, MOTION_TABLE, SH_0, sh_basis,
 };
 use crate::gpu::interface::Call;
-use crate::scene::parameter::{LIFESPAN, Present};
+use crate::scene::parameter::{LIFESPAN, Present, SMOOTHING};
 
 const DILATION_PX2: f32 = 0.3;
 const ROOT_HALF_LOG2_E: f32 = 0.849_321_8;
@@ -117,16 +117,31 @@ fn motion_of(b: &Inputs<'_>, frame: &Frame, slots: u32, canonical: [f32; 3], g: 
     motion.displacement(frame, g, canonical)
 }
 
-/// Log2 of the share of the opacity that the optional parameters leave at the frame's time.
+/// Number `k` of an optional parameter, where there is one.
+fn optional(
+    b: &Inputs<'_>,
+    constants: &DeformProjectConstants,
+    [parameter, k]: [usize; 2],
+    n: usize,
+    g: usize,
+) -> Option<f32> {
+    let (present, values) = (Present(constants.optional), b.optional.as_deref()?);
+    present.has(parameter).then(|| f32_at(values, (present.planes_before(parameter) as usize + k) * n + g))
+}
+
+/// Log2 of the share of the opacity that the lifespan leaves at the frame's time.
 fn log2_share(b: &Inputs<'_>, constants: &DeformProjectConstants, frame: &Frame, n: usize, g: usize) -> f32 {
-    let (present, Some(optional)) = (Present(constants.optional), b.optional.as_deref()) else { return 0.0 };
-    let value = |parameter: usize, k: u32| f32_at(optional, (present.planes_before(parameter) + k) as usize * n + g);
-    let mut share = 0.0;
-    if present.has(LIFESPAN) {
-        let x = (frame.time - value(LIFESPAN, 0)) * (-value(LIFESPAN, 1)).exp();
-        share -= HALF_LOG2_E * x * x;
-    }
-    share
+    let value = |k: usize| optional(b, constants, [LIFESPAN, k], n, g);
+    let (Some(middle), Some(log_length)) = (value(0), value(1)) else { return 0.0 };
+    let x = (frame.time - middle) * (-log_length).exp();
+    -HALF_LOG2_E * x * x
+}
+
+/// Standard deviations blurred by `sigma`, and log2 of the share of the opacity that this leaves; `None` when it is unusable.
+fn smoothed(scale: [f32; 3], sigma: f32) -> Option<([f32; 3], f32)> {
+    let wide = scale.map(|s| (s * s + sigma * sigma).sqrt());
+    let log2_share = (0..3).map(|k| (scale[k] / wide[k]).powi(2).log2()).sum::<f32>();
+    (sigma.abs() <= MAX_SCALE).then_some((wide, 0.5 * log2_share))
 }
 
 /// Unit quaternion and standard deviations of Gaussian `g`; `turn` is its superpoint's rotation.
@@ -198,6 +213,9 @@ fn project(b: &Inputs<'_>, frame: &Frame, constants: &DeformProjectConstants, g:
     }
 
     let Some((q, scale)) = shape_of(b, n, offset, turn, g) else { return Outcome::Rejected };
+    let sigma = optional(b, constants, [SMOOTHING, 0], n, g).unwrap_or(0.0);
+    let Some((scale, log2_share)) = smoothed(scale, sigma) else { return Outcome::Rejected };
+    let log2_opacity = log2_opacity + log2_share;
     let columns = quaternion::columns(q).map(|axis| rows.map(|row| dot(row, axis)));
     let slope = [p[0] / p[2], p[1] / p[2]];
     let limit = frame.tan_limit;

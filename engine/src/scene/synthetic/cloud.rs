@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3};
 
 use super::Random;
 use crate::scene::network::DeformSize;
-use crate::scene::parameter::{Optional, PARAMETERS, REQUIRED};
+use crate::scene::parameter::{Optional, PARAMETERS, REQUIRED, SMOOTHING};
 use crate::scene::{Blend, DeformNetwork, Gaussians, Linear, Motion, Scene, SuperpointDeformation, Superpoints};
 
 /// Number of Gaussians at which the standard deviations below cover the shells as a trained model would.
@@ -40,7 +40,9 @@ pub fn random_optional(n: usize, seed: u64) -> Optional {
     let (mut random, mut made) = (Random::new(seed), Optional::default());
     for (parameter, p) in PARAMETERS.iter().enumerate().skip(REQUIRED) {
         let start = p.start.repeat(n).into_iter();
-        made.set(parameter, start.map(|start| start + random.range(-1.0, 0.5) as f32).collect());
+        // About as wide as the Gaussians: wider ones would hardly be seen.
+        let size = if parameter == SMOOTHING { 0.015 } else { 1.0 };
+        made.set(parameter, start.map(|start| start + (size * random.range(-1.0, 0.5)) as f32).collect());
     }
     made
 }

@@ -13,12 +13,15 @@ use crate::render::limits::COUNT_FAILED;
 use crate::render::superpoint_motion::{Slot, SuperpointMotion};
 use crate::render::twin::{f32_at, set_f32, struct_at, vec4_at};
 use crate::scene::parameter::{
-    LOG_SCALE, MEAN, OPACITY_LOGIT, Optional, PARAMETERS, Present, ROTATION, SH_0, first_plane,
+    LOG_SCALE, MEAN, OPACITY_LOGIT, Optional, PARAMETERS, Present, ROTATION, SH_0, SMOOTHING, first_plane,
 };
 use crate::train::adam;
 use crate::train::deform_project_backward::DEFORM_PROJECT_BACKWARD_THREADS;
 use crate::train::status;
 use crate::train::step::Step;
+
+/// (0.2)^(1/2), px: the filter of Mip-Splatting.
+const ROOT_FILTER_VARIANCE: f32 = 0.447_213_6;
 
 type Words<'a> = DeformProjectBackwardBuffers<&'a mut [u32]>;
 
@@ -126,9 +129,26 @@ impl Job {
             rest = others;
         }
         for (parameter, values, slopes) in all {
+            if parameter == SMOOTHING && self.adam {
+                self.measure_smoothing(values, planes.moment_1, gradient.sampling, g);
+                continue;
+            }
             let good = self.apply(parameter, values, &mut planes, slopes, g);
             report(b.status, good, parameter, g);
         }
+    }
+
+    /// The smoothing of Gaussian `g`, from the most pixels per world unit that a photo had.
+    fn measure_smoothing(&self, values: &mut [u32], moment_1: &mut [u32], sampling: f64, g: usize) {
+        let moment = first_plane(SMOOTHING, self.optional) as usize * self.n + g;
+        let sampling = sampling as f32;
+        let before = f32_at(moment_1, moment);
+        let most = if sampling.is_finite() { before.max(sampling) } else { before };
+        let now = self.step.rate[SMOOTHING] == 1.0 && most > 0.0;
+        if now {
+            set_f32(values, g, ROOT_FILTER_VARIANCE / most);
+        }
+        set_f32(moment_1, moment, if now { 0.0 } else { most });
     }
 
     /// Gradients of the optional parameters, zero where there are none.

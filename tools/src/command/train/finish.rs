@@ -66,6 +66,9 @@ impl End<'_> {
             i += self.schedule.config().refit_iterations();
             scene = refitted;
         }
+        if scene.deformation.nonrigid().is_none() {
+            scene.gaussians.fold_smoothing();
+        }
         scene.metadata = self.provenance(data_path, i, &decisions)?;
         let path = self.out.join("model.safetensors");
         engine::file::save(&path, &scene)?;

@@ -11,7 +11,7 @@ use engine::render::radix_sort::DeviceSort;
 use engine::render::{
     PixelFormat, Quality, RenderOptions, Renderer, SceneHandle, SceneOptions, View as EmbeddedView, ViewOptions,
 };
-use engine::scene::parameter::{PARAMETERS, REQUIRED};
+use engine::scene::parameter::{LIFESPAN, PARAMETERS};
 use engine::scene::synthetic::{moving_scene, random_blend, random_optional, random_scene};
 use engine::scene::{Camera, MotionSource, NonrigidNetwork, Scene};
 use engine::train::config::{Config, Form, LossConfig};
@@ -180,7 +180,7 @@ fn variants(base: &Config) -> Vec<Config> {
         with(|c| c.loss.prop_loss = Form::Paper),
         with(|c| c.motion.association_init = Form::Paper),
         with(|c| c.loss.lambda_dssim = 0.0),
-        with(|c| c.gaussians.optional = PARAMETERS[REQUIRED..].iter().map(|p| p.name.to_owned()).collect()),
+        with(|c| c.gaussians.optional = vec![PARAMETERS[LIFESPAN].name.to_owned()]),
         with(|c| (c.motion.neighbors, c.motion.association_slots) = (1, 1)),
         with(|c| c.motion.blend = SOFT as u32),
         with(|c| c.gaussians.antialiased = true),
