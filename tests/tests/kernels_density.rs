@@ -3,14 +3,16 @@
 
 use engine::gpu::interface::{Interface, KernelOf};
 use engine::gpu::{Buffer, Gpu};
-use engine::scene::parameter::{LOG_SCALE, MEAN, OPACITY_LOGIT, PARAMETERS, ROTATION};
+use engine::scene::parameter::{LOG_SCALE, MEAN, OPACITY_LOGIT, PARAMETERS, ROTATION, smoothed};
 use engine::scene::synthetic::Random;
 use engine::train::density::density_decide::{DENSITY_DECIDE, DensityDecideBuffers, DensityDecidePush};
 use engine::train::density::density_emit::{DENSITY_EMIT, DensityEmitBuffers, DensityEmitPush};
 use engine::train::density::density_histogram::{DENSITY_HISTOGRAM, DensityHistogramBuffers, DensityHistogramPush};
 use engine::train::density::density_scan::{DENSITY_SCAN, DensityScanBuffers, DensityScanPush};
 use engine::train::density::gather_rows::{GATHER_ROWS, GatherRowsBuffers, GatherRowsPush};
-use engine::train::density::reset_opacity::{RESET_OPACITY, ResetOpacityBuffers, ResetOpacityPush};
+use engine::train::density::reset_opacity::{
+    RESET_OPACITY, ResetOpacityBuffers, ResetOpacityConstants, ResetOpacityPush,
+};
 use engine::train::density::split_children::{SPLIT_CHILDREN, SplitChildrenBuffers, SplitChildrenPush};
 use engine::train::density::*;
 use engine::train::rng;
@@ -297,14 +299,15 @@ fn passes_are_reproducible_and_give_memory_back() {
     assert_eq!(gpu.buffer_count(), before);
 }
 
-fn run<I: Interface<Constants = ()>>(
+fn run<I: Interface<Constants: Default>>(
     gpu: &Gpu,
     kernel: &'static KernelOf<I>,
     push: I::Push,
     buffers: I::Buffers<Vec<u32>>,
     groups: u32,
 ) -> I::Buffers<Vec<u32>> {
-    KernelCase { kernel, constants: (), push, buffers, groups }.check(gpu, &format!("{groups} groups"))
+    KernelCase { kernel, constants: I::Constants::default(), push, buffers, groups }
+        .check(gpu, &format!("{groups} groups"))
 }
 
 #[test]
@@ -378,11 +381,56 @@ fn kernels_equal_twins() {
         let push = SplitChildrenPush { rows, seed_low: 3, seed_high: 4, iteration: 5 };
         let buffers = SplitChildrenBuffers { source: source.clone(), rotation, mean, log_scale };
         run(&gpu, &SPLIT_CHILDREN, push, buffers, rows.div_ceil(256) + 1);
-        let push = ResetOpacityPush { gaussians: n, limit: -4.6, plane: 1 };
-        let buffers = ResetOpacityBuffers { opacity_logit, moment_1: moments.clone(), moment_2: moments };
+        let push = ResetOpacityPush { gaussians: n, limit: -4.6, opacity: 0.01, plane: 1, smoothing: 0 };
+        let buffers = ResetOpacityBuffers {
+            opacity_logit,
+            moment_1: moments.clone(),
+            moment_2: moments,
+            log_scale: None,
+            optional: None,
+        };
         let reset = run(&gpu, &RESET_OPACITY, push, buffers, groups);
         assert!(reset.opacity_logit.iter().all(|w| f32::from_bits(*w) <= -4.6));
     }
+}
+
+/// The opacity that is drawn is at most the limit, and what was at or above it is at the limit, or where it was at half.
+#[test]
+fn the_opacity_reset_leaves_what_is_smoothed_to_be_seen() {
+    let gpu = tests_harness::shared_gpu();
+    let n = 500;
+    let rows = random_rows(n, 31);
+    let opacity_logit = planes(&rows, |r| [r.opacity_logit]);
+    // The smoothing is the second plane, as if there were a first one.
+    let sigma = |i: usize| 0.01 * (1 + i % 7) as f32;
+    let optional: Vec<u32> = (0..2 * n).map(|k| f32::to_bits(if k < n { f32::NAN } else { sigma(k - n) })).collect();
+    let case = KernelCase {
+        kernel: &RESET_OPACITY,
+        constants: ResetOpacityConstants { smoothed: 1 },
+        push: ResetOpacityPush { gaussians: n as u32, limit: f32::NAN, opacity: 0.01, plane: 0, smoothing: 1 },
+        buffers: ResetOpacityBuffers {
+            opacity_logit: opacity_logit.clone(),
+            moment_1: vec![0; n],
+            moment_2: vec![0; n],
+            log_scale: Some(planes(&rows, |r| r.log_scale)),
+            optional: Some(optional),
+        },
+        groups: 2,
+    };
+    let result = case.run(&gpu);
+    let tolerance = RESET_OPACITY.kernel.tolerance;
+    let mut at_limit = 0;
+    for (i, row) in rows.iter().enumerate() {
+        let [gpu, twin] = [&result.gpu, &result.twin].map(|side| f32::from_bits(side.opacity_logit[i]));
+        assert!((gpu - twin).abs() <= tolerance.absolute + tolerance.relative * twin.abs(), "{gpu} {twin}");
+        let left = smoothed(row.log_scale.map(|s| f64::from(s).exp()), sigma(i).into()).1;
+        let drawn = |logit: f32| left / (1.0 + (-f64::from(logit)).exp());
+        let most = (0.5 * left).min(0.01);
+        let expected = drawn(row.opacity_logit).min(most);
+        assert!((drawn(gpu) - expected).abs() <= 1e-4 * expected, "Gaussian {i}: {} for {expected}", drawn(gpu));
+        at_limit += usize::from(most == 0.01 && expected == most);
+    }
+    assert!(at_limit > n / 8, "{at_limit} of {n} are lowered to the limit and not below");
 }
 
 #[test]
@@ -393,7 +441,13 @@ fn the_opacity_reset_lowers_and_forgets() {
     let opacity = upload("opacity_logit", &planes(&rows, |r| [r.opacity_logit]));
     let ones = vec![1.0_f32.to_bits(); 14 * 500];
     let moments = [upload("moment_1", &ones), upload("moment_2", &ones)];
-    reset_opacity(&gpu, &opacity, [&moments[0], &moments[1]], 500, 0.01).unwrap();
+    let rows_of = |opacity_logit| OpacityRows {
+        gaussians: 500,
+        opacity_logit,
+        moments: [&moments[0], &moments[1]],
+        smoothing: None,
+    };
+    reset_opacity(&gpu, rows_of(&opacity), 0.01).unwrap();
     let floats = |b: &Buffer| bytemuck::pod_collect_to_vec::<u8, f32>(&gpu.download(b).unwrap());
     let limit = (0.01_f64 / 0.99).ln() as f32;
     for (found, row) in floats(&opacity).iter().zip(&rows) {

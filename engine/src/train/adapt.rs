@@ -8,7 +8,7 @@ use super::trainer::{Trainer, pose_gradient_bytes};
 use crate::data::dataset::View;
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Memory};
-use crate::scene::parameter::{OPACITY_LOGIT, PARAMETERS, in_degree};
+use crate::scene::parameter::{PARAMETERS, in_degree};
 
 /// Opacity that a reset leaves at most (3DGS).
 const RESET_OPACITY: f64 = 0.01;
@@ -43,9 +43,7 @@ impl Trainer {
             }
         }
         if self.schedule.resets_opacity(iteration) {
-            let p = &self.parameters;
-            let moments = [&p.moment_1, &p.moment_2];
-            reset_opacity(&self.gpu, &p.scene.parameter[OPACITY_LOGIT], moments, p.count(), RESET_OPACITY)?;
+            reset_opacity(&self.gpu, self.parameters.opacity_rows(), RESET_OPACITY)?;
             change.opacity_reset = true;
         }
         let unseen = self.schedule.prunes_unseen(iteration) && self.parameters.count() > 0;

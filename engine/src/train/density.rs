@@ -27,7 +27,7 @@ mod run;
 pub mod split_children;
 
 pub use crate::scene::parameter::NewRows;
-pub use reset_opacity::reset_opacity;
+pub use reset_opacity::{OpacityRows, SmoothingRows, reset_opacity};
 pub use run::{Density, DensityBuffers, DensityOptions, DensityOutcome, RowArray};
 
 use crate::gpu::kernel::Kernel;

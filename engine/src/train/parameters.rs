@@ -8,8 +8,9 @@ use crate::gpu::{Buffer, Gpu};
 use crate::render::deformation::DeformationBuffers;
 use crate::render::quality::Storage;
 use crate::render::scene_buffers::{SceneBuffers, optional_buffer};
-use crate::scene::parameter::{PARAMETERS, Parameter, REQUIRED, planes};
+use crate::scene::parameter::{LOG_SCALE, OPACITY_LOGIT, PARAMETERS, Parameter, REQUIRED, SMOOTHING, planes};
 use crate::scene::{Gaussians, Rejected};
+use crate::train::density::{OpacityRows, SmoothingRows};
 
 /// Gaussians on the device.
 #[derive(Debug)]
@@ -119,6 +120,23 @@ impl Parameters {
     /// N.
     pub(crate) fn count(&self) -> u32 {
         self.scene.gaussians
+    }
+
+    /// What an opacity reset changes and reads.
+    pub(crate) fn opacity_rows(&self) -> OpacityRows<'_> {
+        let scene = &self.scene;
+        let smoothing =
+            scene.optional.as_ref().filter(|_| scene.present.has(SMOOTHING)).map(|optional| SmoothingRows {
+                log_scale: &scene.parameter[LOG_SCALE],
+                optional,
+                plane: scene.present.planes_before(SMOOTHING),
+            });
+        OpacityRows {
+            gaussians: self.count(),
+            opacity_logit: &scene.parameter[OPACITY_LOGIT],
+            moments: [&self.moment_1, &self.moment_2],
+            smoothing,
+        }
     }
 
     /// Downloads everything.

@@ -1,6 +1,7 @@
 //! Training as a whole, on scenes of a few dozen Gaussians: the same bits from run to run and through interruptions, bad
 //! numbers and bad files, odd data sets, limits, the non-rigid stage, what is exported and logged.
 
+mod antialiased;
 mod common;
 mod determinism;
 mod edges;
