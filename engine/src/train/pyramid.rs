@@ -6,6 +6,14 @@
 use std::sync::Arc;
 
 use crate::data::dataset::View;
+use crate::data::loader::ImageLoader;
+
+/// Opaque pixels that photos keep on average: of an object that has fewer, limbs cannot be told from each other.
+const SMALLEST_AREA: f64 = 64.0;
+/// Photos that this is measured on.
+const MEASURED: usize = 32;
+/// Bytes of photos that wait to be measured.
+const BUDGET: u64 = 1 << 20;
 
 /// No photo is made smaller than this on its shorter side, pixels.
 const SMALLEST_SIDE: u32 = 24;
@@ -24,11 +32,16 @@ pub(super) struct Pyramid {
 }
 
 impl Pyramid {
-    /// Of these photos, which are full after `iterations`.
-    pub(super) fn new(views: &Arc<[View]>, iterations: u64) -> Self {
+    /// Of these photos, which are full after `iterations`. `area`: opaque pixels of such photos, on average.
+    pub(super) fn new(views: &Arc<[View]>, iterations: u64, area: impl FnOnce(&[View]) -> f64) -> Self {
         let smallest = views.iter().map(|v| v.camera.width.min(v.camera.height)).min().unwrap_or(0);
         let halvings = (1..=MOST_LEVELS).take_while(|k| smallest >> k >= SMALLEST_SIDE);
-        let levels: Vec<u32> = halvings.take_while(|_| iterations > 0).collect();
+        let mut levels: Vec<u32> = halvings.take_while(|_| iterations > 0).collect();
+        if let Some(&most) = levels.last() {
+            let reduced: Vec<View> = measured(views).map(|v| v.reduced(1 << most)).collect();
+            let area = area(&reduced);
+            levels.retain(|k| area * 4_f64.powi((most - k) as i32) >= SMALLEST_AREA);
+        }
         if levels.is_empty() {
             return Self { views: views.clone(), photos: views.len(), iterations: 0 };
         }
@@ -63,8 +76,26 @@ impl Pyramid {
     }
 }
 
+fn measured(views: &[View]) -> impl Iterator<Item = &View> {
+    views.iter().step_by(views.len().div_ceil(MEASURED).max(1))
+}
+
+/// Opaque pixels of these photos, on average. One that cannot be read counts as opaque: the step that needs it says so.
+pub(super) fn opaque_area(views: &[View], workers: usize) -> f64 {
+    let all: Arc<[View]> = views.to_vec().into();
+    let Ok(loader) = ImageLoader::new(all, BUDGET, workers) else { return f64::INFINITY };
+    loader.prefetch(&(0..views.len()).collect::<Vec<_>>());
+    let opaque = |place: usize| {
+        let photo = loader.get(place).ok()?;
+        Some(photo.rgba.iter().map(|p| f64::from(p.to_le_bytes()[3]) / 255.0).sum::<f64>())
+    };
+    let sum: f64 = (0..views.len()).map(|place| opaque(place).unwrap_or(f64::INFINITY)).sum();
+    sum / views.len().max(1) as f64
+}
+
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
     use crate::data::pixels::ImageSource;
     use crate::scene::Camera;
@@ -78,15 +109,15 @@ mod tests {
 
     #[test]
     fn the_smallest_photos_of_a_size_are_found() {
-        let p = Pyramid::new(&views([200, 120]), 100);
+        let p = Pyramid::new(&views([200, 120]), 100, |_| 1e3);
         let side = |side: u32| p.views[p.smallest(side).start].image.size;
         assert_eq!([side(24), side(31), side(61), side(500)], [[50, 30], [100, 60], [200, 120], [200, 120]]);
-        assert_eq!(Pyramid::new(&views([200, 120]), 0).smallest(24), 0..3);
+        assert_eq!(Pyramid::new(&views([200, 120]), 0, |_| 1e3).smallest(24), 0..3);
     }
 
     #[test]
     fn photos_double_until_they_are_full() {
-        let p = Pyramid::new(&views([200, 120]), 100);
+        let p = Pyramid::new(&views([200, 120]), 100, |_| 1e3);
         let sides = |i: u64| p.views[p.at(2, i)].image.size;
         assert_eq!(
             [1, 50, 51, 100, 101, 1000].map(sides),
@@ -98,9 +129,40 @@ mod tests {
         assert!((small.camera.fx * 4.0 / p.views[0].camera.fx - 1.0).abs() < 1e-12);
     }
 
+    /// Of 50×30 pixels this many are opaque: four times as many in the next size.
+    #[test]
+    fn photos_keep_pixels_of_what_they_show() {
+        let sizes = |area: f64| {
+            let p = Pyramid::new(&views([200, 120]), 100, |small| {
+                assert!(small.iter().all(|v| v.image.size == [50, 30]));
+                area
+            });
+            [1, 50, 51, 100, 101].map(|i| p.views[p.at(0, i)].image.size[0])
+        };
+        assert_eq!(sizes(64.0), [50, 50, 100, 100, 200]);
+        assert_eq!(sizes(63.9), [100, 100, 100, 100, 200]);
+        assert_eq!(sizes(15.9), [200; 5]);
+    }
+
+    #[test]
+    fn the_opaque_area_is_that_of_the_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let alpha = |x: u32, y: u32| if x < 12 && (8..20).contains(&y) { 255 } else { 0 };
+        image::RgbaImage::from_fn(96, 96, |x, y| image::Rgba([90, 80, 70, alpha(x, y)])).save(&path).unwrap();
+        let full = views([96, 96]);
+        let small: Vec<View> = full.iter().map(|v| v.reduced(4)).collect();
+        let at = |path: &std::path::Path| {
+            let with = |v: &View| View { image: ImageSource { path: path.into(), ..v.image.clone() }, ..v.clone() };
+            opaque_area(&small.iter().map(with).collect::<Vec<_>>(), 2)
+        };
+        assert!((at(&path) - 9.0).abs() < 0.1, "{}", at(&path));
+        assert_eq!(at(&folder.path().join("b.png")), f64::INFINITY);
+    }
+
     #[test]
     fn small_photos_and_no_iterations_leave_photos_as_they_are() {
-        for p in [Pyramid::new(&views([47, 300]), 100), Pyramid::new(&views([800, 800]), 0)] {
+        for p in [Pyramid::new(&views([47, 300]), 100, |_| 1e3), Pyramid::new(&views([800, 800]), 0, |_| 1e3)] {
             assert_eq!((p.views.len(), p.at(2, 1), p.places(7)), (3, 2, 0..3));
         }
     }

@@ -13,7 +13,7 @@ use super::density::DensityChange;
 use super::lost::LostObject;
 use super::parameters::{ParameterState, Parameters};
 use super::photos::Photos;
-use super::pyramid::Pyramid;
+use super::pyramid::{Pyramid, opaque_area};
 use super::rng;
 use super::sampler::ViewSampler;
 use super::schedule::{Counts, Schedule, Stage};
@@ -203,7 +203,7 @@ impl Trainer {
         let times: Vec<f64> = data.views.iter().map(|v| v.time).collect();
         let schedule = Schedule::new(&config.scaled(), stage, data.extent);
         let window = TimeWindow::new(&times, config.schedule.time_window_centre, schedule.window());
-        let pyramid = Pyramid::new(&data.views, schedule.coarse_to_fine());
+        let pyramid = Pyramid::new(&data.views, schedule.coarse_to_fine(), |views| opaque_area(views, workers));
         let views = &pyramid.views;
         Ok(Self {
             gpu: gpu.clone(),

@@ -15,6 +15,7 @@ use engine::scene::parameter::{LIFESPAN, PARAMETERS};
 use engine::scene::synthetic::{moving_scene, random_blend, random_optional, random_scene};
 use engine::scene::{Camera, MotionSource, NonrigidNetwork, Scene};
 use engine::train::config::{Config, Form, LossConfig};
+use engine::train::density::reset_opacity::RESET_OPACITY;
 use engine::train::gradient::{GradientOptions, scene_gradients};
 use engine::train::trainer::Trainer;
 
@@ -46,6 +47,7 @@ pub const RECORDINGS: &[Recording] = &[
     ("frames on the screen", screens),
     ("frames in a host's images", embedded),
     ("training", training),
+    ("opacity resets", opacity_resets),
     ("training of network G", nonrigid_training),
     ("gradients of scenes", gradients),
     ("metrics", metrics),
@@ -211,6 +213,11 @@ fn training(gpu: &Gpu) -> Result<()> {
     steps(superpoints, MANY, |base| {
         vec![base.clone(), Config { loss: LossConfig { prop_loss: Form::Paper, ..base.loss.clone() }, ..base.clone() }]
     })
+}
+
+/// A run has the first after thousands of steps.
+fn opacity_resets(gpu: &Gpu) -> Result<()> {
+    [0, 1].into_iter().try_for_each(|smoothed| gpu.compile(&RESET_OPACITY.kernel, &[smoothed]))
 }
 
 fn nonrigid_training(gpu: &Gpu) -> Result<()> {
