@@ -89,8 +89,8 @@ pub struct Schedule {
     pub scale: bool,
     /// Iterations without motion; then superpoints are initialised (paper and code: 3 k).
     pub warm_up: u64,
-    /// Photos begin at 24 to 47 pixels on their shorter side and double until they are full after this many iterations; 0: they
-    /// always are (paper and code).
+    /// Photos begin at 24 to 47 pixels on their shorter side, or where 64 pixels are opaque on average, and double until they are full
+    /// after this many iterations; 0: they always are (paper and code).
     pub coarse_to_fine: u64,
     /// Photos are drawn from a window of times that opens as far as motion is followed, and is open after this many iterations
     /// at the latest; 0: from all at once (paper and code). For objects that move by more than their size between most
