@@ -161,11 +161,15 @@ impl Trainer {
         let mut first = if first.len() > most { thinned(first, most) } else { first.clone() };
         let mut present = Present::of_names(&config.gaussians.optional)?;
         if config.gaussians.antialiased {
-            (first.antialiased, present) = (true, present.with(SMOOTHING));
+            present = present.with(SMOOTHING);
         }
         first.optional.add(present, first.mean.len());
+        // Gaussians that were trained so already stay so, without another smoothing.
+        first.antialiased |= config.gaussians.antialiased;
+        let mut config = config.clone();
+        config.gaussians.antialiased = first.antialiased;
         let state = ParameterState::new(&first, config.gaussians.sh_degree);
-        Self::assemble(gpu, config, data, stage, 0, &state)
+        Self::assemble(gpu, &config, data, stage, 0, &state)
     }
 
     fn assemble(

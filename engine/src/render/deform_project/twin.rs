@@ -213,8 +213,9 @@ fn project(b: &Inputs<'_>, frame: &Frame, constants: &DeformProjectConstants, g:
     }
 
     let Some((q, scale)) = shape_of(b, n, offset, turn, g) else { return Outcome::Rejected };
-    let sigma = optional(b, constants, [SMOOTHING, 0], n, g).unwrap_or(0.0);
-    let Some((scale, log2_share)) = smoothed(scale, sigma) else { return Outcome::Rejected };
+    let sigma = optional(b, constants, [SMOOTHING, 0], n, g);
+    let blurred = sigma.map_or(Some((scale, 0.0)), |sigma| smoothed(scale, sigma));
+    let Some((scale, log2_share)) = blurred else { return Outcome::Rejected };
     let log2_opacity = log2_opacity + log2_share;
     let columns = quaternion::columns(q).map(|axis| rows.map(|row| dot(row, axis)));
     let slope = [p[0] / p[2], p[1] / p[2]];
