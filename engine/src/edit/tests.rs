@@ -12,7 +12,7 @@ use glam::{DQuat, DVec3};
 
 use super::*;
 use crate::reference::{ReferenceOptions, place_scene, render};
-use crate::scene::parameter::LIFESPAN;
+use crate::scene::parameter::{LIFESPAN, SMOOTHING};
 use crate::scene::synthetic::{moving_scene, random_blend, random_scene};
 use crate::scene::{Camera, MotionSource};
 
@@ -147,6 +147,41 @@ fn deleting_is_drawing_the_others() {
             }
         }
     }
+}
+
+/// Scaled or stretched, a smoothed scene is what it is without a smoothing of its own; who is not selected keeps every bit.
+#[test]
+fn a_smoothing_is_scaled_with_its_gaussians() {
+    let mut smoothed = random_scene(200, 8, 1);
+    smoothed.gaussians.optional.set(SMOOTHING, (0..200).map(|i| 0.002 * (i % 9) as f32).collect());
+    let mut folded = smoothed.clone();
+    folded.gaussians.fold_smoothing();
+    assert!(folded.gaussians.optional.is_empty() && folded.gaussians.log_scale != smoothed.gaussians.log_scale);
+    for change in ["scale 1.7", "scale 1.7,0.6,1"] {
+        let script = format!("select sphere 0,0,0 0.8; {change}");
+        let [changed, expected] = [&smoothed, &folded].map(|scene| run(scene.clone(), &script));
+        let [a, b] = [&changed, &expected].map(|scene| image(scene, &camera(), 0.0, 0.2));
+        let off = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 1e-4, "{change}: images differ by {off}");
+        let g = &changed.gaussians;
+        let same = |i: &usize| g.log_scale[*i] == smoothed.gaussians.log_scale[*i];
+        let kept = (0..200).filter(same).filter(|i| {
+            let sigma = |scene: &Scene| scene.gaussians.optional.row(SMOOTHING, *i).map(|s| s[0].to_bits());
+            sigma(&changed) == sigma(&smoothed) && g.opacity_logit[*i] == smoothed.gaussians.opacity_logit[*i]
+        });
+        assert!((1..200).contains(&kept.count()), "{change}: some are selected, the others keep what they have");
+    }
+}
+
+#[test]
+fn an_antialiased_scene_and_another_are_not_merged() {
+    let (mut scene, mut other) = (random_scene(20, 8, 1), random_scene(20, 9, 1));
+    other.gaussians.antialiased = true;
+    let placement =
+        Placement { place: Similarity { scale: 1.0, turn: DQuat::IDENTITY, shift: DVec3::ZERO }, time: [1.0, 0.0] };
+    let before = scene.clone();
+    let error = merge(&mut scene, other, &placement).unwrap_err().to_string();
+    assert!(error.contains("antialiased") && scene == before, "{error}");
 }
 
 /// Where they do not overlap, two scenes in one image are the sum of their images.

@@ -88,16 +88,20 @@ pub fn stretch(scene: &mut Scene, mask: &[bool], factors: DVec3, pivot: DVec3) -
 }
 
 fn stretch_gaussians(g: &mut Gaussians, mask: &[bool], map: &DAffine3) {
-    // A stretched smoothing is none.
-    g.fold_smoothing();
     let indices: Vec<usize> = (0..g.len()).filter(|&i| mask[i]).collect();
     let mut some = g.selected(&indices);
     // Colours stay.
     (some.sh_degree, some.sh) = (0, vec![0.0; 3 * some.len()]);
+    // A stretched smoothing would be as wide in all directions no more.
+    some.fold_smoothing();
     affine::transform(&mut some, map);
+    let mut smoothing = g.optional.take(SMOOTHING);
     for (k, i) in indices.into_iter().enumerate() {
         (g.mean[i], g.log_scale[i], g.rotation[i]) = (some.mean[k], some.log_scale[k], some.rotation[k]);
+        g.opacity_logit[i] = some.opacity_logit[k];
+        smoothing.iter_mut().for_each(|sigma| sigma[i] = 0.0);
     }
+    smoothing.into_iter().for_each(|sigma| g.optional.set(SMOOTHING, sigma));
 }
 
 /// Changes canonical Gaussians of `mask`, but for their colours, by what `of` says for each.

@@ -142,6 +142,19 @@ fn formats_without_lifespans_say_so() {
 }
 
 #[test]
+fn formats_without_a_smoothing_have_it_in_scales_and_opacities() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut scene = Scene { gaussians: gaussians(5, 1), ..Scene::default() };
+    let plain = scene.gaussians.clone();
+    scene.gaussians.optional.set(crate::scene::parameter::SMOOTHING, vec![0.0, 0.1, 0.2, 0.3, 0.4]);
+    assert!(save(&folder.path().join("a.ply"), &scene).unwrap().is_empty());
+    scene.gaussians.fold_smoothing();
+    let found = load(&folder.path().join("a.ply")).unwrap().scene.gaussians;
+    assert_eq!((&found.log_scale, &found.opacity_logit), (&scene.gaussians.log_scale, &scene.gaussians.opacity_logit));
+    assert!(found.log_scale[1] != plain.log_scale[1] && found.opacity_logit[1] < plain.opacity_logit[1]);
+}
+
+#[test]
 fn poison_values_are_dropped_everywhere_and_counted() {
     let folder = tempfile::tempdir().unwrap();
     let (scene, bad) = poisoned();

@@ -13,7 +13,7 @@ use super::{
     DEFORM_PROJECT_THREADS, DeformProject, DeformProjectBuffers, DeformProjectConstants, MOTION_TABLE, SH_0, sh_basis,
 };
 use crate::gpu::interface::Call;
-use crate::scene::parameter::{LIFESPAN, Present, SMOOTHING};
+use crate::scene::parameter::{LIFESPAN, Present, SMOOTHING, smoothed};
 
 const DILATION_PX2: f32 = 0.3;
 const ROOT_HALF_LOG2_E: f32 = 0.849_321_8;
@@ -138,10 +138,9 @@ fn log2_share(b: &Inputs<'_>, constants: &DeformProjectConstants, frame: &Frame,
 }
 
 /// Standard deviations blurred by `sigma`, and log2 of the share of the opacity that this leaves; `None` when it is unusable.
-fn smoothed(scale: [f32; 3], sigma: f32) -> Option<([f32; 3], f32)> {
-    let wide = scale.map(|s| (s * s + sigma * sigma).sqrt());
-    let log2_share = (0..3).map(|k| (scale[k] / wide[k]).powi(2).log2()).sum::<f32>();
-    (sigma.abs() <= MAX_SCALE).then_some((wide, 0.5 * log2_share))
+fn blurred(scale: [f32; 3], sigma: f32) -> Option<([f32; 3], f32)> {
+    let (wide, share) = smoothed(scale.map(f64::from), sigma.into());
+    (sigma.abs() <= MAX_SCALE).then_some((wide.map(|s| s as f32), share.log2() as f32))
 }
 
 /// Unit quaternion and standard deviations of Gaussian `g`; `turn` is its superpoint's rotation.
@@ -214,8 +213,8 @@ fn project(b: &Inputs<'_>, frame: &Frame, constants: &DeformProjectConstants, g:
 
     let Some((q, scale)) = shape_of(b, n, offset, turn, g) else { return Outcome::Rejected };
     let sigma = optional(b, constants, [SMOOTHING, 0], n, g);
-    let blurred = sigma.map_or(Some((scale, 0.0)), |sigma| smoothed(scale, sigma));
-    let Some((scale, log2_share)) = blurred else { return Outcome::Rejected };
+    let shape = sigma.map_or(Some((scale, 0.0)), |sigma| blurred(scale, sigma));
+    let Some((scale, log2_share)) = shape else { return Outcome::Rejected };
     let log2_opacity = log2_opacity + log2_share;
     let columns = quaternion::columns(q).map(|axis| rows.map(|row| dot(row, axis)));
     let slope = [p[0] / p[2], p[1] / p[2]];
