@@ -30,6 +30,12 @@ struct Step {
     float epsilon;
     uint photo;               // word of the photos' buffer where this step's begins
     float rate[(PARAMETERS + 1u) / 2u * 2u]; // of PARAMETER_*
+    uint key_first;           // key poses that the image's time lies between
+    uint key_second;
+    float key_weight;         // of the second
+    float rate_key;           // pixels of a step of key poses
+    float key_fade;           // of the terms that hold them
+    float pixels;             // of the image
 };
 
 layout(std430, set = 0, binding = STEP_BINDING) readonly buffer StepBlock { Step step_data; };

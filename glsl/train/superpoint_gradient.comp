@@ -13,6 +13,7 @@ layout(constant_id = 1) const uint PROPERTIES = 1u; // 0: rendering only; 1: the
 #include "lib/status.glsl"
 #include "lib/dispatch.glsl"
 #include "lib/quaternion.glsl"
+#include "lib/left_jacobian.glsl"
 
 layout(local_size_x = 256) in;
 
@@ -30,19 +31,6 @@ vec3 property_sums(uint plane, uint j) {
 vec3 pose_sums(uint plane, uint j) {
     uint m = step_data.superpoints;
     return vec3(pose_sum[plane * m + j], pose_sum[(plane + 1u) * m + j], pose_sum[(plane + 2u) * m + j]);
-}
-
-// J_l(r)^T w = w - B r x w + C r x (r x w), B = (1 - cos t)/t^2 = (sin(t/2)/t)^2 * 2, C = (t - sin t)/t^3.
-vec3 left_jacobian_transposed(vec3 r, vec3 w) {
-    float angle2 = dot(r, r);
-    float angle = sqrt(angle2);
-    float h = angle2 > 1e-12 ? sin_cos(0.5 * angle).x / angle : 0.5;
-    float b = 2.0 * h * h;
-    // Below one radian the closed form cancels; the first term of the series left out is t^10/6e9.
-    float series = 1.0 / 6.0 - angle2 * (1.0 / 120.0 - angle2 * (1.0 / 5040.0 - angle2 * (1.0 / 362880.0 - angle2 * (1.0 / 39916800.0))));
-    float c = angle2 < 1.0 ? series : (angle - sin_cos(angle).x) / (angle2 * max(angle, 1.0));
-    vec3 turned = cross(r, w);
-    return w - b * turned + c * cross(r, turned);
 }
 
 void main() {

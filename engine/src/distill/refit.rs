@@ -73,7 +73,7 @@ pub fn refit(
     let mut none = |_: &Camera| Err(Error::usage("refit", "an image of the teacher", "photos alone"));
     let lessons = Lessons { photos: photos.to_vec(), cameras: Vec::new(), times: scene.time_range(), draw: &mut none };
     let (seed, background, near) = (config.seed, config.background, config.near);
-    let how = TuneOptions { iterations, seed, background, near, rate_px: None };
+    let how = TuneOptions { iterations, seed, background, near, rate_px: None, deterministic: config.deterministic };
     let tuned = tune(gpu, student, &views, lessons, &how, watch)?;
     let superpoints = [scene, &tuned.scene].map(|s| s.deformation.superpoint_count());
     let off = |f: &Distilled| -> Result<[f64; 2]> {

@@ -63,6 +63,8 @@ pub struct TuneOptions {
     pub near: f32,
     /// Pixels of a step of key poses and centres, first and last; `None`: what suits the images.
     pub rate_px: Option<[f64; 2]>,
+    /// Whether the same bits come out on every run, also where the device adds faster without.
+    pub deterministic: bool,
 }
 
 /// A student that has learnt.
@@ -76,7 +78,7 @@ pub struct Tuned {
     pub loss: [f64; 2],
 }
 
-/// Trains a student; `watch` hears of every step. The same bits come out on every run.
+/// Trains a student; `watch` hears of every step.
 ///
 /// # Errors
 /// `Usage` for no steps or nothing to learn from; those of the device, of photos, of `draw`; `NonFinite`.
@@ -168,7 +170,7 @@ fn config(student: &Scene, options: &TuneOptions, rate: [f64; 2]) -> Config {
     let mut c = Config {
         iterations: options.iterations,
         seed: options.seed,
-        deterministic: true,
+        deterministic: options.deterministic,
         background: options.background,
         near: options.near,
         ..Config::default()

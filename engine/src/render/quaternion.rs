@@ -1,4 +1,4 @@
-//! Twin of `glsl/lib/quaternion.glsl`, line by line: unit quaternions w, x, y, z and the exponential of so(3), in f32.
+//! Twin of `glsl/lib/quaternion.glsl` and `left_jacobian.glsl`, line by line: unit quaternions w, x, y, z and the exponential of so(3), in f32.
 
 use super::angle::sin_cos;
 
@@ -27,6 +27,20 @@ pub fn displacement(e: [f32; 4], p: [f32; 3]) -> [f32; 3] {
     let a = cross(v, p).map(|x| 2.0 * x);
     let b = cross(v, a);
     [e[0] * a[0] + b[0], e[0] * a[1] + b[1], e[0] * a[2] + b[2]]
+}
+
+/// J_l(r)ᵀω, twin of lib/left_jacobian.glsl: ω − B·r×ω + C·r×(r×ω).
+pub fn left_jacobian_transposed(r: [f32; 3], w: [f32; 3]) -> [f32; 3] {
+    let angle2 = dot(r, r);
+    let angle = angle2.sqrt();
+    let h = if angle2 > 1e-12 { sin_cos(0.5 * angle)[0] / angle } else { 0.5 };
+    let b = 2.0 * h * h;
+    let last = 1.0 / 362_880.0 - angle2 * (1.0 / 39_916_800.0);
+    let series = 1.0 / 6.0 - angle2 * (1.0 / 120.0 - angle2 * (1.0 / 5040.0 - angle2 * last));
+    let c = if angle2 < 1.0 { series } else { (angle - sin_cos(angle)[0]) / (angle2 * angle.max(1.0)) };
+    let turned = cross(r, w);
+    let twice = cross(r, turned);
+    std::array::from_fn(|i| w[i] - b * turned[i] + c * twice[i])
 }
 
 /// Columns of the rotation matrix of a unit quaternion.

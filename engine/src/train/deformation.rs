@@ -8,6 +8,7 @@ mod table;
 use super::association::AssociationOptions;
 use super::config::Config;
 use super::density::RowArray;
+use super::keys::KeyOptions;
 use super::lost::path::Path;
 use super::saved::{Saved, Stored};
 use super::step::Step;
@@ -20,7 +21,6 @@ use crate::scene::{Deformation, Motion, NonrigidNetwork, SuperpointDeformation};
 
 use nonrigid::NonrigidTraining;
 use superpoints::SuperpointTraining;
-pub use table::KeyOptions;
 use table::TableTraining;
 
 /// A model of motion under training.
@@ -63,20 +63,8 @@ pub(super) trait TrainedDeformation: std::fmt::Debug + Send + Sync {
     /// Makes the renderer read this model's poses and offsets.
     fn attach(&self, buffers: &mut DeformationBuffers);
 
-    /// Steps that may be in flight: one, where the host learns from each before the next.
-    fn most_in_flight(&self) -> usize {
-        usize::MAX
-    }
-
-    /// Writes what the host gives a step, before it is submitted: of its image, the exact time and the number of pixels.
-    fn prepare(&mut self, _step: &Step, _time: f64, _pixels: f64) -> Result<()> {
-        Ok(())
-    }
-
-    /// Learns on the host from the step that was prepared last; it has finished and was applied.
-    fn learn(&mut self) -> Result<()> {
-        Ok(())
-    }
+    /// What this model has a step say, before it is submitted: of its image, the exact time and the number of pixels.
+    fn prepare(&self, _step: &mut Step, _time: f64, _pixels: f64) {}
 
     /// Records poses and offsets at the step's time.
     fn record_forward(&self, r: &mut Recorder, inputs: &StepInputs<'_>) -> Result<()>;

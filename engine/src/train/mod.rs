@@ -3,7 +3,7 @@
 //! [`trainer::Trainer::advance`] is one iteration of Superpoint Gaussian Splatting, one submission:
 //!
 //! ```text
-//! network F → pose            superpoint poses at the photo's time (after warm-up)
+//! network F → pose            superpoint poses at the photo's time (after warm-up); interpolate_keys where key poses learn
 //! network G → nonrigid_offset (non-rigid stage only)
 //! deform_project … blend      the renderer's own forward pass, with tile lists of slots where gradients are summed in order
 //! nearest_superpoints … property_total   association, property losses, logits' Adam
@@ -11,7 +11,7 @@
 //! blend_backward, sum_instance_gradients → splat_gradient
 //! deform_project_backward     gradients of Gaussians and poses, Adam of the Gaussians, density statistics
 //! superpoint_sum, superpoint_gradient → linear_backward_*, linear_update: network F (or G) and its Adam
-//! superpoint_commit           assignment and centres of the next step
+//! superpoint_commit           assignment and centres of the next step; with key poses superpoint_sum and learn_keys alone
 //! ```
 //!
 //! Several steps are in flight: the host reads a step's report while the device is at later ones. What is trained is the same
@@ -50,6 +50,8 @@ pub mod gradient;
 pub mod image_loss;
 pub mod init;
 #[doc(hidden)]
+pub mod keys;
+#[doc(hidden)]
 pub mod linear;
 pub mod lost;
 #[doc(hidden)]
@@ -81,8 +83,8 @@ mod unseen;
 pub mod usage;
 
 pub use association::{AssociationInit, AssociationOptions};
-pub use deformation::KeyOptions;
 pub use density::DensityChange;
+pub use keys::KeyOptions;
 pub use parameters::ParameterState;
 
 use crate::gpu::kernel::Kernel;
@@ -97,6 +99,7 @@ static BY_MODULE: &[&[&Kernel]] = &[
     linear::KERNELS,
     network_f::KERNELS,
     lost::KERNELS,
+    keys::KERNELS,
     network_g::KERNELS,
     association::KERNELS,
     property_loss::KERNELS,

@@ -32,7 +32,6 @@ use crate::render::work_buffers::COUNTER_WORDS;
 use crate::scene::parameter::planes;
 use crate::scene::{Camera, MotionSource, Scene};
 
-pub(super) use sums::superpoint_sums;
 pub use sums::{CameraGradient, Twist};
 
 /// Where counters, loss, status and the gradients begin in the readback, bytes.

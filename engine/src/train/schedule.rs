@@ -207,11 +207,11 @@ impl Schedule {
             beta_1: c.adam.beta_1 as f32,
             beta_2: c.adam.beta_2 as f32,
             epsilon: c.adam.epsilon as f32,
-            photo: 0,
             bias_gaussians: all,
             bias_network_f: motion,
             bias_association: motion,
             bias_network_g: all,
+            ..Step::default()
         }
     }
 

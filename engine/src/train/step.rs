@@ -55,6 +55,18 @@ crate::gpu_struct! {
         pub photo: u32,
         /// Learning rates of the Gaussians' [`PARAMETERS`].
         pub rate: [f32; RATES],
+        /// The key pose before the image's time.
+        pub key_first: u32,
+        /// The one after it; the same before the first and after the last one.
+        pub key_second: u32,
+        /// Weight of the second.
+        pub key_weight: f32,
+        /// Pixels of a step of key poses.
+        pub rate_key: f32,
+        /// Share that is left of the terms that hold key poses.
+        pub key_fade: f32,
+        /// Pixels of the image.
+        pub pixels: f32,
     }
 }
 

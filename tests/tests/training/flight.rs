@@ -1,7 +1,10 @@
 //! Steps in flight: what is trained does not depend on how many there are, and the device does not wait for the host.
 
 use engine::error::Error;
+use engine::scene::synthetic::{moving_scene, random_blend};
+use engine::train::KeyOptions;
 use engine::train::trainer::{FLIGHT, StepReport, Trainer};
+use glam::DVec3;
 
 use crate::common::{PosedOptions, bytes, config, config_file, gpu, load, log, outcome, posed, train, trainer};
 
@@ -194,4 +197,46 @@ fn a_checkpoint_that_cannot_be_written_ends_the_run() {
     // It was told at the next checkpoint, no later.
     let steps = log(&out).iter().filter(|line| line["loss"].is_number()).count();
     assert!(steps <= 5, "{steps} steps were logged");
+}
+
+#[test]
+fn key_poses_learn_the_same_whatever_is_in_flight() {
+    let posed = posed(&PosedOptions::default());
+    let (_, data) = load(&posed);
+    let gpu = gpu();
+    let config = config("[density]\nenabled = false\n[log]\nfinite_interval = 0");
+    for soft in [false, true] {
+        let mut scene = moving_scene(300, 6, 4, 3, false);
+        if soft {
+            let blend = random_blend(300, 6, 3, 2);
+            let superpoints = scene.deformation.superpoint_deformation_mut().unwrap();
+            superpoints.superpoints.of_gaussian = blend.of_gaussian();
+            superpoints.blend = Some(blend);
+        }
+        let keys = KeyOptions {
+            center: vec![DVec3::ZERO; 6],
+            reach: vec![0.5; 6],
+            unit: vec![0.02; 6],
+            rate_px: [0.5, 0.05],
+            hold: 0.05,
+            smooth: 0.05,
+            iterations: 30,
+        };
+        let run = |flight: usize, room: Option<u64>| {
+            let table = Trainer::table(&gpu, &config, &data, &scene, keys.clone()).unwrap();
+            let mut trainer = table.with_flight(flight).unwrap();
+            assert_eq!(trainer.flight(), flight);
+            let mut reports = fly(&mut trainer, 10);
+            room.into_iter().for_each(|room| trainer.inject_capacity(room).unwrap());
+            reports.extend(fly(&mut trainer, 30));
+            (reports, trainer.scene().unwrap(), trainer.repeated())
+        };
+        let (reports, learnt, repeated) = run(1, None);
+        assert!(repeated == 0 && learnt.deformation.table() != scene.deformation.table());
+        for (flight, room) in [(3, None), (3, Some(64))] {
+            let (other, found, repeated) = run(flight, room);
+            assert!(reports == other && learnt == found, "soft {soft}, {flight} in flight, room {room:?}: other bits");
+            assert_eq!(repeated > 0, room.is_some());
+        }
+    }
 }

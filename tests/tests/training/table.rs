@@ -50,7 +50,8 @@ fn tuned(gpu: &Gpu, teacher: &Scene, student: &Scene, iterations: u64, seed: u64
     let mut draw = |camera: &Camera| Ok(Pixels::opaque(&renderer.render(camera, camera.time)?));
     let lessons = Lessons { photos: Vec::new(), cameras: cameras(), times: teacher.time_range(), draw: &mut draw };
     let views = Views { cameras: cameras(), near: 0.2, everywhere: true };
-    let options = TuneOptions { iterations, seed, background: [0.0; 3], near: 0.2, rate_px: Some([0.05, 0.005]) };
+    let (background, rate_px) = ([0.0; 3], Some([0.05, 0.005]));
+    let options = TuneOptions { iterations, seed, background, near: 0.2, rate_px, deterministic: true };
     let mut steps = 0;
     let found = tune(gpu, student, &views, lessons, &options, &mut |done| {
         steps += 1;

@@ -3,7 +3,6 @@
 use super::superpoint_sum::{FIRST_OWN_VALUE, FIRST_PAIR_VALUE};
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
-use crate::render::angle::sin_cos;
 use crate::render::{quaternion, twin};
 use crate::train::status;
 use crate::train::step::Step;
@@ -50,20 +49,6 @@ crate::kernel! {
     }
 }
 
-/// J_l(r)ᵀω, twin of the GLSL: ω − B·r×ω + C·r×(r×ω).
-pub fn left_jacobian_transposed(r: [f32; 3], w: [f32; 3]) -> [f32; 3] {
-    let angle2 = quaternion::dot(r, r);
-    let angle = angle2.sqrt();
-    let h = if angle2 > 1e-12 { sin_cos(0.5 * angle)[0] / angle } else { 0.5 };
-    let b = 2.0 * h * h;
-    let last = 1.0 / 362_880.0 - angle2 * (1.0 / 39_916_800.0);
-    let series = 1.0 / 6.0 - angle2 * (1.0 / 120.0 - angle2 * (1.0 / 5040.0 - angle2 * last));
-    let c = if angle2 < 1.0 { series } else { (angle - sin_cos(angle)[0]) / (angle2 * angle.max(1.0)) };
-    let turned = quaternion::cross(r, w);
-    let twice = quaternion::cross(r, turned);
-    std::array::from_fn(|i| w[i] - b * turned[i] + c * twice[i])
-}
-
 fn superpoint_gradient_twin(call: Call<'_, SuperpointGradient>) {
     let Call { constants, buffers: b, .. } = call;
     let property_sum = b.property_sum.as_deref().unwrap_or_default();
@@ -100,7 +85,7 @@ fn superpoint_gradient_twin(call: Call<'_, SuperpointGradient>) {
             }
             _ => {}
         }
-        let turned = left_jacobian_transposed(r, tangent);
+        let turned = quaternion::left_jacobian_transposed(r, tangent);
         let mut result: [f32; 6] =
             std::array::from_fn(|c| if c < 3 { vector[c] + turned[c] } else { translation[c - 3] });
         if !result.iter().map(|v| v.abs()).sum::<f32>().is_finite() {

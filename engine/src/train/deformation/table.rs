@@ -1,10 +1,6 @@
-//! A key-time table under training: each step's poses come from the host, and its key poses learn there. Which superpoint a
-//! Gaussian moves with stays.
+//! A key-time table under training: poses stand between key poses, which learn. Which superpoint a Gaussian moves with stays.
 
-mod keys;
-
-use super::super::deform_project_backward::SLOT_PLANES;
-use super::super::photo_loss::superpoint_sums;
+use super::super::keys::{KeyOptions, KeyState, PoseSums};
 use super::super::saved::Saved;
 use super::super::step::Step;
 use super::super::usage::TrainingMemory;
@@ -14,29 +10,18 @@ use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
 use crate::render::deformation::{DeformationBuffers, Poses};
 use crate::render::scene_buffers::SceneBuffers;
 use crate::render::superpoint_motion::BlendSlices;
+use crate::scene::parameter::MEAN;
 use crate::scene::{Deformation, SuperpointDeformation};
-
-pub use keys::KeyOptions;
-pub(super) use keys::Keys;
-
-/// The step that is under way.
-#[derive(Debug, Clone, Copy, Default)]
-struct Now {
-    iteration: u64,
-    time: f64,
-    pixels: f64,
-}
 
 /// The model on the device.
 #[derive(Debug)]
 pub(super) struct TableTraining {
     scene: SuperpointDeformation,
-    keys: Keys,
+    keys: KeyState,
+    sums: PoseSums,
     blend: Option<BlendSlices>,
     pose: Buffer,
-    readback: Buffer,
     gaussians: u32,
-    now: Now,
 }
 
 impl TableTraining {
@@ -46,17 +31,13 @@ impl TableTraining {
             return Err(Error::usage("model to train", "no key-time table", "superpoints with one"));
         };
         let m = scene.superpoints.position.len();
-        let blend = scene.blend.as_ref().map(|b| BlendSlices::upload(gpu, b, m)).transpose()?;
-        let planes = blend.as_ref().map_or(6, |b| b.slots * SLOT_PLANES);
-        let bytes = 4 * u64::from(planes) * u64::from(gaussians.max(1));
         Ok(Self {
-            keys: Keys::new(table, options)?,
+            keys: KeyState::new(gpu, table, options)?,
+            sums: PoseSums::new(gpu, scene, gaussians)?,
+            blend: scene.blend.as_ref().map(|b| BlendSlices::upload(gpu, b, m)).transpose()?,
+            pose: gpu.buffer("pose", 32 * m as u64, Memory::Device)?,
             scene: scene.clone(),
-            pose: gpu.buffer("pose", 32 * m as u64, Memory::Upload)?,
-            readback: gpu.buffer("pose gradient readback", bytes, Memory::Readback)?,
-            blend,
             gaussians,
-            now: Now::default(),
         })
     }
 }
@@ -69,45 +50,27 @@ impl TrainedDeformation for TableTraining {
         buffers.blend = self.blend.clone();
     }
 
-    fn most_in_flight(&self) -> usize {
-        1
+    fn prepare(&self, step: &mut Step, time: f64, pixels: f64) {
+        self.keys.prepare(step, time, pixels);
     }
 
-    fn prepare(&mut self, step: &Step, time: f64, pixels: f64) -> Result<()> {
-        self.now = Now { iteration: step.iteration.into(), time, pixels };
-        let rows = self.keys.poses(time).into_iter();
-        let rows: Vec<[[f32; 4]; 2]> =
-            rows.map(|p| [p.rotation, p.translation].map(|v| v.as_vec3().extend(0.0).to_array())).collect();
-        self.pose.write(0, bytemuck::cast_slice(&rows))
-    }
-
-    fn record_forward(&self, _: &mut Recorder, _: &StepInputs<'_>) -> Result<()> {
-        Ok(())
+    fn record_forward(&self, r: &mut Recorder, inputs: &StepInputs<'_>) -> Result<()> {
+        self.keys.record_interpolate(r, inputs.step, &self.pose)
     }
 
     fn record_backward(&self, r: &mut Recorder, inputs: &StepInputs<'_>) -> Result<()> {
-        r.copy(inputs.pose_gradient.slice(0, self.readback.bytes()), &self.readback)?;
-        r.host_read(&self.readback);
-        Ok(())
-    }
-
-    fn learn(&mut self) -> Result<()> {
-        let mut planes = vec![0.0_f32; self.readback.bytes() as usize / 4];
-        self.readback.read(0, bytemuck::cast_slice_mut(&mut planes))?;
-        let mut sums = superpoint_sums(&planes, self.gaussians as usize, &self.scene);
-        let Now { iteration, time, pixels } = self.now;
-        // The loss is a mean over the pixels; how far a key goes should not depend on their number.
-        sums.iter_mut().for_each(|s| (s.rotation, s.translation) = (s.rotation * pixels, s.translation * pixels));
-        self.keys.learn(iteration, time, &sums);
-        Ok(())
+        let mean = Slice::from(&inputs.scene.parameter[MEAN]);
+        self.sums.record(r, inputs.step, &mean, &Slice::from(inputs.pose_gradient), inputs.status)?;
+        self.keys.record_learn(r, inputs.step, inputs.counters, &self.sums, inputs.status)
     }
 
     fn numbers(&self) -> Vec<Numbers> {
-        vec![("poses", Slice::from(&self.pose), (self.pose.bytes() / 4) as u32)]
+        let state = self.keys.state();
+        vec![("key poses", Slice::from(state), (state.bytes() / 4) as u32)]
     }
 
     fn bytes_per_gaussian(&self) -> u64 {
-        self.readback.bytes() / u64::from(self.gaussians.max(1))
+        self.sums.bytes() / u64::from(self.gaussians.max(1))
     }
 
     fn resized(self: Box<Self>, _: &Gpu, gaussians: u32, _: &mut Rows<'_>) -> Result<Option<Trained>> {
@@ -115,12 +78,12 @@ impl TrainedDeformation for TableTraining {
     }
 
     fn add_memory(&self, used: &mut TrainingMemory) {
-        used.parameters += self.pose.bytes();
-        used.gradients += self.readback.bytes();
+        used.parameters += self.pose.bytes() + self.keys.bytes();
+        used.gradients += self.sums.bytes();
     }
 
-    fn download(&self, _: &Gpu, _: &SceneBuffers) -> Result<Deformation> {
-        Ok(SuperpointDeformation { table: Some(self.keys.table()), ..self.scene.clone() }.into())
+    fn download(&self, gpu: &Gpu, _: &SceneBuffers) -> Result<Deformation> {
+        Ok(SuperpointDeformation { table: Some(self.keys.table(gpu)?), ..self.scene.clone() }.into())
     }
 
     fn save(&self, _: &Gpu, _: &SceneBuffers, _: &mut Saved) -> Result<()> {

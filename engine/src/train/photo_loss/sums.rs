@@ -56,7 +56,7 @@ pub struct CameraGradient {
 
 /// `[M]` gradients by the poses, with τ held as a superpoint turns, from `float[6][N]`, or `float[K][7][N]` with soft
 /// superpoints; of `n` Gaussians, in their order.
-pub(in crate::train) fn superpoint_sums(planes: &[f32], n: usize, motion: &SuperpointDeformation) -> Vec<Twist> {
+fn superpoint_sums(planes: &[f32], n: usize, motion: &SuperpointDeformation) -> Vec<Twist> {
     let mut sums = vec![Twist::default(); motion.superpoints.position.len()];
     let vector = |plane: usize, i: usize| DVec3::from_array([0, 1, 2].map(|c| f64::from(planes[(plane + c) * n + i])));
     let mut add = |j: u32, first: usize, i: usize| {

@@ -141,10 +141,9 @@ impl Trainer {
         self.finished.pop_front()
     }
 
-    /// Steps that may be in flight: as many as were asked for, fewer where photos have no room or the host learns in between.
+    /// Steps that may be in flight: as many as were asked for, fewer where photos have no room.
     pub fn flight(&self) -> usize {
-        let most = self.deformation.as_ref().map_or(usize::MAX, |model| model.most_in_flight());
-        self.slots.len().min(self.photos.lanes()).min(most)
+        self.slots.len().min(self.photos.lanes())
     }
 
     /// Steps that were submitted again, because they or one before them had no room.
@@ -205,10 +204,10 @@ impl Trainer {
         let at = self.target([camera.width, camera.height])?;
         let camera = &self.pyramid.views[view].camera;
         let frame = Frame::new(camera, self.parameters.scene.origin, &self.frame_options(view, at))?;
-        let step = self.step_of(iteration, view, photo);
-        self.slots[slot].step.write(0, bytemuck::bytes_of(&step))?;
+        let mut step = self.step_of(iteration, view, photo);
         let (time, pixels) = (self.pyramid.views[view].time, f64::from(camera.width) * f64::from(camera.height));
-        self.deformation.as_mut().map_or(Ok(()), |model| model.prepare(&step, time, pixels))?;
+        self.deformation.iter().for_each(|model| model.prepare(&mut step, time, pixels));
+        self.slots[slot].step.write(0, bytemuck::bytes_of(&step))?;
         let key = RecordingKey { sh_degree: self.parameters.scene.sh_degree, moves: self.deformation.is_some() };
         let target = &self.targets[at];
         target.frames[slot].frame.write(0, bytemuck::bytes_of(&frame))?;
@@ -253,7 +252,6 @@ impl Trainer {
     }
 
     fn finish(&mut self, job: &Job, report: StepReport) -> Result<()> {
-        self.deformation.as_mut().map_or(Ok(()), |model| model.learn())?;
         if let Some(window) = &mut self.window {
             window.note(report.view, report.l1);
         }

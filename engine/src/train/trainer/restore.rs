@@ -6,7 +6,8 @@ use crate::gpu::Gpu;
 use crate::scene::{Deformation, Motion, Scene};
 use crate::train::checkpoint::Checkpoint;
 use crate::train::config::Config;
-use crate::train::deformation::{self, KeyOptions};
+use crate::train::deformation;
+use crate::train::keys::KeyOptions;
 use crate::train::parameters::{ParameterState, with_sh_degree};
 use crate::train::saved::Saved;
 use crate::train::schedule::Stage;
@@ -63,7 +64,7 @@ impl Trainer {
         let mut config = config.clone();
         config.gaussians.sh_degree = gaussians.sh_degree;
         config.motion.blend = moved.blend.as_ref().map_or(1, |blend| blend.neighbors as u32);
-        let mut trainer = Self::assemble(gpu, &config, data, Stage::Table, 0, &state)?.with_flight(1)?;
+        let mut trainer = Self::assemble(gpu, &config, data, Stage::Table, 0, &state)?;
         trainer.set_deformation(deformation::of_table(gpu, moved, gaussians.len() as u32, keys)?);
         Ok(trainer)
     }

@@ -104,7 +104,7 @@ impl Task<'_> {
         let mut draw = |camera: &Camera| Ok(Pixels::opaque(&renderer.render(camera, camera.time)?));
         let lessons = Lessons { photos, cameras, times: moments.scene().time_range(), draw: &mut draw };
         let (background, near) = (options.background, options.near);
-        let how = TuneOptions { iterations, seed: args.seed, background, near, rate_px: None };
+        let how = TuneOptions { iterations, seed: args.seed, background, near, rate_px: None, deterministic: true };
         let bar = progress::training(iterations, 0, self.quiet);
         let tuned = distill::tune(self.gpu, &fitted.scene, views, lessons, &how, &mut |done| {
             let text = format!("fine-tuning: loss {:.4}, PSNR {:.2} dB", done.loss, done.psnr);

@@ -1,5 +1,5 @@
-//! Key poses that learn, on the host in f64: Adam of the two keys around each step's time, and terms that hold them to where they
-//! began.
+//! Key poses that learn, in f64 on the host, as the kernels are to do it: Adam of the two keys around each step's time, and terms
+//! that hold them to where they began.
 //!
 //! A key is a vector r and the place x = Exp(r)p + τ of its superpoint's centre p: so a turn does not swing what lies far from the
 //! world's origin. With the gradients ω (by a left tangent, τ held) and g (by τ) at a time between keys a and b, where r and τ are
@@ -7,36 +7,12 @@
 
 use glam::DVec3;
 
-use crate::error::{Error, Result};
+use super::{BETA, EPSILON, KeyOptions, LARGEST_TURN, twin_of};
+use crate::error::Result;
 use crate::reference::gradient::motion::left_jacobian;
 use crate::reference::{Pose, exp};
 use crate::scene::Motion;
 use crate::train::photo_loss::Twist;
-
-/// Adam's decays: a key is seen in few of the steps, so its second moment follows quickly.
-const BETA: [f64; 2] = [0.9, 0.98];
-const EPSILON: f64 = 1e-12;
-/// Largest turn in one step, radians.
-const LARGEST_TURN: f64 = 0.05;
-
-/// How key poses learn.
-#[derive(Debug, Clone, PartialEq)]
-pub struct KeyOptions {
-    /// `[M]` canonical centres that superpoints turn about.
-    pub center: Vec<DVec3>,
-    /// `[M]` root mean square distance of what they move from there, world units, above 0.
-    pub reach: Vec<f64>,
-    /// `[M]` world units of a pixel; 0: the superpoint stays as it is.
-    pub unit: Vec<f64>,
-    /// Pixels of a step, at the start and at the end.
-    pub rate_px: [f64; 2],
-    /// λ of ½d², d the way of a key from where it began, pixels; fades to 0.
-    pub hold: f64,
-    /// λ of ½‖d − d'‖² for keys that follow each other; fades to 0.
-    pub smooth: f64,
-    /// Steps until the rate has fallen and those terms have faded.
-    pub iterations: u64,
-}
 
 /// Six numbers of a key: turn, shift.
 type Six = [DVec3; 2];
@@ -63,7 +39,7 @@ struct Between {
 
 /// A table that learns.
 #[derive(Debug, Clone)]
-pub(in crate::train) struct Keys {
+pub struct Keys {
     options: KeyOptions,
     /// Times alone.
     times: Motion,
@@ -76,16 +52,9 @@ impl Keys {
     ///
     /// # Errors
     /// `Usage` for another number of superpoints, no key, or a rate that is not above 0.
-    pub(in crate::train) fn new(table: &Motion, options: KeyOptions) -> Result<Self> {
-        let (m, count) = (options.center.len(), table.rotation.len());
-        let lengths = [options.reach.len(), options.unit.len(), table.superpoint_count()];
-        if m == 0 || table.times.is_empty() || lengths != [m; 3] || count != table.times.len() * m {
-            let found = format!("{count} poses of {} key times, {lengths:?} and {m} superpoints", table.times.len());
-            return Err(Error::usage("key poses to train", found, "as many of each, at least one"));
-        }
-        if !options.rate_px.iter().all(|rate| rate.is_finite() && *rate > 0.0) {
-            return Err(Error::usage("rate of key poses", format!("{:?} pixels", options.rate_px), "two above 0"));
-        }
+    pub fn new(table: &Motion, options: KeyOptions) -> Result<Self> {
+        options.check(table)?;
+        let m = options.center.len();
         let vector = |v: &[f32; 3]| DVec3::from_array(v.map(f64::from));
         let key = |(at, (r, t)): (usize, (&[f32; 3], &[f32; 3]))| {
             let rotation = vector(r);
@@ -120,13 +89,13 @@ impl Keys {
     }
 
     /// `[M]` at a time.
-    pub(in crate::train) fn poses(&self, time: f64) -> Vec<Pose> {
+    pub fn poses(&self, time: f64) -> Vec<Pose> {
         let between = self.between(time);
         (0..self.superpoints()).map(|j| self.at(j, between)).collect()
     }
 
     /// The table as it is.
-    pub(in crate::train) fn table(&self) -> Motion {
+    pub fn table(&self) -> Motion {
         let m = self.superpoints();
         let poses = || (0..self.keys.len()).map(|at| self.pose(at / m, at % m));
         let rounded = |v: DVec3| v.as_vec3().to_array();
@@ -139,11 +108,9 @@ impl Keys {
 
     /// A step (from 1) at a time, from `[M]` gradients of the loss by left tangents with τ held, and by τ. What an image does not
     /// show stays.
-    pub(in crate::train) fn learn(&mut self, iteration: u64, time: f64, gradient: &[Twist]) {
+    pub fn learn(&mut self, iteration: u64, time: f64, gradient: &[Twist]) {
         let (m, between) = (self.superpoints(), self.between(time));
-        let share = (iteration as f64 / self.options.iterations.max(1) as f64).min(1.0);
-        let [from, to] = self.options.rate_px;
-        let rate = from * (to / from).powf(share);
+        let (rate, fade) = (self.options.rate(iteration), self.options.fade(iteration));
         for (j, twist) in gradient.iter().enumerate().take(m) {
             let unseen = twist.rotation == DVec3::ZERO && twist.translation == DVec3::ZERO;
             let finite = twist.rotation.is_finite() && twist.translation.is_finite();
@@ -155,7 +122,7 @@ impl Keys {
             let weights = if ends == 1 { [1.0, 0.0] } else { [1.0 - between.weight, between.weight] };
             let by_key: Vec<(usize, Six)> = (0..ends)
                 .map(|end| (between.keys[end], self.gradient(j, between.keys[end], weights[end], &now, twist)))
-                .map(|(key, g)| (key, self.with_terms(j, key, 1.0 - share, g)))
+                .map(|(key, g)| (key, self.with_terms(j, key, fade, g)))
                 .collect();
             for (key, g) in by_key {
                 self.update(j, key, rate, g);
@@ -169,20 +136,14 @@ impl Keys {
         let arm = exp(r) * self.options.center[j];
         let turn = left_jacobian(now.rotation).transpose() * twist.rotation
             + left_jacobian(r).transpose() * twist.translation.cross(arm);
-        let [by_turn, by_shift] = self.scale(j);
+        let [by_turn, by_shift] = self.options.scale(j);
         [turn * (weight * by_turn), twist.translation * (weight * by_shift)]
-    }
-
-    /// Radians and world units of a pixel.
-    fn scale(&self, j: usize) -> [f64; 2] {
-        let unit = self.options.unit[j];
-        [unit / self.options.reach[j].max(1e-12), unit]
     }
 
     /// How far a key has gone, pixels.
     fn way(&self, j: usize, key: usize) -> Six {
         let Key { rotation, place, first, .. } = self.keys[key * self.superpoints() + j];
-        let [by_turn, by_shift] = self.scale(j);
+        let [by_turn, by_shift] = self.options.scale(j);
         [(rotation - first[0]) / by_turn, (place - first[1]) / by_shift]
     }
 
@@ -203,7 +164,7 @@ impl Keys {
         if self.begins_anew(j, key) {
             return;
         }
-        let (scale, m) = (self.scale(j), self.superpoints());
+        let (scale, m) = (self.options.scale(j), self.superpoints());
         let at = key * m + j;
         let k = &mut self.keys[at];
         k.updates += 1;
@@ -219,22 +180,16 @@ impl Keys {
         k.place += step[1];
         let moved = *k;
         // Two keys of one time are one key.
-        if let Some(twin) = self.twin(key) {
+        if let Some(twin) = twin_of(&self.times.times, key) {
             self.keys[twin * m + j] = moved;
         }
-    }
-
-    /// The other one of two keys that are one f32 apart.
-    fn twin(&self, key: usize) -> Option<usize> {
-        let t = &self.times.times;
-        let next = |k: usize| k + 1 < t.len() && t[k + 1] <= t[k].next_up();
-        if next(key) { Some(key + 1) } else { key.checked_sub(1).filter(|k| next(*k)) }
     }
 
     /// Whether a superpoint's vector begins anew at this key: then it stays, so that both say the same turn.
     fn begins_anew(&self, j: usize, key: usize) -> bool {
         let m = self.superpoints();
-        self.twin(key).is_some_and(|twin| self.keys[twin * m + j].rotation != self.keys[key * m + j].rotation)
+        twin_of(&self.times.times, key)
+            .is_some_and(|twin| self.keys[twin * m + j].rotation != self.keys[key * m + j].rotation)
     }
 }
 
@@ -279,7 +234,7 @@ mod tests {
         let now = keys.at(j, between);
         for (key, weight) in between.keys.into_iter().zip([1.0 - between.weight, between.weight]) {
             let found = keys.gradient(j, key, weight, &now, &gradient(&now));
-            let scale = keys.scale(j);
+            let scale = keys.options.scale(j);
             for part in 0..2 {
                 for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
                     let h = 1e-5;
