@@ -81,7 +81,7 @@ impl Default for Options {
         Self {
             solve: Solve::default(),
             init: None,
-            iterations: 400,
+            iterations: 600,
             coupling: 3.0,
             smoothness: 0.003,
             lambda_dssim: 0.2,

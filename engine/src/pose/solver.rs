@@ -22,10 +22,10 @@ const FINAL_RATE: f64 = 0.004;
 const LARGEST_TURN: f64 = 0.1;
 const LARGEST_SHIFT: f64 = 2.0;
 /// λ_A in parts of a size, in units of the usual: neighbours hold on to each other firmly while photos are small, and while full
-/// ones begin. At the end, where photos differ by less than `WELL` (their loss), what they say counts more.
+/// ones begin. At the end, where photos differ by less than `WELL` (their loss), what they say counts more, by the square.
 const SMALL: &[f64] = &[30.0, 30.0];
-const FULL: &[f64] = &[30.0, 10.0, 3.0, 1.0, 0.3];
-const WELL: f64 = 0.01;
+const FULL: &[f64] = &[30.0, 10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003];
+const WELL: f64 = 0.03;
 /// Random images per photo for the metric of steps.
 const METRIC_PROBES: u32 = 16;
 /// What is known least of a superpoint counts as this share of what is known best.
@@ -116,7 +116,7 @@ impl Solver<'_, '_> {
                 let now = iteration as usize * stages.len() / iterations as usize;
                 if self.options.solve != Solve::Camera && stage != Some(now) {
                     stage = Some(now);
-                    let least = (progress.loss / state.sights.len() as f64 / WELL).min(1.0);
+                    let least = (progress.loss / state.sights.len() as f64 / WELL).min(1.0).powi(2);
                     self.strength = self.options.coupling * stages[now].max(least);
                     metric = self.metric(state, size, progress.loss)?;
                 }

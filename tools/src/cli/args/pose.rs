@@ -40,7 +40,7 @@ pub struct PoseArgs {
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub downscale: Option<u32>,
     /// Iterations per time, over all sizes of its photos
-    #[arg(long, value_name = "N", default_value_t = 400, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 600, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub iterations: u32,
     /// How much superpoints hold on to their neighbours
     #[arg(long, value_name = "X", default_value_t = 3.0, value_parser = weight)]
