@@ -78,7 +78,7 @@ pub struct Tuned {
     pub loss: [f64; 2],
 }
 
-/// Trains a student; `watch` hears of every step.
+/// Trains a student; `watch` hears of every step. The same bits come out on every run where `deterministic` asks for them.
 ///
 /// # Errors
 /// `Usage` for no steps or nothing to learn from; those of the device, of photos, of `draw`; `NonFinite`.
