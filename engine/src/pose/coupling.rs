@@ -20,8 +20,8 @@ use crate::train::photo_loss::Twist;
 
 /// Neighbours of each superpoint.
 const NEIGHBORS: usize = 8;
-/// σ_v in units of σ: parts that bend against each other a little still hold on. 0.05 let nearly all go that the end of training makes,
-/// which move each its own way.
+/// σ_v in units of σ: parts that bend against each other a little still hold on. With 0.05 the rigid parts that training ends with
+/// drifted apart.
 const SLACK: f64 = 0.2;
 /// Least share of a weight that variation over time leaves: what no pixel sees has something to follow.
 const LEAST: f64 = 1e-3;
@@ -170,6 +170,18 @@ mod tests {
                 close(by_shift, gradient[j].translation.dot(axis));
             }
         }
+    }
+
+    #[test]
+    fn what_bends_a_little_holds_on_and_what_goes_its_own_way_does_not() {
+        let bodies = Bodies { center: vec![DVec3::ZERO, DVec3::X], reach: vec![0.3; 2] };
+        let weight = |way: f32| {
+            let translation = vec![[0.0; 3], [-way, 0.0, 0.0], [0.0; 3], [way, 0.0, 0.0]];
+            let motion = Motion { times: vec![0.0, 1.0], rotation: vec![[0.0; 3]; 4], translation };
+            Coupling::new(&bodies, &motion).pairs[0].weight
+        };
+        let whole = weight(0.0);
+        assert!(weight(0.1) > 0.5 * whole && weight(0.6) < 0.01 * whole, "{} {} {whole}", weight(0.1), weight(0.6));
     }
 
     #[test]

@@ -36,9 +36,9 @@ impl KeyState {
     pub(in crate::train) fn new(gpu: &Gpu, table: &Motion, options: KeyOptions) -> Result<Self> {
         options.check(table)?;
         Ok(Self {
-            key: uploaded(gpu, "key", bytemuck::cast_slice(&key_words(table, &options)))?,
-            superpoint: uploaded(gpu, "key_superpoint", bytemuck::cast_slice(&superpoint_words(&options)))?,
-            twin: uploaded(gpu, "key_twin", bytemuck::cast_slice(&twin_words(&table.times)))?,
+            key: gpu.buffer_with("key", bytemuck::cast_slice(&key_words(table, &options)))?,
+            superpoint: gpu.buffer_with("key_superpoint", bytemuck::cast_slice(&superpoint_words(&options)))?,
+            twin: gpu.buffer_with("key_twin", bytemuck::cast_slice(&twin_words(&table.times)))?,
             times: Motion { times: table.times.clone(), ..Motion::default() },
             options,
         })
@@ -113,12 +113,6 @@ impl KeyState {
     }
 }
 
-fn uploaded(gpu: &Gpu, name: &str, bytes: &[u8]) -> Result<Buffer> {
-    let buffer = gpu.buffer(name, bytes.len() as u64, Memory::Device)?;
-    gpu.upload(&buffer, bytes)?;
-    Ok(buffer)
-}
-
 /// Sums over the Gaussians of each superpoint, whose order never changes here: pairs are sorted once.
 #[derive(Debug)]
 pub(in crate::train) struct PoseSums {
@@ -147,7 +141,7 @@ impl PoseSums {
         let own = |j: usize| if slots > 0 { start(j + 1) } else { start(j) };
         let range: Vec<u32> = (0..m).map(start).chain((0..m).map(own)).chain((1..=m).map(start)).collect();
         let nonempty = |words: &[u32]| if words.is_empty() { vec![0] } else { words.to_vec() };
-        let upload = |name: &str, words: &[u32]| uploaded(gpu, name, bytemuck::cast_slice(&nonempty(words)));
+        let upload = |name: &str, words: &[u32]| gpu.buffer_with(name, bytemuck::cast_slice(&nonempty(words)));
         Ok(Self {
             key: upload("pair_key", &key)?,
             value: upload("pair_value", &value)?,
