@@ -25,26 +25,39 @@ bool usable(float x) {
     return (floatBitsToUint(x) & 0x7fffffffu) <= floatBitsToUint(MAX_COLOR);
 }
 
-// Target value of a channel; kind 0: premultiplied RGBA8 over the background, 1: float bits, four words per pixel.
-float target_value(uint kind, uint pixel, uint channel) {
+// Word of the target with a channel; kind 0 and 2: premultiplied RGBA8 over the background, 1: float bits, four words per pixel.
+uint target_word(uint kind, uint pixel, uint channel) {
+    return target[first_word + (kind == 1u ? 4u * pixel + channel : pixel)];
+}
+
+float target_value(uint kind, uint word, uint channel) {
     if (kind == 1u) {
-        return uintBitsToFloat(target[first_word + 4u * pixel + channel]);
+        return uintBitsToFloat(word);
     }
-    uint word = target[first_word + pixel];
     float premultiplied = float((word >> (8u * channel)) & 255u);
     float rest = float(255u - (word >> 24u));
     return (premultiplied + rest * background) / 255.0;
 }
 
-// (rendered, target, 1) of a channel. Where either cannot be used both are the same, so that the pixel takes no part, and
-// the last component is 0.
+// What a pixel is for the loss, the last component of image_and_target.
+const float UNUSABLE = 0.0;
+const float TAKES_PART = 1.0;
+const float MASKED = 2.0;
+
+// A colour without opacity, which no photo has: its mask leaves this pixel out. Of kind 2 alone.
+const uint LEFT_OUT = 0x00ffffffu;
+
+// (rendered, target, what it is) of a channel. Where either cannot be used, and where a mask leaves the pixel out, both are the
+// same, so that it takes no part.
 vec3 image_and_target(uint kind, uint pixel, uint channel) {
     float x = color[4u * pixel + channel];
-    float y = target_value(kind, pixel, channel);
-    bool good = usable(y);
-    y = good ? y : 0.0;
-    good = good && usable(x);
-    return vec3(good ? x : y, y, good ? 1.0 : 0.0);
+    uint word = target_word(kind, pixel, channel);
+    float y = target_value(kind, word, channel);
+    bool masked = kind == 2u && word == LEFT_OUT;
+    bool good = usable(x) && usable(y);
+    y = usable(y) ? y : 0.0;
+    y = masked ? (good ? x : 0.0) : y;
+    return vec3(good ? x : y, y, !good ? UNUSABLE : (masked ? MASKED : TAKES_PART));
 }
 
 #endif

@@ -36,6 +36,8 @@ struct Step {
     float rate_key;           // pixels of a step of key poses
     float key_fade;           // of the terms that hold them
     float pixels;             // of the image
+    uint exposure;            // number of the photo
+    float rate_exposure;
 };
 
 layout(std430, set = 0, binding = STEP_BINDING) readonly buffer StepBlock { Step step_data; };

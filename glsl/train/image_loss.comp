@@ -10,7 +10,7 @@
 
 layout(local_size_x = 128) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
-layout(constant_id = 1) const uint TARGET = 0u;    // 0: RGBA8, 1: float bits
+layout(constant_id = 1) const uint TARGET = 0u;    // 0: RGBA8, 1: float bits, 2: RGBA8, some pixels left out
 layout(constant_id = 2) const uint WITH_SSIM = 1u; // 0: lambda is 0 and `ssim_maps` is not read
 layout(constant_id = 3) const uint STAGE = 1u;     // as lib/ssim.glsl has it
 
@@ -53,7 +53,8 @@ void store_pixel(uint channel, uvec2 pixel, vec3 by_moment) {
     float d = v.x - v.y;
     float by_ssim = by_moment.x + 2.0 * v.x * by_moment.y + 2.0 * d * by_moment.z;
     float gradient = per_value * ((1.0 - lambda) * sign(d) - lambda * by_ssim);
-    bool good = v.z != 0.0 && number_is_finite(gradient);
+    gradient = v.z == MASKED ? 0.0 : gradient;
+    bool good = v.z != UNUSABLE && number_is_finite(gradient);
     bad_count += good ? 0u : 1u;
     first_bad = good ? first_bad : min(first_bad, at);
     image_gradient[4u * at + channel] = good ? gradient : 0.0;

@@ -11,7 +11,7 @@
 
 layout(local_size_x = 128) in;
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
-layout(constant_id = 1) const uint TARGET = 0u; // 0: RGBA8, 1: float bits
+layout(constant_id = 1) const uint TARGET = 0u; // 0: RGBA8, 1: float bits, 2: RGBA8, some pixels left out
 layout(constant_id = 2) const uint STAGE = 1u;  // as lib/ssim.glsl has it
 
 #include "lib/frame.glsl"

@@ -3,7 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use engine::data::dataset::{self, DatasetKind, DatasetOptions, SplitRule, TimeRule};
+use engine::data::dataset::{self, DatasetKind, DatasetOptions, MaskRule, SplitRule, TimeRule};
+use engine::data::pixels::LEFT_OUT;
 use engine::data::{Dataset, View, load_cameras};
 use engine::error::Error;
 use glam::DVec3;
@@ -279,6 +280,30 @@ fn nerf_ds_scenes_have_masks_lists_and_full_size() {
     let mask = view.image.decode_mask().unwrap().unwrap();
     assert_eq!((mask[0], mask[15], mask.len()), (0, 255, 128));
     assert_eq!(view.image.decode().unwrap().rgba[5].to_le_bytes(), [1, 0, 0, 255]);
+    // What training leaves out, when it is asked to; these masks say what moves, so it is not by itself.
+    assert_eq!((view.image.used, d.train[0].image.used), (None, None));
+    assert!(d.decisions.iter().any(|l| l.contains("training does not use them (data.masks)")), "{:?}", d.decisions);
+    for (masks, left_out) in [(MaskRule::White, 0), (MaskRule::Black, 12)] {
+        let d = dataset::load(&scene, &DatasetOptions { masks, ..DatasetOptions::default() }).unwrap();
+        let pixels = d.train[1].image.decode_for_training().unwrap().rgba;
+        assert_eq!(
+            (pixels[left_out], pixels[12 - left_out]),
+            (LEFT_OUT, u32::from_le_bytes([1, 0, 0, 255])),
+            "{masks:?}"
+        );
+        let [bare, whole] = [d.train[0].image.decode_for_training(), d.train[0].image.decode()].map(|p| p.unwrap());
+        assert_eq!(bare, whole, "no mask, no pixel less");
+    }
+    // A mask may be larger than its photo, not smaller.
+    for (size, fits) in [([32, 16], true), ([8, 4], false), ([32, 4], false)] {
+        picture(scene.join("resized_mask/1x/f001.png.png"), size, |x, _| [if x < 8.0 { 0.0 } else { 255.0 }; 3]);
+        let masks = MaskRule::White;
+        let d = dataset::load(&scene, &DatasetOptions { masks, ..DatasetOptions::default() }).unwrap();
+        let found = d.train[1].image.decode_for_training();
+        assert_eq!(found.as_ref().is_ok_and(|p| p.rgba[3] == LEFT_OUT && p.rgba[4] != LEFT_OUT), fits, "{size:?}");
+        let named = |e: &Error| e.to_string().contains("f001.png.png") && e.to_string().contains("16 x 8");
+        assert!(fits || found.as_ref().is_err_and(named), "{found:?}");
+    }
 }
 
 #[test]

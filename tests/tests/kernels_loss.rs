@@ -1,6 +1,7 @@
 //! The image loss on the device against its twins and against the f64 reference.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
+use engine::data::pixels::LEFT_OUT;
 use engine::gpu::{Gpu, Memory};
 use engine::reference::gradient::loss::image_loss;
 use engine::render::frame::Frame;
@@ -156,7 +157,7 @@ fn device_loss(
     let upload = |name: &str, words: &[u32]| gpu.buffer_with(name, bytemuck::cast_slice(words)).unwrap();
     let frame = upload("frame", &words(&[frame(size)]));
     let step = upload("step", &words(&[step(lambda)]));
-    let (color, target) = (upload("color", color), upload("target", &behind_others(target)));
+    let (color, photo) = (upload("color", color), upload("target", &behind_others(target)));
     let image_gradient = gpu.buffer("image_gradient", 16 * pixels, Memory::Device).unwrap();
     let loss = gpu.buffer("loss", 32, Memory::Device).unwrap();
     let status = upload("status", &status::clear());
@@ -165,13 +166,15 @@ fn device_loss(
         frame: &frame,
         step: &step,
         color: &color,
-        target: &target,
+        target: &photo,
         image_gradient: &image_gradient,
         loss: &loss,
         status: &status,
     };
     let mut r = gpu.recorder("image loss");
-    image_loss.record(&mut r, &buffers, TargetFormat::Rgba8).unwrap();
+    let masked = target.contains(&LEFT_OUT);
+    let format = if masked { TargetFormat::MaskedRgba8 } else { TargetFormat::Rgba8 };
+    image_loss.record(&mut r, &buffers, format).unwrap();
     gpu.run(r).unwrap();
     let floats =
         |b, n| bytemuck::pod_collect_to_vec::<u8, f32>(&gpu.download(engine::gpu::Buffer::slice(b, 0, n)).unwrap());
@@ -207,6 +210,45 @@ fn loss_and_gradient_equal_twins_and_truth() {
         check_against_truth(&gpu, size, [0.2, 0.2, 1.0][i % 3], 100 + i as u64);
         check_against_truth(&gpu, size, 0.0, 200 + i as u64);
     }
+}
+
+/// What a mask leaves out has no gradient, and for its neighbours the photo is there what was rendered.
+#[test]
+fn pixels_that_a_mask_leaves_out_take_no_part() {
+    let gpu = tests_harness::shared_gpu();
+    let size = [45, 38];
+    let (color, mut target) = images(size, 21);
+    let left_out = |i: usize| (i % 45 > 30 && i / 45 < 20) || i % 97 == 0;
+    (0..target.len()).filter(|i| left_out(*i)).for_each(|i| target[i] = LEFT_OUT);
+    let image: Vec<f64> = color.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).map(f64::from).collect();
+    let mut shown = target_values(&target);
+    (0..shown.len()).filter(|i| left_out(i / 3)).for_each(|i| shown[i] = image[i]);
+    for lambda in [0.0, 0.2, 1.0] {
+        let masked = TargetFormat::MaskedRgba8 as u32;
+        let (gradient, loss) = chain(&gpu, size, lambda, &words(&color), &target, masked);
+        let mut truth = image_loss(&image, &shown, [45, 38], f64::from(lambda));
+        (0..shown.len()).filter(|i| left_out(i / 3)).for_each(|i| truth.gradient[i] = 0.0);
+        let rgb: Vec<f32> = gradient.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+        assert!((0..rgb.len()).all(|i| rgb[i] == 0.0 || !left_out(i / 3)));
+        let error = relative_l2(&rgb, &truth.gradient.iter().map(|g| *g as f32).collect::<Vec<_>>());
+        assert!(error <= 1e-4, "λ {lambda}: {error:e}");
+        assert!((f64::from(loss[0]) - truth.loss).abs() < 1e-6, "λ {lambda}: {} against {}", loss[0], truth.loss);
+        assert!((f64::from(loss[3]) - truth.mse).abs() < 1e-6);
+    }
+}
+
+/// A rendered value that is not finite is reported where a mask leaves the pixel out, too.
+#[test]
+fn nan_behind_a_mask_is_reported() {
+    let gpu = tests_harness::shared_gpu();
+    let size = [20, 12];
+    let (mut color, mut target) = images(size, 23);
+    target[50] = LEFT_OUT;
+    color[4 * 50 + 1] = f32::NAN;
+    let (gradient, loss, report) = device_loss(&gpu, size, 0.2, &words(&color), &target);
+    assert!(gradient.iter().all(|g| g.is_finite()) && loss[0].is_finite());
+    assert_eq!(report[2 * status::IMAGE_GRADIENT..][..2], [1, 50]);
+    chain(&gpu, size, 0.2, &words(&color), &target, TargetFormat::MaskedRgba8 as u32);
 }
 
 #[test]

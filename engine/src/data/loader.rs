@@ -23,6 +23,8 @@ pub struct ImageLoader {
 struct Shared {
     views: Arc<[View]>,
     budget: u64,
+    /// Whether masks are looked at.
+    for_training: bool,
     state: Mutex<State>,
     /// Signalled when there may be work, or room for it.
     work: Condvar,
@@ -63,8 +65,20 @@ impl ImageLoader {
     /// # Errors
     /// [`Error::Io`] when a thread cannot be started.
     pub fn new(views: Arc<[View]>, budget_bytes: u64, workers: usize) -> Result<Self> {
+        Self::begin(views, budget_bytes, workers, false)
+    }
+
+    /// The same, of pictures as training sees them ([`ImageSource::decode_for_training`](super::pixels::ImageSource)).
+    ///
+    /// # Errors
+    /// As [`ImageLoader::new`].
+    pub fn for_training(views: Arc<[View]>, budget_bytes: u64, workers: usize) -> Result<Self> {
+        Self::begin(views, budget_bytes, workers, true)
+    }
+
+    fn begin(views: Arc<[View]>, budget: u64, workers: usize, for_training: bool) -> Result<Self> {
         let (work, done) = (Condvar::new(), Condvar::new());
-        let shared = Arc::new(Shared { views, budget: budget_bytes, state: Mutex::default(), work, done });
+        let shared = Arc::new(Shared { views, budget, for_training, state: Mutex::default(), work, done });
         let mut loader = Self { shared, workers: Vec::with_capacity(workers) };
         for i in 0..workers {
             let shared = Arc::clone(&loader.shared);
@@ -202,7 +216,8 @@ impl Shared {
     /// A decoder that panics is an error of that picture, not a `get` that waits for ever.
     fn decode(&self, index: usize) -> Result<Pixels> {
         let image = &self.views[index].image;
-        std::panic::catch_unwind(|| image.decode())
+        let decode = || if self.for_training { image.decode_for_training() } else { image.decode() };
+        std::panic::catch_unwind(decode)
             .unwrap_or_else(|_| Err(Error::corrupt(&image.path, "content", "a decoder panic", "a valid image")))
     }
 

@@ -54,6 +54,20 @@ impl Pixels {
     }
 }
 
+/// A pixel that takes no part in training: a colour without opacity, which no premultiplied picture has.
+pub const LEFT_OUT: u32 = 0x00ff_ffff;
+/// A pixel takes part when at least this share of it does, of 255: what is left out must not shine through at its edge.
+const TAKES_PART: u8 = 230;
+
+/// The pixels of a mask that take part in training.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MaskColour {
+    /// Black ones; white ones are left out.
+    Black,
+    /// White ones; black ones are left out.
+    White,
+}
+
 /// A stored picture and what to do with it on decoding: undistort at the stored size, then average down to `size`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImageSource {
@@ -65,8 +79,10 @@ pub struct ImageSource {
     pub size: [u32; 2],
     /// Lens of the stored picture; `None` for a pinhole.
     pub lens: Option<Lens>,
-    /// Mask picture of the stored size, if the data set has one.
+    /// Mask picture, if the data set has one: of the stored size, or larger.
     pub mask: Option<PathBuf>,
+    /// Which pixels of the mask take part in training; `None`: all.
+    pub used: Option<MaskColour>,
 }
 
 impl ImageSource {
@@ -76,7 +92,24 @@ impl ImageSource {
     /// # Errors
     /// [`Error::Corrupt`] for a file that is no picture or has another size; [`Error::Io`]. Both name the file.
     pub fn decode(&self) -> Result<Pixels> {
-        self.process(self.read(&self.path)?)
+        let picture = read(&self.path)?;
+        self.check_stored(&self.path, &picture)?;
+        self.process(picture)
+    }
+
+    /// The picture with [`LEFT_OUT`] where its mask says so.
+    ///
+    /// # Errors
+    /// As [`ImageSource::decode`], of the mask too.
+    pub fn decode_for_training(&self) -> Result<Pixels> {
+        let mut picture = self.decode()?;
+        let Some(used) = self.used else { return Ok(picture) };
+        let white = used == MaskColour::White;
+        for (pixel, mask) in picture.rgba.iter_mut().zip(self.decode_mask()?.unwrap_or_default()) {
+            let share = if white { mask } else { u8::MAX - mask };
+            *pixel = if share < TAKES_PART { LEFT_OUT } else { *pixel };
+        }
+        Ok(picture)
     }
 
     /// The mask at the picture's size, `[height, width]`, as the file has it (what 0 and 255 mean is the data set's
@@ -86,13 +119,22 @@ impl ImageSource {
     /// As [`ImageSource::decode`].
     pub fn decode_mask(&self) -> Result<Option<Vec<u8>>> {
         let Some(path) = &self.mask else { return Ok(None) };
-        let mut mask = self.read(path)?;
+        let mut mask = read(path)?;
         // Grey of an opaque picture; where the file has colours, their mean says least wrong.
         for pixel in mask.pixels_mut() {
             let [r, g, b, _] = pixel.0.map(u16::from);
             let grey = ((r + g + b + 1) / 3) as u8;
             pixel.0 = [grey, grey, grey, u8::MAX];
         }
+        let found = [mask.width(), mask.height()];
+        if found != self.stored && (0..2).all(|i| found[i] >= self.stored[i]) {
+            // Smaller copies of photos often share the masks of the full ones.
+            let smaller = Plane::premultiplied(mask.as_raw(), found).averaged(self.stored).packed();
+            mask = RgbaImage::from_fn(self.stored[0], self.stored[1], |x, y| {
+                image::Rgba(smaller[(y * self.stored[0] + x) as usize].to_le_bytes())
+            });
+        }
+        self.check_stored(path, &mask)?;
         Ok(Some(self.process(mask)?.rgba.into_iter().map(|p| p as u8).collect()))
     }
 
@@ -115,15 +157,13 @@ impl ImageSource {
         Some(outside.count() as f64 / (64.0 * 64.0))
     }
 
-    fn read(&self, path: &Path) -> Result<RgbaImage> {
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-        let picture = decode(&bytes, path)?;
+    fn check_stored(&self, path: &Path, picture: &RgbaImage) -> Result<()> {
         let found = [picture.width(), picture.height()];
         if found != self.stored {
             let text = |[w, h]: [u32; 2]| format!("{w} x {h} pixels");
             return Err(Error::corrupt(path, "image size", text(found), text(self.stored)));
         }
-        Ok(picture)
+        Ok(())
     }
 
     fn process(&self, picture: RgbaImage) -> Result<Pixels> {
@@ -141,6 +181,11 @@ impl ImageSource {
         };
         Ok(Pixels { width, height, rgba })
     }
+}
+
+fn read(path: &Path) -> Result<RgbaImage> {
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    decode(&bytes, path)
 }
 
 /// Width and height by the header of a picture.

@@ -28,6 +28,8 @@ pub struct Refitted {
     pub error_px: Option<[f64; 2]>,
     /// Mean loss of the first and of the last tenth of the steps.
     pub loss: [f64; 2],
+    /// `[photos][40]`, where there were some.
+    pub exposures: Option<Vec<f32>>,
 }
 
 /// So many of all, in equal steps; all where there are fewer.
@@ -49,7 +51,7 @@ fn views(photos: &[View], config: &Config) -> Views<Camera> {
 }
 
 /// Fits and trains a run's exported model for the steps that `config`, scaled, leaves to this; `None` where nothing moves by
-/// superpoints alone. `tick` hears of the fit, `watch` of every step.
+/// superpoints alone. `exposures`: what the run left of them. `tick` hears of the fit, `watch` of every step.
 ///
 /// # Errors
 /// Those of [`distill`](super::distill) and [`tune`].
@@ -58,6 +60,7 @@ pub fn refit(
     scene: &Scene,
     photos: &[View],
     config: &Config,
+    exposures: Option<Vec<f32>>,
     tick: &mut Tick<'_>,
     watch: &mut dyn FnMut(&StepReport),
 ) -> Result<Option<Refitted>> {
@@ -71,7 +74,8 @@ pub fn refit(
     let fitted = parts(scene, &views, bound_px(photos, config), most, tick)?;
     let student = fitted.as_ref().map_or(scene, |f| &f.scene);
     let mut none = |_: &Camera| Err(Error::usage("refit", "an image of the teacher", "photos alone"));
-    let lessons = Lessons { photos: photos.to_vec(), cameras: Vec::new(), times: scene.time_range(), draw: &mut none };
+    let lessons =
+        Lessons { photos: photos.to_vec(), cameras: Vec::new(), times: scene.time_range(), draw: &mut none, exposures };
     let (seed, background, near) = (config.seed, config.background, config.near);
     let how = TuneOptions { iterations, seed, background, near, rate_px: None, deterministic: config.deterministic };
     let tuned = tune(gpu, student, &views, lessons, &how, watch)?;
@@ -81,7 +85,7 @@ pub fn refit(
         Ok([displacement.bound_px, displacement.error_px.largest])
     };
     let error_px = fitted.as_ref().map(off).transpose()?;
-    Ok(Some(Refitted { scene: tuned.scene, superpoints, error_px, loss: tuned.loss }))
+    Ok(Some(Refitted { scene: tuned.scene, superpoints, error_px, loss: tuned.loss, exposures: tuned.exposures }))
 }
 
 /// Rigid parts in place of the superpoints of a scene with a table; `None` where it has more than `most` Gaussians.

@@ -15,6 +15,7 @@ use crate::scene::{Camera, Scene, SuperpointDeformation};
 use crate::train::KeyOptions;
 use crate::train::bake::Views;
 use crate::train::config::Config;
+use crate::train::exposure::{EXPOSURE_WORDS, identities};
 use crate::train::rng;
 use crate::train::sampler::ViewSampler;
 use crate::train::trainer::{StepReport, Trainer, TrainingData};
@@ -33,6 +34,8 @@ const TEACHER_SHARE: f64 = 0.1;
 const FINAL_SHARE: f64 = 0.03;
 /// λ of the terms that fade.
 const HOLD: f64 = 0.05;
+/// Learning rate of exposures, as at the end of training.
+const EXPOSURE_RATE: f64 = 1e-3;
 const SMOOTH: f64 = 0.05;
 
 /// Draws the teacher, at the camera's time.
@@ -48,6 +51,8 @@ pub struct Lessons<'a> {
     pub times: [f64; 2],
     /// Draws them.
     pub draw: &'a mut Draw<'a>,
+    /// `[photos][40]` exposures that training found ([`exposure`](crate::train::exposure)); `None`: photos are taken as they are.
+    pub exposures: Option<Vec<f32>>,
 }
 
 /// How it learns.
@@ -76,6 +81,8 @@ pub struct Tuned {
     pub images: [usize; 2],
     /// Mean loss of the first and of the last tenth of the steps.
     pub loss: [f64; 2],
+    /// `[photos][40]`, where there were some.
+    pub exposures: Option<Vec<f32>>,
 }
 
 /// Trains a student; `watch` hears of every step. The same bits come out on every run where `deterministic` asks for them.
@@ -90,7 +97,7 @@ pub fn tune(
     options: &TuneOptions,
     watch: &mut dyn FnMut(&StepReport),
 ) -> Result<Tuned> {
-    let Lessons { photos, cameras, times, draw } = lessons;
+    let Lessons { photos, cameras, times, draw, exposures } = lessons;
     if options.iterations == 0 || (photos.is_empty() && cameras.is_empty()) {
         let found = format!("{} steps, {} photos, {} cameras", options.iterations, photos.len(), cameras.len());
         return Err(Error::usage("fine-tuning", found, "steps, and photos or cameras"));
@@ -103,7 +110,15 @@ pub fn tune(
     let data = TrainingData { views: all.into(), extent, is_static: false };
     let share = if drawn > 0 { TEACHER_SHARE } else { 1.0 };
     let rate_px = options.rate_px.unwrap_or(RATE_PX.map(|px| share * px));
-    let mut trainer = trainer(gpu, student, views, &data, options, rate_px)?;
+    let mut config = config(student, options, rate_px.map(|px| px * unit(student, views)));
+    if exposures.is_some() {
+        (config.learning_rate.exposure, config.learning_rate.exposure_final) = (EXPOSURE_RATE, EXPOSURE_RATE);
+    }
+    let mut trainer = trainer(gpu, student, views, &data, &config, rate_px)?;
+    if let Some(mut rows) = exposures {
+        rows.extend(identities(drawn as usize));
+        trainer.set_exposures(&rows)?;
+    }
     let mut order = Order::new(options.seed, photo_count, drawn as usize);
     let mut losses = Vec::with_capacity(options.iterations as usize);
     for i in 1..=options.iterations {
@@ -121,7 +136,11 @@ pub fn tune(
     }
     let found = trainer.scene()?;
     let scene = Scene { gaussians: found.gaussians, deformation: found.deformation, ..student.clone() };
-    Ok(Tuned { scene, images: [photo_count, drawn as usize], loss: ends(&losses) })
+    let exposures = trainer.exposures()?.map(|mut rows| {
+        rows.truncate(photo_count * EXPOSURE_WORDS);
+        rows
+    });
+    Ok(Tuned { scene, images: [photo_count, drawn as usize], loss: ends(&losses), exposures })
 }
 
 /// Which image a step looks at: photos and images of the teacher in turn, each epoch of either in another order.
@@ -152,16 +171,15 @@ fn trainer(
     student: &Scene,
     views: &Views<Camera>,
     data: &TrainingData,
-    options: &TuneOptions,
+    config: &Config,
     rate_px: [f64; 2],
 ) -> Result<Trainer> {
-    let unit = unit(student, views);
-    let config = config(student, options, rate_px.map(|px| px * unit));
     match student.deformation.superpoint_deformation().filter(|s| s.table.is_some()) {
         Some(moved) => {
-            Trainer::table(gpu, &config, data, student, KeyOptions { rate_px, ..keys(student, moved, views, options) })
+            let keys = keys(student, moved, views, config.iterations);
+            Trainer::table(gpu, config, data, student, KeyOptions { rate_px, ..keys })
         }
-        None => Trainer::new(gpu, &config, data, &student.gaussians),
+        None => Trainer::new(gpu, config, data, &student.gaussians),
     }
 }
 
@@ -197,7 +215,7 @@ fn unit(student: &Scene, views: &Views<Camera>) -> f64 {
     reach.get(reach.len() / 2).map_or(1e-3, |r| 1.0 / r)
 }
 
-fn keys(student: &Scene, moved: &SuperpointDeformation, views: &Views<Camera>, options: &TuneOptions) -> KeyOptions {
+fn keys(student: &Scene, moved: &SuperpointDeformation, views: &Views<Camera>, iterations: u64) -> KeyOptions {
     let center: Vec<DVec3> = moved.superpoints.position.iter().map(|p| DVec3::from_array(p.map(f64::from))).collect();
     let g = &student.gaussians;
     let mut sums = vec![(1e-12, 0.0); center.len()];
@@ -225,7 +243,7 @@ fn keys(student: &Scene, moved: &SuperpointDeformation, views: &Views<Camera>, o
         rate_px: RATE_PX,
         hold: HOLD,
         smooth: SMOOTH,
-        iterations: options.iterations,
+        iterations,
         center,
     }
 }
@@ -252,7 +270,7 @@ fn random_view(cameras: &[Camera], [start, end]: [f64; 2], seed: u64, k: u64) ->
         ..one.clone()
     };
     let size = [camera.width, camera.height];
-    let image = ImageSource { path: "teacher".into(), stored: size, size, lens: None, mask: None };
+    let image = ImageSource { path: "teacher".into(), stored: size, size, lens: None, mask: None, used: None };
     View { name: camera.name.clone(), time, camera, image }
 }
 

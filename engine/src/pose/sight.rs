@@ -45,7 +45,7 @@ impl Sight {
     pub(super) fn new(loss: &PhotoLoss<'_>, view: &View, halvings: u32, outline: &[DVec3]) -> Result<Self> {
         let size = |k: u32| {
             let view = if k == 0 { view.clone() } else { view.reduced(1 << k) };
-            let pixels = view.image.decode()?;
+            let pixels = view.image.decode_for_training()?;
             Ok(Size { pixels: [pixels.width, pixels.height], photo: loss.photo(&pixels)? })
         };
         let sizes = (0..=halvings).map(size).collect::<Result<_>>()?;

@@ -113,7 +113,7 @@ fn config(adapts: bool) -> Config {
 }
 
 fn data() -> TrainingData {
-    let image = ImageSource { path: "self-test".into(), stored: SIZE, size: SIZE, lens: None, mask: None };
+    let image = ImageSource { path: "self-test".into(), stored: SIZE, size: SIZE, lens: None, mask: None, used: None };
     let view = |time| View { name: "self-test".into(), camera: camera(), time, image: image.clone() };
     TrainingData { views: Arc::new([view(TIME), view(1.0 - TIME)]), extent: 2.0, is_static: false }
 }

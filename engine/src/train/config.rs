@@ -173,6 +173,8 @@ pub struct LossConfig {
     pub lambda_rotation: f32,
     /// λ of the translation property. Paper: 1; code: 100. Default 100.
     pub lambda_translation: f32,
+    /// λ that holds a photo's exposure to none ([`exposure`](super::exposure)).
+    pub lambda_exposure: f32,
 }
 
 /// Step sizes. Log-linear from the first to the `_final` value.
@@ -212,6 +214,11 @@ pub struct LearningRates {
     pub deform_final: f64,
     /// Iterations over which F's rate decays (40 k).
     pub deform_iterations: u64,
+    /// A photo's exposure: an affine map of colours that belongs to the photo, not the scene (3DGS, `train_test_exp`: 0.01, to 0.001).
+    /// 0: photos are taken as they are.
+    pub exposure: f64,
+    /// The same at the end.
+    pub exposure_final: f64,
     /// Association values (code: 1e-3).
     pub association: f64,
     /// Whether the association's rate decays as F's. Paper: silent; code: means to, but never does. Default no, as the code.
@@ -400,6 +407,9 @@ impl Config {
             ("learning_rate.final_share", self.learning_rate.final_share, 1e-6, 1.0),
             ("learning_rate.deform", self.learning_rate.deform, 0.0, 1.0),
             ("learning_rate.deform_final", self.learning_rate.deform_final, 0.0, 1.0),
+            ("loss.lambda_exposure", f64::from(self.loss.lambda_exposure), 0.0, 1e6),
+            ("learning_rate.exposure", self.learning_rate.exposure, 0.0, 1.0),
+            ("learning_rate.exposure_final", self.learning_rate.exposure_final, 0.0, 1.0),
             ("learning_rate.association", self.learning_rate.association, 0.0, 1.0),
             ("motion.time_noise_scale", self.motion.time_noise_scale, 0.0, 1e3),
             ("export.motion_error_px", self.export.motion_error_px, 1e-6, 1e6),

@@ -7,7 +7,8 @@
 //! up the workgroups' sums in a fixed order. Without SSIM (λ = 0) the first is skipped.
 //!
 //! A rendered value that is not finite (or beyond ±[`MAX_COLOR`]) takes no part: its gradient is 0, it is reported to
-//! `status`, and its neighbours see the target's value in its place.
+//! `status`, and its neighbours see the target's value in its place. Nor does a pixel that a mask leaves out
+//! ([`LEFT_OUT`](crate::data::pixels::LEFT_OUT) in the target): there the target is what was rendered. Means count it as equal.
 
 pub mod image_loss_sum;
 mod pixels;
@@ -17,7 +18,7 @@ pub mod ssim_forward;
 pub use pixels::{MAX_COLOR, SSIM_C1, SSIM_C2, WINDOW};
 pub use record::{LossPass, LossPassBuffers};
 
-use self::pixels::{convolve, image_and_target, map_at, sums_of_groups, target_value, usable};
+use self::pixels::{convolve, image_and_target, is_left_out, map_at, sums_of_groups, target_value, usable};
 use crate::gpu::Gpu;
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::{Kernel, Tolerance};
@@ -43,6 +44,15 @@ pub enum TargetFormat {
     Rgba8 = 0,
     /// Four words per pixel: the bits of the floats r, g, b and one unused.
     Float = 1,
+    /// As `Rgba8`; a pixel that is [`LEFT_OUT`](crate::data::pixels::LEFT_OUT) takes no part.
+    MaskedRgba8 = 2,
+}
+
+impl TargetFormat {
+    /// Of photos, of which some have masks that training looks at, or none.
+    pub(in crate::train) fn of_photos(masked: bool) -> Self {
+        if masked { Self::MaskedRgba8 } else { Self::Rgba8 }
+    }
 }
 
 /// How the pixels of an image reach the threads of `ssim_forward` and `image_loss` (spec constant `STAGE`).
@@ -173,7 +183,8 @@ fn image_loss_twin(call: Call<'_, ImageLoss>) {
             let m = by_moment[i];
             let by_ssim = m[0] + 2.0 * x * m[1] + 2.0 * d * m[2];
             let sign = if d == 0.0 { 0.0 } else { d.signum() };
-            let gradient = per_value * ((1.0 - lambda) * sign - lambda * by_ssim);
+            let left_out = is_left_out(target, kind, i);
+            let gradient = if left_out { 0.0 } else { per_value * ((1.0 - lambda) * sign - lambda * by_ssim) };
             let good = usable(f32_at(b.color, 4 * i + channel))
                 && usable(target_value(&frame, target, kind, i, channel))
                 && gradient.is_finite();

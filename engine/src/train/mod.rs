@@ -7,7 +7,8 @@
 //! network G → nonrigid_offset (non-rigid stage only)
 //! deform_project … blend      the renderer's own forward pass, with tile lists of slots where gradients are summed in order
 //! nearest_superpoints … property_total   association, property losses, logits' Adam
-//! ssim_forward, image_loss    L1 + D-SSIM and its gradient by the image
+//! ssim_forward, image_loss    L1 + D-SSIM and its gradient by the image; with exposures expose before it, and exposure_backward and
+//!                             learn_exposure after it
 //! blend_backward, sum_instance_gradients → splat_gradient
 //! deform_project_backward     gradients of Gaussians and poses, Adam of the Gaussians, density statistics
 //! superpoint_sum, superpoint_gradient → linear_backward_*, linear_update: network F (or G) and its Adam
@@ -43,6 +44,8 @@ mod deformation;
 pub mod density;
 pub mod evaluate;
 pub mod export;
+#[doc(hidden)]
+pub mod exposure;
 #[doc(hidden)]
 pub mod farthest_point;
 pub mod gradient;
@@ -81,6 +84,7 @@ mod time_window;
 pub mod trainer;
 mod unseen;
 pub mod usage;
+mod widen;
 
 pub use association::{AssociationInit, AssociationOptions};
 pub use density::DensityChange;
@@ -100,6 +104,7 @@ static BY_MODULE: &[&[&Kernel]] = &[
     network_f::KERNELS,
     lost::KERNELS,
     keys::KERNELS,
+    exposure::KERNELS,
     network_g::KERNELS,
     association::KERNELS,
     property_loss::KERNELS,

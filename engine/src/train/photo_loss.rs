@@ -18,7 +18,7 @@ use super::image_loss::{LOSS_WORDS, LossPassBuffers, TargetFormat};
 use super::status;
 use super::step::Step;
 use super::target::{Target, TargetSize};
-use crate::data::pixels::Pixels;
+use crate::data::pixels::{LEFT_OUT, Pixels};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Commands, Gpu, Memory, Recorder, Slice};
 use crate::reference::{Pose, exp};
@@ -55,6 +55,7 @@ pub struct PhotoLossOptions {
 pub struct DevicePhoto {
     size: [u32; 2],
     buffer: Buffer,
+    format: TargetFormat,
     /// Commands that compare with it, and the buffers that they were recorded for.
     recorded: Option<(u64, Commands)>,
 }
@@ -152,7 +153,8 @@ impl<'a> PhotoLoss<'a> {
     /// `OutOfMemory`, `Limit`.
     pub fn photo(&self, photo: &Pixels) -> Result<DevicePhoto> {
         let buffer = self.gpu.buffer_with("photo", bytemuck::cast_slice(&photo.rgba))?;
-        Ok(DevicePhoto { size: [photo.width, photo.height], buffer, recorded: None })
+        let format = TargetFormat::of_photos(photo.rgba.contains(&LEFT_OUT));
+        Ok(DevicePhoto { size: [photo.width, photo.height], buffer, format, recorded: None })
     }
 
     /// The loss of `photo`, seen by `camera`, with the superpoints at `poses` `[M]`, and its gradients. The camera's are made only
@@ -174,7 +176,8 @@ impl<'a> PhotoLoss<'a> {
         }
         self.repeat(camera, poses, by_camera, |this| {
             if photo.recorded.as_ref().is_none_or(|(generation, _)| *generation != this.generation) {
-                photo.recorded = Some((this.generation, this.record(photo.size, Some(&photo.buffer))?.finish()?));
+                let commands = this.record(photo.size, Some((&photo.buffer, photo.format)))?.finish()?;
+                photo.recorded = Some((this.generation, commands));
             }
             let Some((_, commands)) = &mut photo.recorded else { return Ok(()) };
             this.gpu.submit(commands)?;
@@ -258,6 +261,7 @@ impl<'a> PhotoLoss<'a> {
                 gaussians: self.buffers.gaussians,
                 capacity: self.capacity.min(u64::from(u32::MAX)) as u32,
                 with_slots: Accumulation::of_device(&self.gpu, self.options.deterministic) == Accumulation::Instances,
+                with_exposure: false,
                 with_ssim: self.options.lambda_dssim > 0.0,
                 steps: 1,
             };
@@ -276,12 +280,12 @@ impl<'a> PhotoLoss<'a> {
     }
 
     /// Forward, loss (with a photo) and backward.
-    fn record(&self, size: [u32; 2], photo: Option<&Buffer>) -> Result<Recorder> {
+    fn record(&self, size: [u32; 2], photo: Option<(&Buffer, TargetFormat)>) -> Result<Recorder> {
         let mut r = self.gpu.recorder("photo loss");
         let Some(t) = self.targets.get(&size) else { return Ok(r) };
         let frame = &t.frames[0];
         record_forward(&self.gpu, &mut r, &self.buffers, &t.work, frame, &t.shape)?;
-        if let Some(photo) = photo {
+        if let Some((photo, format)) = photo {
             let loss = LossPassBuffers {
                 frame: &frame.frame,
                 step: &self.step,
@@ -291,7 +295,7 @@ impl<'a> PhotoLoss<'a> {
                 loss: &t.loss,
                 status: &self.status,
             };
-            t.image_loss.record(&mut r, &loss, TargetFormat::Rgba8)?;
+            t.image_loss.record(&mut r, &loss, format)?;
         }
         self.record_backward(&mut r, t)?;
         r.copy(t.work.counters.clone(), self.readback.slice(READBACK[0], t.work.counters.bytes))?;

@@ -4,7 +4,7 @@
 //! nothing waits for them.
 
 use crate::data::dataset::View;
-use crate::data::pixels::Pixels;
+use crate::data::pixels::{LEFT_OUT, Pixels};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Commands, Gpu, Memory};
 
@@ -70,6 +70,8 @@ pub(super) struct Photos {
     plan: Plan,
     /// Which of the photos that stay have been uploaded.
     filled: Vec<bool>,
+    /// Share of each photo's pixels that takes part, as it was uploaded last.
+    share: Vec<f64>,
     lanes: Vec<Lane>,
     largest: u64,
 }
@@ -90,6 +92,7 @@ impl Photos {
         Ok(Self {
             buffer: gpu.buffer("photos", plan.bytes, Memory::Device)?,
             filled: vec![false; views.len()],
+            share: vec![1.0; views.len()],
             lanes: (0..steps).map(|_| Lane::default()).collect(),
             largest: sizes.iter().copied().max().unwrap_or(0),
             plan,
@@ -114,6 +117,11 @@ impl Photos {
     /// Whether a photo stays once it was uploaded.
     pub(super) fn stays(&self, view: usize) -> bool {
         self.plan.own[view].is_some()
+    }
+
+    /// Share of a photo's pixels that its mask does not leave out; 1 of one that was not uploaded.
+    pub(super) fn share(&self, view: usize) -> f64 {
+        self.share[view]
     }
 
     /// Uploads a photo for the step in `lane`, whose last step has finished; where it begins.
@@ -142,6 +150,8 @@ impl Photos {
             gpu.submit(copy)?;
         }
         self.filled[view] = self.plan.own[view].is_some();
+        let used = photo.rgba.iter().filter(|pixel| **pixel != LEFT_OUT).count();
+        self.share[view] = used as f64 / photo.rgba.len().max(1) as f64;
         Ok(first)
     }
 

@@ -49,11 +49,21 @@ impl Pyramid {
         Self { photos: views.len(), iterations, views: views.iter().cloned().chain(smaller).collect() }
     }
 
-    /// Place in `views` of a photo as it is at `iteration` (from 1). Every size has the same number of iterations.
+    /// Photos at full size.
+    pub(super) fn full(&self) -> &[View] {
+        &self.views[..self.photos]
+    }
+
+    /// Place in `views` of a photo as it is at `iteration` (from 1).
     pub(super) fn at(&self, photo: usize, iteration: u64) -> usize {
+        photo + self.photos * self.halvings(iteration) as usize
+    }
+
+    /// How often photos are halved at `iteration` (from 1). Every size has the same number of iterations.
+    pub(super) fn halvings(&self, iteration: u64) -> u32 {
         let levels = (self.views.len() / self.photos.max(1)).saturating_sub(1) as u64;
         let left = (self.iterations + 1).saturating_sub(iteration);
-        photo + self.photos * (left * levels).div_ceil(self.iterations.max(1)) as usize
+        (left * levels).div_ceil(self.iterations.max(1)) as u32
     }
 
     /// Places of the photos at the smallest size whose shorter side has this many pixels; the full ones where none has.
@@ -83,7 +93,7 @@ fn measured(views: &[View]) -> impl Iterator<Item = &View> {
 /// Opaque pixels of these photos, on average. One that cannot be read counts as opaque: the step that needs it says so.
 pub(super) fn opaque_area(views: &[View], workers: usize) -> f64 {
     let all: Arc<[View]> = views.to_vec().into();
-    let Ok(loader) = ImageLoader::new(all, BUDGET, workers) else { return f64::INFINITY };
+    let Ok(loader) = ImageLoader::for_training(all, BUDGET, workers) else { return f64::INFINITY };
     loader.prefetch(&(0..views.len()).collect::<Vec<_>>());
     let opaque = |place: usize| {
         let photo = loader.get(place).ok()?;
@@ -103,7 +113,7 @@ mod tests {
 
     fn views(size: [u32; 2]) -> Arc<[View]> {
         let camera = Camera::look_at(DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO, DVec3::Y, 0.8, size);
-        let image = ImageSource { path: "a.png".into(), stored: size, size, lens: None, mask: None };
+        let image = ImageSource { path: "a.png".into(), stored: size, size, lens: None, mask: None, used: None };
         vec![View { name: "a".into(), camera, time: 0.0, image }; 3].into()
     }
 

@@ -183,6 +183,10 @@ impl Schedule {
             decayed(r.deform, r.deform_final, before.saturating_sub(open), r.deform_iterations.saturating_sub(open));
         let association =
             if r.association_decay { r.association * deform / r.deform.max(1e-30) } else { r.association };
+        let exposure = match self.stage {
+            Stage::Static | Stage::Rigid => decayed(r.exposure, r.exposure_final, before, self.iterations()),
+            Stage::Nonrigid | Stage::Table => r.exposure_final,
+        };
         let nonrigid = decayed(c.nonrigid.rate, c.nonrigid.rate_final, before, c.nonrigid.iterations);
         let bias = |t: u64| bias_corrections(c.adam.beta_1, c.adam.beta_2, t);
         // Network F and the association take their first step at the end of warm-up.
@@ -197,6 +201,7 @@ impl Schedule {
             rate_network_f: deform as f32,
             rate_association: association as f32,
             rate_network_g: nonrigid as f32,
+            rate_exposure: exposure as f32,
             weight_dssim: c.loss.lambda_dssim,
             weight_position: c.loss.lambda_position,
             weight_rotation: c.loss.lambda_rotation,

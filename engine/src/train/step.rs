@@ -67,6 +67,10 @@ crate::gpu_struct! {
         pub key_fade: f32,
         /// Pixels of the image.
         pub pixels: f32,
+        /// Number of the photo.
+        pub exposure: u32,
+        /// Learning rate of its exposure.
+        pub rate_exposure: f32,
     }
 }
 

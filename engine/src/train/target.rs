@@ -1,6 +1,7 @@
 //! Everything of a training step whose size follows the image: one [`Target`] per image size of the data set.
 
 use super::blend_backward::ROW_WORDS;
+use super::exposure::ExposurePass;
 use super::image_loss::{LOSS_WORDS, LossPass};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Commands, Gpu, Memory};
@@ -32,6 +33,8 @@ pub(crate) struct Target {
     pub(crate) image_gradient: Buffer,
     pub(crate) loss: Buffer,
     pub(crate) image_loss: LossPass,
+    /// Only where photos have exposures.
+    pub(super) exposure: Option<ExposurePass>,
     /// One per step in flight.
     pub(crate) commands: Vec<Option<(RecordingKey, Commands)>>,
 }
@@ -44,6 +47,7 @@ pub(crate) struct TargetSize {
     pub(crate) capacity: u32,
     pub(crate) with_slots: bool,
     pub(crate) with_ssim: bool,
+    pub(crate) with_exposure: bool,
     /// Steps in flight.
     pub(crate) steps: usize,
 }
@@ -80,6 +84,7 @@ impl Target {
             image_gradient: device("image_gradient", pixels * 16)?,
             loss: device("loss", LOSS_WORDS as u64 * 4)?,
             image_loss: LossPass::new(gpu, width, height, size.with_ssim)?,
+            exposure: size.with_exposure.then(|| ExposurePass::new(gpu, size.image)).transpose()?,
             commands: (0..size.steps).map(|_| None).collect(),
         })
     }

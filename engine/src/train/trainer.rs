@@ -10,6 +10,7 @@ use super::config::Config;
 use super::deform_project_backward::SLOT_PLANES;
 use super::deformation::{self, Trained};
 use super::density::DensityChange;
+use super::exposure::{ExposureState, identities};
 use super::lost::LostObject;
 use super::parameters::{ParameterState, Parameters};
 use super::photos::Photos;
@@ -71,7 +72,7 @@ pub struct StepReport {
     pub l1: f64,
     /// Structural similarity.
     pub ssim: f64,
-    /// PSNR of this view, dB.
+    /// PSNR of this view, dB; of the pixels that its mask does not leave out.
     pub psnr: f64,
     /// Property losses (unweighted): position, rotation, translation.
     pub property: [f64; 3],
@@ -133,6 +134,8 @@ pub struct Trainer {
     pub(super) targets: Vec<Target>,
     pub(super) capacity: u64,
     pub(super) photos: Photos,
+    /// `None`: photos are taken as they are.
+    pub(super) exposure: Option<ExposureState>,
     /// One per step that may be in flight.
     pub(super) slots: Vec<Slot>,
     /// Steps in flight, oldest first.
@@ -209,11 +212,13 @@ impl Trainer {
         let window = TimeWindow::new(&times, config.schedule.time_window_centre, schedule.window());
         let pyramid = Pyramid::new(&data.views, schedule.coarse_to_fine(), |views| opaque_area(views, workers));
         let views = &pyramid.views;
+        let with_exposure = config.learning_rate.exposure > 0.0;
+        let exposure = || ExposureState::new(gpu, times.len(), &identities(times.len()), config.loss.lambda_exposure);
         Ok(Self {
             gpu: gpu.clone(),
             config: config.clone(),
             schedule,
-            loader: ImageLoader::new(views.clone(), config.budget.image_bytes, workers)?,
+            loader: ImageLoader::for_training(views.clone(), config.budget.image_bytes, workers)?,
             sampler: ViewSampler::new(config.seed, times.len()),
             window,
             iteration,
@@ -222,6 +227,7 @@ impl Trainer {
             targets: Vec::new(),
             capacity: (n * FIRST_INSTANCES_PER_GAUSSIAN).max(4096),
             photos: Photos::new(gpu, views, config.budget.photo_bytes, FLIGHT)?,
+            exposure: with_exposure.then(exposure).transpose()?,
             slots: (0..FLIGHT).map(|_| Slot::new(gpu)).collect::<Result<_>>()?,
             flying: VecDeque::new(),
             finished: VecDeque::new(),
@@ -370,7 +376,8 @@ impl Trainer {
         let noise =
             self.schedule.time_noise(iteration, spacing) * rng::normal(self.config.seed, TIME_STREAM, iteration);
         let counts = Counts { gaussians, superpoints, slots };
-        let mut step = Step { photo, ..self.schedule.step(iteration, counts, [time + noise, time]) };
+        let exposure = self.pyramid.photo(view) as u32;
+        let mut step = Step { photo, exposure, ..self.schedule.step(iteration, counts, [time + noise, time]) };
         // Measured over an epoch: every photo, at its time.
         step.rate[SMOOTHING] = f32::from(u8::from(self.sampler.remaining(iteration) == 1));
         step
@@ -389,6 +396,7 @@ impl Trainer {
             capacity,
             with_slots: self.with_slots(),
             with_ssim: self.config.loss.lambda_dssim > 0.0,
+            with_exposure: self.exposure.is_some(),
             steps: self.flight(),
         };
         self.targets.push(Target::new(&self.gpu, size, &self.failed)?);

@@ -153,7 +153,7 @@ fn photos(gpu: &Gpu, scene: &Scene, cameras: &[Camera], time: f64, folder: &Path
         let path = folder.join(format!("{time}_{k}.png"));
         write_png(&path, &renderer.render(camera, time).unwrap(), Alpha::Drop).unwrap();
         let size = [camera.width, camera.height];
-        let image = ImageSource { path, stored: size, size, lens: None, mask: None };
+        let image = ImageSource { path, stored: size, size, lens: None, mask: None, used: None };
         View { name: camera.name.clone(), camera: Camera { time, ..camera.clone() }, time, image }
     };
     cameras.iter().enumerate().map(view).collect()

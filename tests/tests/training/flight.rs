@@ -51,6 +51,11 @@ fn nor_do_they_with_soft_superpoints() {
     overflows_change_nothing("[motion]\nblend = 3");
 }
 
+#[test]
+fn nor_do_they_with_exposures() {
+    overflows_change_nothing("[learning_rate]\nexposure = 0.02");
+}
+
 fn overflows_change_nothing(over: &str) {
     let posed = posed(&PosedOptions::default());
     let (_, data) = load(&posed);

@@ -2,6 +2,7 @@
 //! numbers and bad files, odd data sets, limits, the non-rigid stage, what is exported and logged.
 
 mod antialiased;
+mod captures;
 mod common;
 mod determinism;
 mod edges;

@@ -48,7 +48,13 @@ fn disturbed(teacher: &Scene) -> Scene {
 fn tuned(gpu: &Gpu, teacher: &Scene, student: &Scene, iterations: u64, seed: u64) -> engine::Result<Tuned> {
     let mut renderer = Renderer::new(gpu, teacher, &RenderOptions::default()).unwrap();
     let mut draw = |camera: &Camera| Ok(Pixels::opaque(&renderer.render(camera, camera.time)?));
-    let lessons = Lessons { photos: Vec::new(), cameras: cameras(), times: teacher.time_range(), draw: &mut draw };
+    let lessons = Lessons {
+        photos: Vec::new(),
+        cameras: cameras(),
+        times: teacher.time_range(),
+        draw: &mut draw,
+        exposures: None,
+    };
     let views = Views { cameras: cameras(), near: 0.2, everywhere: true };
     let (background, rate_px) = ([0.0; 3], Some([0.05, 0.005]));
     let options = TuneOptions { iterations, seed, background, near: 0.2, rate_px, deterministic: true };

@@ -2,6 +2,7 @@
 
 mod background;
 mod decide;
+mod exposures;
 mod finish;
 pub mod log;
 mod refit;

@@ -29,7 +29,7 @@ use crate::data::pixels::ImageSource;
 use crate::error::{Error, Result};
 use crate::scene::Camera;
 
-pub use options::{DatasetOptions, SplitRule, TimeRule};
+pub use options::{DatasetOptions, MaskRule, SplitRule, TimeRule};
 
 /// The format of a data set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]

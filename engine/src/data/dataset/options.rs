@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::DatasetKind;
+use crate::data::pixels::MaskColour;
+
 /// Which frames are for training and which for test.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -30,6 +33,21 @@ pub enum TimeRule {
     Static,
 }
 
+/// Which pixels of masks take part in training.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MaskRule {
+    /// White ones for nerfstudio and COLMAP, whose programs mean it so; all of other data, where masks say what moves.
+    #[default]
+    Auto,
+    /// All: masks are for measuring only.
+    All,
+    /// White ones.
+    White,
+    /// Black ones.
+    Black,
+}
+
 /// Options of [`super::load`]; the default follows the data set.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -43,6 +61,19 @@ pub struct DatasetOptions {
     pub time: TimeRule,
     /// Nerfies-like scenes: camera positions and points as stored, without `scene.json`'s centre and scale.
     pub raw_world_units: bool,
+    /// Which pixels of masks take part in training.
+    pub masks: MaskRule,
+}
+
+impl MaskRule {
+    /// The colour that takes part, in data of this format; `None`: masks are not looked at.
+    pub(super) fn used(self, kind: DatasetKind) -> Option<MaskColour> {
+        match (self, kind) {
+            (Self::White, _) | (Self::Auto, DatasetKind::Nerfstudio | DatasetKind::Colmap) => Some(MaskColour::White),
+            (Self::Black, _) => Some(MaskColour::Black),
+            (Self::All | Self::Auto, _) => None,
+        }
+    }
 }
 
 impl SplitRule {
@@ -78,5 +109,19 @@ impl SplitRule {
             Self::Hold(n) => format!("split: every {n}th frame, from the first, is a test frame"),
             Self::All => "split: all frames train".into(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masks_are_used_where_their_programs_mean_them_so() {
+        let used = |kind| MaskRule::Auto.used(kind);
+        assert_eq!([DatasetKind::Nerfstudio, DatasetKind::Colmap].map(used), [Some(MaskColour::White); 2]);
+        assert_eq!([DatasetKind::Blender, DatasetKind::NerfDs, DatasetKind::Nerfies].map(used), [None; 3]);
+        let asked = [MaskRule::All, MaskRule::White, MaskRule::Black].map(|rule| rule.used(DatasetKind::Colmap));
+        assert_eq!(asked, [None, Some(MaskColour::White), Some(MaskColour::Black)]);
     }
 }

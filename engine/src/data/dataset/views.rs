@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{Dataset, DatasetOptions, Posed, Source, TimeRule, View};
-use crate::data::pixels::{self, ImageSource};
+use super::{Dataset, DatasetKind, DatasetOptions, Posed, Source, TimeRule, View};
+use crate::data::pixels::{self, ImageSource, MaskColour};
 use crate::error::{Error, Result};
 
 /// Largest downscale: pictures of at most 16,384 pixels a side keep some.
@@ -41,7 +41,7 @@ pub(super) fn downscale(options: &DatasetOptions, default: u32) -> Result<u32> {
 pub(super) fn dataset(source: Source, options: &DatasetOptions) -> Result<Dataset> {
     let downscale = downscale(options, source.default_downscale)?;
     let views = |posed: &[Posed]| -> Result<Vec<View>> {
-        let all: Vec<Result<View>> = posed.par_iter().map(|p| view(p, downscale, options)).collect();
+        let all: Vec<Result<View>> = posed.par_iter().map(|p| view(p, downscale, source.kind, options)).collect();
         // The first error in the order of the frames, whichever thread was first.
         all.into_iter().collect()
     };
@@ -72,7 +72,7 @@ pub(super) fn scaled(size: [u32; 2], downscale: u32) -> [u32; 2] {
     size.map(|side| ((side + downscale / 2) / downscale).max(1))
 }
 
-fn view(posed: &Posed, downscale: u32, options: &DatasetOptions) -> Result<View> {
+fn view(posed: &Posed, downscale: u32, kind: DatasetKind, options: &DatasetOptions) -> Result<View> {
     let (frame, image) = (&posed.frame, &posed.image);
     let stored = pixels::dimensions(&image.path)?;
     let factor = image.factor.max(1);
@@ -94,7 +94,8 @@ fn view(posed: &Posed, downscale: u32, options: &DatasetOptions) -> Result<View>
     if options.time == TimeRule::Static {
         camera.time = 0.0;
     }
-    let image = ImageSource { path: image.path.clone(), stored, size, lens, mask: image.mask.clone() };
+    let used = options.masks.used(kind).filter(|_| image.mask.is_some());
+    let image = ImageSource { path: image.path.clone(), stored, size, lens, mask: image.mask.clone(), used };
     Ok(View { name: frame.name.clone(), time: camera.time, camera, image })
 }
 
@@ -128,7 +129,12 @@ fn decisions(dataset: &Dataset, of_format: Vec<String>, options: &DatasetOptions
     }
     let masks = all().filter(|v| v.image.mask.is_some()).count();
     if masks > 0 {
-        lines.push(format!("masks: {masks} of {} images have one", train + test + val));
+        let use_of_them = match options.masks.used(dataset.kind) {
+            None => "training does not use them",
+            Some(MaskColour::White) => "training leaves out what is black in them",
+            Some(MaskColour::Black) => "training leaves out what is white in them",
+        };
+        lines.push(format!("masks: {masks} of {} images have one; {use_of_them} (data.masks)", train + test + val));
     }
     if dataset.points.is_none() {
         lines.push("points: none in the data set, random ones are used".into());

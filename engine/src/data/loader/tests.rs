@@ -19,7 +19,7 @@ fn views(folder: &Path, count: usize, missing: usize) -> Arc<[View]> {
             image::RgbImage::from_pixel(SIDE, SIDE, image::Rgb([i as u8, 0, 0])).save(&path).unwrap();
         }
         let size = [SIDE, SIDE];
-        let image = ImageSource { path, stored: size, size, lens: None, mask: None };
+        let image = ImageSource { path, stored: size, size, lens: None, mask: None, used: None };
         let camera = Camera::look_at(DVec3::ZERO, DVec3::Z, DVec3::Y, 1.0, size);
         View { name: i.to_string(), camera, time: 0.0, image }
     };

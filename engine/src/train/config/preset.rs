@@ -213,6 +213,7 @@ impl Default for LossConfig {
             lambda_position: 1e-3,
             lambda_rotation: 100.0,
             lambda_translation: 100.0,
+            lambda_exposure: 1e-3,
         }
     }
 }
@@ -241,6 +242,8 @@ impl Default for LearningRates {
             deform: 1e-3,
             deform_final: 1e-5,
             deform_iterations: 40_000,
+            exposure: 0.0,
+            exposure_final: 1e-3,
             association: 1e-3,
             association_decay: false,
         }

@@ -1,7 +1,8 @@
 //! What the kernels of the loss share: window, target, which values can be used. Mirrors `glsl/lib/ssim.glsl` and
 //! `glsl/lib/image_target.glsl`.
 
-use super::LossStage;
+use super::{LossStage, TargetFormat};
+use crate::data::pixels::LEFT_OUT;
 use crate::render::frame::Frame;
 use crate::render::twin::f32_at;
 
@@ -44,7 +45,12 @@ pub(super) fn target_value(frame: &Frame, target: &[u32], kind: u32, pixel: usiz
     (premultiplied + rest * frame.background[channel]) / 255.0
 }
 
-/// (rendered, target) of a channel; where either cannot be used both are the same.
+/// Whether a mask leaves the pixel out.
+pub(super) fn is_left_out(target: &[u32], kind: u32, pixel: usize) -> bool {
+    kind == TargetFormat::MaskedRgba8 as u32 && target[pixel] == LEFT_OUT
+}
+
+/// (rendered, target) of a channel; where either cannot be used, or a mask leaves the pixel out, both are the same.
 pub(super) fn image_and_target(
     frame: &Frame,
     [color, target]: [&[u32]; 2],
@@ -56,6 +62,9 @@ pub(super) fn image_and_target(
     let y = target_value(frame, target, kind, pixel, channel);
     let good = usable(y);
     let y = if good { y } else { 0.0 };
+    if is_left_out(target, kind, pixel) {
+        return [if usable(x) { x } else { 0.0 }; 2];
+    }
     [if good && usable(x) { x } else { y }, y]
 }
 

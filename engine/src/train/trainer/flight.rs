@@ -326,6 +326,8 @@ impl Trainer {
         let c = &self.config.loss;
         let has_property = self.deformation.as_ref().is_some_and(|m| m.property_loss().is_some());
         let property = if has_property { [0, 1, 2].map(|i| float(2, i)) } else { [0.0; 3] };
+        // A mean over all pixels; those that a mask leaves out have no error.
+        let mse = float(1, 3) / self.photos.share(job.view).max(1e-9);
         let weights = [c.lambda_position, c.lambda_rotation, c.lambda_translation].map(f64::from);
         Ok(Outcome::Applied(StepReport {
             iteration: job.iteration,
@@ -333,7 +335,7 @@ impl Trainer {
             loss: float(1, 0) + property.iter().zip(weights).map(|(p, w)| p * w).sum::<f64>(),
             l1: float(1, 1),
             ssim: float(1, 2),
-            psnr: -10.0 * float(1, 3).max(1e-30).log10(),
+            psnr: -10.0 * mse.max(1e-30).log10(),
             property,
             gaussians: self.parameters.count(),
             superpoints: self.superpoints(),

@@ -8,6 +8,7 @@ use crate::render::pipeline::{FrameBuffers, record_forward};
 use crate::train::blend_backward::{self, BackwardInput, BackwardTarget};
 use crate::train::deform_project_backward::{Output, ProjectBackward};
 use crate::train::deformation::{ProjectInputs, StepInputs};
+use crate::train::exposure::ExposureInputs;
 use crate::train::image_loss::{LOSS_WORDS, LossPassBuffers, TargetFormat};
 use crate::train::status;
 use crate::train::target::Target;
@@ -26,16 +27,32 @@ impl Trainer {
         if let Some(model) = &self.deformation {
             model.record_before_loss(&mut r, &inputs)?;
         }
-        let loss = LossPassBuffers {
+        let exposure = self.exposure.as_ref().zip(t.exposure.as_ref());
+        let exposed = ExposureInputs {
             frame: &frame.frame,
             step,
             color: &frame.color,
+            image_gradient: &t.image_gradient,
+            counters: &t.work.counters,
+            status: &self.status,
+        };
+        if let Some((state, pass)) = exposure {
+            state.record_forward(&mut r, pass, &exposed)?;
+        }
+        let loss = LossPassBuffers {
+            frame: &frame.frame,
+            step,
+            color: exposure.map_or(&frame.color, |(_, pass)| &pass.exposed),
             target: &self.photos.buffer,
             image_gradient: &t.image_gradient,
             loss: &t.loss,
             status: &self.status,
         };
-        t.image_loss.record(&mut r, &loss, TargetFormat::Rgba8)?;
+        let masked = self.pyramid.views.iter().any(|v| v.image.used.is_some());
+        t.image_loss.record(&mut r, &loss, TargetFormat::of_photos(masked))?;
+        if let Some((state, pass)) = exposure {
+            state.record_backward(&mut r, pass, &exposed)?;
+        }
         self.record_blend_backward(&mut r, t, frame)?;
         self.record_project_backward(&mut r, t, &inputs)?;
         if let Some(model) = &self.deformation {

@@ -7,10 +7,16 @@ use crate::scene::{Deformation, Motion, Scene};
 use crate::train::checkpoint::Checkpoint;
 use crate::train::config::Config;
 use crate::train::deformation;
+use crate::train::exposure::{EXPOSURE_WORDS, ExposureState};
 use crate::train::keys::KeyOptions;
 use crate::train::parameters::{ParameterState, with_sh_degree};
 use crate::train::saved::Saved;
 use crate::train::schedule::Stage;
+use crate::train::target::Target;
+use crate::train::widen::widen;
+
+/// Its name in a checkpoint.
+const EXPOSURE: &str = "exposure";
 
 impl Trainer {
     /// Goes on from a checkpoint.
@@ -23,6 +29,7 @@ impl Trainer {
         if let Some(window) = &mut trainer.window {
             window.restore(&c.saved, c.iteration)?;
         }
+        trainer.restore_exposures(&c.saved)?;
         if let Some(model) = deformation::restore(gpu, &c.config, &c.stored())? {
             trainer.set_deformation(model);
         }
@@ -40,6 +47,7 @@ impl Trainer {
             ..ParameterState::new(&trained.parameters.gaussians, trained.parameters.gaussians.sh_degree)
         };
         let mut trainer = Self::assemble(gpu, config, data, Stage::Nonrigid, 0, &state)?;
+        trainer.restore_exposures(&trained.saved)?;
         trainer.set_deformation(deformation::nonrigid(gpu, config, &trained.stored())?);
         Ok(trainer)
     }
@@ -90,17 +98,57 @@ impl Trainer {
         if let Some(window) = &self.window {
             window.save(&mut checkpoint.saved);
         }
+        if let Some(exposure) = &self.exposure {
+            checkpoint.saved.put_floats(EXPOSURE, vec![exposure.photos(), EXPOSURE_WORDS], &exposure.rows(&self.gpu)?);
+        }
         Ok(checkpoint)
     }
 
-    /// The scene as it is: Gaussians at the SH degree in use, and what moves them.
+    fn restore_exposures(&mut self, saved: &Saved) -> Result<()> {
+        match &self.exposure {
+            Some(exposure) if saved.has(EXPOSURE) => {
+                let count = exposure.photos() * EXPOSURE_WORDS;
+                self.set_exposures(&saved.floats(EXPOSURE, Some(count))?)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// `[photos][40]` exposures with their moments, in the order of the photos ([`exposure`](crate::train::exposure)); `None` where photos
+    /// are taken as they are.
+    ///
+    /// # Errors
+    /// `Usage` while steps are in flight; `DeviceLost`, `OutOfMemory`.
+    pub fn exposures(&self) -> Result<Option<Vec<f32>>> {
+        self.settled()?;
+        self.exposure.as_ref().map(|exposure| exposure.rows(&self.gpu)).transpose()
+    }
+
+    /// Goes on from these exposures.
+    ///
+    /// # Errors
+    /// `Usage` for another number of photos, and while steps are in flight; `OutOfMemory`.
+    pub fn set_exposures(&mut self, rows: &[f32]) -> Result<()> {
+        self.settled()?;
+        let photos = self.exposure.as_ref().map_or(0, ExposureState::photos);
+        self.exposure = Some(ExposureState::new(&self.gpu, photos, rows, self.config.loss.lambda_exposure)?);
+        self.targets.iter_mut().for_each(Target::forget_commands);
+        Ok(())
+    }
+
+    /// The scene as it is: Gaussians at the SH degree in use, as wide at full size as in the photos that they are trained on, and what
+    /// moves them.
     ///
     /// # Errors
     /// `Usage` while steps are in flight; `DeviceLost`, `OutOfMemory`.
     pub fn scene(&self) -> Result<Scene> {
         self.settled()?;
         let degree = self.schedule.sh_degree(self.iteration.max(1)).min(self.parameters.sh_degree);
-        let gaussians = with_sh_degree(&self.parameters.download_gaussians(&self.gpu)?, degree);
+        let mut gaussians = with_sh_degree(&self.parameters.download_gaussians(&self.gpu)?, degree);
+        if !gaussians.antialiased {
+            let halvings = self.pyramid.halvings(self.iteration.max(1));
+            widen(&mut gaussians, &self.pyramid, self.config.near.into(), halvings);
+        }
         let model = self.deformation.as_ref();
         let deformation = model.map_or(Ok(Deformation::None), |m| m.download(&self.gpu, &self.parameters.scene))?;
         Ok(Scene { gaussians, deformation, ..Scene::default() })

@@ -67,7 +67,7 @@ pub(super) fn photos(
         let camera = Camera { time, ..Camera::look_at(eye, DVec3::ZERO, DVec3::NEG_Y, fov_x, size) };
         let path = folder.path().join(format!("{i:05}.png"));
         write_png(&path, &renderer.render(&camera, time)?, Alpha::Drop)?;
-        let image = ImageSource { path, stored: size, size, lens: None, mask: None };
+        let image = ImageSource { path, stored: size, size, lens: None, mask: None, used: None };
         views.push(View { name: format!("{i:05}"), camera, time, image });
     }
     let data = TrainingData { views: views.into(), extent: 1.1 * radius, is_static: !scene.is_dynamic() };

@@ -15,6 +15,7 @@ use engine::train::export::{Exported, export};
 use engine::train::schedule::Schedule;
 use serde_json::json;
 
+use super::exposures;
 use super::log::SharedLog;
 use super::report::{self, Pair};
 use super::run::{Run, options};
@@ -41,6 +42,8 @@ pub(super) struct End<'a> {
     pub(super) schedule: Schedule,
     /// The trainer's last iteration.
     pub(super) reached: u64,
+    /// Of the training photos, where they have some.
+    pub(super) exposures: Option<Vec<f32>>,
 }
 
 impl<'a> Run<'a> {
@@ -49,19 +52,21 @@ impl<'a> Run<'a> {
         let cameras: Vec<Camera> = data.train.iter().map(|v| Camera { time: v.time, ..v.camera.clone() }).collect();
         let exported = export(gpu, &trainer, &cameras)?;
         let (config, schedule, reached) = (trainer.config().clone(), trainer.schedule().clone(), trainer.iteration());
+        let exposures = trainer.exposures()?;
         // What comes trains again, and needs the room.
         drop(trainer);
-        let end: End<'a> = End { gpu, out, data, held_out, log, quiet, config, schedule, reached };
+        let end: End<'a> = End { gpu, out, data, held_out, log, quiet, config, schedule, reached, exposures };
         end.finish(exported, data_path, as_json)
     }
 }
 
 impl End<'_> {
-    fn finish(self, exported: Exported, data_path: &Path, as_json: bool) -> Result<()> {
+    fn finish(mut self, exported: Exported, data_path: &Path, as_json: bool) -> Result<()> {
         let Exported { mut scene, mut decisions } = exported;
         let mut i = self.reached;
         let (refitted, line) = self.refit(&scene)?;
         decisions.extend(line);
+        decisions.extend(exposures::write(&self.out, &self.data.train, self.exposures.as_deref())?);
         if let Some(refitted) = refitted {
             i += self.schedule.config().refit_iterations();
             scene = refitted;

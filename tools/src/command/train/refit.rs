@@ -11,7 +11,7 @@ use crate::cli::progress;
 
 impl End<'_> {
     /// What the last iterations of a run that moves make of its model, and a line on them: see [`distill::refit()`].
-    pub(super) fn refit(&self, scene: &Scene) -> Result<(Option<Scene>, Option<String>)> {
+    pub(super) fn refit(&mut self, scene: &Scene) -> Result<(Option<Scene>, Option<String>)> {
         let (config, begin) = (self.schedule.config(), self.reached);
         if self.schedule.stage() != Stage::Rigid || config.refit_iterations() == 0 {
             return Ok((None, None));
@@ -24,6 +24,7 @@ impl End<'_> {
             scene,
             &self.data.train,
             config,
+            self.exposures.clone(),
             &mut |what, done, _| bar.set_message(format!("rigid parts: {what} {done}")),
             &mut |step| {
                 smooth = if smooth.is_nan() { step.psnr } else { 0.95 * smooth + 0.05 * step.psnr };
@@ -52,6 +53,7 @@ impl End<'_> {
         let Some(r) = refitted else {
             return Ok((None, Some(format!("refit: the last {iterations} iterations are left out"))));
         };
+        self.exposures = r.exposures;
         let ([before, after], [first, last]) = (r.superpoints, r.loss);
         let parts = match r.error_px {
             Some([bound, off]) => {
