@@ -73,12 +73,13 @@ fn photos_of_many_exposures_make_one_scene() {
     let as_they_are = run(&posed, "", MaskRule::Auto).1;
     let (trainer, learnt) = run(&posed, "exposure = 0.06", MaskRule::Auto);
     println!("{plain:.2} dB of one exposure; of three: {as_they_are:.2} dB, with exposures {learnt:.2} dB");
-    assert!(learnt > as_they_are + 2.0 && learnt > plain - 3.0, "{learnt:.2} dB");
-    // Whose photo is brighter has the larger map.
+    assert!(learnt > as_they_are + 2.0 && learnt > plain - 4.0, "{learnt:.2} dB");
+    // Whose photo is brighter has the larger map: what it makes of a grey.
     let rows = trainer.exposures().unwrap().unwrap();
-    let red = |i: usize| rows[EXPOSURE_WORDS * i];
+    let red = |i: usize| rows[EXPOSURE_WORDS * i..][..3].iter().sum::<f32>();
     let mean = |group: usize| (0..4).map(|k| red(3 * k + group)).sum::<f32>() / 4.0;
-    assert!(mean(0) < mean(1) - 0.15 && mean(1) < mean(2) - 0.15, "{} {} {}", mean(0), mean(1), mean(2));
+    let [dark, usual, bright] = [0, 1, 2].map(mean);
+    assert!(dark < usual - 0.2 && usual < bright - 0.2, "{dark} {usual} {bright}");
 }
 
 #[test]
