@@ -99,7 +99,7 @@ pub(crate) const PROFILES: [Profile; 3] = [
         tflops: 61.4,
         gb_per_s: 960.0,
         bus_gb_per_s: 26.0,
-        cycles_alone: 9.24,
+        cycles_alone: 10.56,
         dependency_us: 2.0,
         sheet: "AMD product page (61.4 TFLOP/s counts dual issue, which is left out here)",
         alone_is: AMD_ALONE,
