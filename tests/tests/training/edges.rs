@@ -158,3 +158,18 @@ fn photos_of_several_sizes_grow() {
     let trainer = runs(&options, "[schedule]\nwarm_up = 4\ncoarse_to_fine = 9\n");
     assert_eq!(trainer.iteration(), 12);
 }
+
+#[test]
+fn what_is_shown_of_a_run_is_as_wide_as_the_pixels_of_its_photos() {
+    let posed = posed(&PosedOptions { sizes: vec![[64, 56]], ..PosedOptions::default() });
+    let (_, data) = load(&posed);
+    let mut trainer = trainer(&gpu(), &config("[schedule]\ncoarse_to_fine = 9\n"), &data).unwrap();
+    for (iteration, is_wider) in [(9, true), (10, false)] {
+        advance(&mut trainer, iteration).unwrap();
+        let shown = trainer.scene().unwrap().gaussians.log_scale;
+        let trained = trainer.checkpoint().unwrap().parameters.gaussians.log_scale;
+        let wider = shown.iter().zip(&trained).filter(|(a, b)| (0..3).all(|k| a[k] > b[k] + 1e-3)).count();
+        assert_eq!(wider, if is_wider { shown.len() } else { 0 }, "after {iteration} iterations");
+        assert!(is_wider || shown == trained);
+    }
+}
