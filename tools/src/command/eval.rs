@@ -2,6 +2,7 @@
 
 mod confidence;
 mod evaluation;
+mod exposure;
 mod protocol;
 mod report;
 mod session;

@@ -39,6 +39,10 @@ pub struct EvalArgs {
     /// Also score the moving parts, by the data set's masks
     #[arg(long)]
     pub masks: bool,
+    /// Map the colours of each rendering as its photo was exposed first (affine, least squares): for captures whose exposure
+    /// changes from photo to photo
+    #[arg(long)]
+    pub fit_exposure: bool,
     /// Also say how far off each pixel may be, by what the training views show of each Gaussian, and how well that foretells
     /// the true error; with --out also NNNNN_expected.png, as bright as NNNNN_error.png
     #[arg(long)]

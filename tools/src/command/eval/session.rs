@@ -11,6 +11,7 @@ use engine::render::Renderer;
 use engine::scene::Scene;
 use serde::Serialize;
 
+use super::exposure;
 use super::setting::Setting;
 use crate::report::scores::{AllScores, Scorer};
 
@@ -137,9 +138,12 @@ impl<'a> Session<'a> {
     fn pair(&mut self, index: usize) -> Result<Pair> {
         let view = &self.setting.views[index];
         let begin = std::time::Instant::now();
-        let rendered = self.renderer.render(&view.camera, view.time)?;
+        let mut rendered = self.renderer.render(&view.camera, view.time)?;
         let render_ms = begin.elapsed().as_secs_f64() * 1e3;
         let truth = self.loader.get(index)?.over(self.setting.background);
+        if self.setting.fit_exposure {
+            exposure::fit(&mut rendered, &truth);
+        }
         Ok(Pair { rendered, truth, render_ms })
     }
 

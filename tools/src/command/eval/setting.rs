@@ -26,6 +26,7 @@ pub(super) struct Setting {
     pub(super) background: [f32; 3],
     pub(super) options: RenderOptions,
     pub(super) masks: bool,
+    pub(super) fit_exposure: bool,
     pub(super) protocol: Option<Protocol>,
     /// The paper's scene.
     pub(super) scene: Option<String>,
@@ -61,7 +62,10 @@ impl Setting {
             return Err(Error::corrupt(&args.data, "masks (--masks)", "none", "a mask of at least one view"));
         }
         let size = [view.camera.width, view.camera.height];
-        let deviations = protocol.as_ref().map(|p| p.deviations(args.split, size, background)).unwrap_or_default();
+        let mut deviations = protocol.as_ref().map(|p| p.deviations(args.split, size, background)).unwrap_or_default();
+        if args.fit_exposure {
+            deviations.push("each rendering is exposed as its photo was (--fit-exposure)".into());
+        }
         let scene = match &protocol {
             Some(p) => paper_scene(args, p)?,
             None => None,
@@ -72,6 +76,7 @@ impl Setting {
             downscale: data.downscale,
             split: args.split,
             masks: args.masks,
+            fit_exposure: args.fit_exposure,
             options: render,
             views,
             training,
