@@ -29,6 +29,7 @@ const float EPSILON = 1e-12;
 const uint LANES = 16u;    // of a value; 12 of 16 columns are used
 
 shared float sums[EXPOSURE_THREADS];
+shared vec2 decay; // of this step: one thread alone reads and writes the photo's
 
 void main() {
     uint thread = gl_LocalInvocationIndex;
@@ -41,8 +42,9 @@ void main() {
     }
     sums[thread] = sum;
     uint row = exposure_row();
-    float decay_1 = exposure[row + EXPOSURE_DECAY] * BETA_1;
-    float decay_2 = exposure[row + EXPOSURE_DECAY + 1u] * BETA_2;
+    if (thread == 0u) {
+        decay = vec2(BETA_1, BETA_2) * vec2(exposure[row + EXPOSURE_DECAY], exposure[row + EXPOSURE_DECAY + 1u]);
+    }
     barrier();
     bool failed = counters[COUNT_FAILED] != 0u;
     if (gl_WorkGroupID.x == 0u && lane == 0u && value < EXPOSURE_VALUES && !failed) {
@@ -59,12 +61,12 @@ void main() {
             float moment_2 = BETA_2 * exposure[row + EXPOSURE_MOMENT_2 + value] + (1.0 - BETA_2) * gradient * gradient;
             exposure[row + EXPOSURE_MOMENT_1 + value] = moment_1;
             exposure[row + EXPOSURE_MOMENT_2 + value] = moment_2;
-            float size = sqrt(moment_2 / (1.0 - decay_2)) + EPSILON;
-            exposure[row + value] = own - step_data.rate_exposure * moment_1 / ((1.0 - decay_1) * size);
+            float size = sqrt(moment_2 / (1.0 - decay.y)) + EPSILON;
+            exposure[row + value] = own - step_data.rate_exposure * moment_1 / ((1.0 - decay.x) * size);
         }
         if (value == 0u) {
-            exposure[row + EXPOSURE_DECAY] = decay_1;
-            exposure[row + EXPOSURE_DECAY + 1u] = decay_2;
+            exposure[row + EXPOSURE_DECAY] = decay.x;
+            exposure[row + EXPOSURE_DECAY + 1u] = decay.y;
         }
     }
 }
