@@ -295,7 +295,7 @@ fn nerf_ds_scenes_have_masks_lists_and_full_size() {
         assert_eq!(bare, whole, "no mask, no pixel less");
     }
     // A mask may be larger than its photo, not smaller.
-    for (size, fits) in [([32, 16], true), ([8, 4], false), ([32, 4], false)] {
+    for (size, fits) in [([32, 16], true), ([8, 4], false), ([32, 4], false), ([32, 32], false)] {
         picture(scene.join("resized_mask/1x/f001.png.png"), size, |x, _| [if x < 8.0 { 0.0 } else { 255.0 }; 3]);
         let masks = MaskRule::White;
         let d = dataset::load(&scene, &DatasetOptions { masks, ..DatasetOptions::default() }).unwrap();

@@ -79,7 +79,7 @@ pub struct ImageSource {
     pub size: [u32; 2],
     /// Lens of the stored picture; `None` for a pinhole.
     pub lens: Option<Lens>,
-    /// Mask picture, if the data set has one: of the stored size, or larger.
+    /// Mask picture, if the data set has one: of the stored size, or larger and of the same shape.
     pub mask: Option<PathBuf>,
     /// Which pixels of the mask take part in training; `None`: all.
     pub used: Option<MaskColour>,
@@ -127,7 +127,7 @@ impl ImageSource {
             pixel.0 = [grey, grey, grey, u8::MAX];
         }
         let found = [mask.width(), mask.height()];
-        if found != self.stored && (0..2).all(|i| found[i] >= self.stored[i]) {
+        if found != self.stored && is_larger_copy(found, self.stored) {
             // Smaller copies of photos often share the masks of the full ones.
             let smaller = Plane::premultiplied(mask.as_raw(), found).averaged(self.stored).packed();
             mask = RgbaImage::from_fn(self.stored[0], self.stored[1], |x, y| {
@@ -181,6 +181,12 @@ impl ImageSource {
         };
         Ok(Pixels { width, height, rgba })
     }
+}
+
+/// Whether a picture is larger than another and of the same shape, to a pixel.
+fn is_larger_copy(found: [u32; 2], stored: [u32; 2]) -> bool {
+    let factor = f64::from(found[0]) / f64::from(stored[0]);
+    factor >= 1.0 && (f64::from(found[1]) / factor - f64::from(stored[1])).abs() <= 1.0
 }
 
 fn read(path: &Path) -> Result<RgbaImage> {

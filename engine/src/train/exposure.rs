@@ -1,5 +1,5 @@
 //! Exposures: what a camera made of each photo's colours (exposure time, white balance), learnt beside the scene so that the scene
-//! need not explain it. A photo has an affine map c' = A·c + b of linear premultiplied colours, as the released code of 3DGS has it since October
+//! need not explain it. A photo has an affine map c' = A·c + b of the rendered image's values, background included, as the released code of 3DGS has it since October
 //! 2024 (`train_test_exp`); the loss compares what was rendered and then mapped.
 //!
 //! [`expose`] maps the image, [`exposure_backward`] takes the gradient back to it and to the map, [`learn_exposure`] steps, held to the
