@@ -72,6 +72,28 @@ fn quick_clicks_at_two_places_are_no_double_click() {
 }
 
 #[test]
+fn a_second_click_waits_for_the_frame_that_had_no_room() {
+    let folder = tempfile::tempdir().unwrap();
+    let desktop = Desktop::new(1100, 760);
+    let model = moving_model(folder.path(), 1000);
+    // The first selection of a window draws with buffers of its own, which its first frame may overflow.
+    for pause in ["0.01", "0.03", "0.05"] {
+        let out = folder.path().join(pause);
+        let arguments = ["--size", "1000x700", "--pause", "--time", "0.3"];
+        let mut window = Window::open(&desktop, &model, &out, &arguments);
+        let first = window.picture();
+        let [one, two] = [["mousemove", "370", "330", "click", "1"], ["mousemove", "470", "400", "click", "1"]];
+        // The pointer goes on: what counts is where it was let go.
+        window.tool(&[&one[..], &["sleep", pause], &two, &["mousemove", "30", "660"]].concat());
+        let selected = window.settled();
+        assert!(difference(&first, &selected) > 0.2, "after {pause} s nothing is selected");
+        window.key("Escape");
+        assert_eq!(difference(&first, &window.settled()), 0.0, "the camera stays");
+        assert_eq!(window.quit()["validation_messages"], 0);
+    }
+}
+
+#[test]
 fn a_window_without_a_model_and_one_with_a_network_end_after_their_frames() {
     let folder = tempfile::tempdir().unwrap();
     let desktop = Desktop::new(300, 250);

@@ -75,7 +75,15 @@ fn act(request: Request, gui: &mut Gui, state: &mut State, folder: &Path) -> Res
                 state.recording = Some(0);
             }
         },
-        Request::Pick(at, go) => pick(gui, state, at, go)?,
+        Request::Pick(at, go) => {
+            gui.finish(state)?;
+            if !gui.complete {
+                // Nothing lies under a click on a frame that lacked room: it takes the next one, which has it.
+                state.requests.push(Request::Pick(at, go));
+                return Ok(());
+            }
+            pick(gui, state, at, go)?;
+        }
         Request::Open(_) | Request::Edit(_) | Request::Quit => {}
     }
     Ok(())
@@ -117,9 +125,8 @@ fn exact_image(gui: &mut Gui, state: &State) -> Result<Image> {
     Ok(image)
 }
 
-/// Selects what lies under a point of the window, or goes to it.
+/// Selects what lies under a point of the latest frame, which is finished, or goes to it.
 fn pick(gui: &mut Gui, state: &mut State, at: [f32; 2], go: bool) -> Result<()> {
-    gui.finish(state)?;
     let size = gui.size();
     let scale = gui.scale();
     let rendered = gui.info.rendered;

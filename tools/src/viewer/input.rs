@@ -114,13 +114,17 @@ fn edit_mode_changes_before_click(ui: &egui::Ui) -> bool {
 
 /// The click that ended in this frame. For egui two quick clicks are a double click wherever they are: here at one place only.
 fn click(ui: &egui::Ui, response: &egui::Response, state: &mut State) -> Option<Click> {
-    let at = response.interact_pointer_pos().filter(|_| response.clicked())?;
+    let pointer = response.interact_pointer_pos().filter(|_| response.clicked())?;
     let let_go = |event: &egui::Event| match event {
         egui::Event::PointerButton { pos, button: PointerButton::Primary, pressed: false, .. } => Some(*pos),
         _ => None,
     };
-    // A slow frame may have both clicks.
-    let in_frame = ui.input(|i| i.events.iter().rev().filter_map(let_go).nth(1));
+    // A slow frame may have both clicks, and the way of the pointer after them.
+    let [end, in_frame] = ui.input(|i| {
+        let mut ends = i.events.iter().rev().filter_map(let_go);
+        [ends.next(), ends.next()]
+    });
+    let at = end.unwrap_or(pointer);
     let last = state.clicked.replace(at);
     let before = in_frame.or(last);
     let is_quick = response.double_clicked() || response.triple_clicked();
