@@ -7,7 +7,7 @@ use std::path::Path;
 use clap::Parser as _;
 use engine::data::camera_file;
 use engine::data::dataset::View;
-use engine::data::pixels::ImageSource;
+use engine::data::pixels::{ImageSource, MaskColour};
 use engine::file::picture::{Alpha, write_png};
 use engine::gpu::Gpu;
 use engine::pose::{Bodies, Following, Options, Progress, Solve, apart_px, follow, project};
@@ -283,6 +283,38 @@ fn turned_cameras_come_back_and_those_out_of_reach_are_named() {
             assert!(!report.verdict.is_found());
         }
     }
+}
+
+/// A square that shows the scene moved by some pixels, and that a mask leaves out, moves no camera.
+#[test]
+fn what_a_mask_leaves_out_moves_no_camera() {
+    let gpu = tests_harness::shared_gpu();
+    let folder = tempfile::tempdir().unwrap();
+    let scene = textured(2000, 8, 12);
+    let truth = cameras(1, [96, 96]).remove(0);
+    let mut view = photos(&gpu, &scene, std::slice::from_ref(&truth), 0.3, folder.path()).remove(0);
+    let points: Vec<DVec3> = scene.gaussians.mean.iter().map(|m| DVec3::from_array(m.map(f64::from))).collect();
+    let is_square = |x: u32, y: u32| (24..66).contains(&x) && (34..68).contains(&y);
+    let before = image::open(&view.image.path).unwrap().into_rgb8();
+    let mut photo = before.clone();
+    for (x, y, pixel) in photo.enumerate_pixels_mut().filter(|(x, y, _)| is_square(*x, *y)) {
+        *pixel = *before.get_pixel(x + 3, y);
+    }
+    photo.save(&view.image.path).unwrap();
+    let mask = folder.path().join("mask.png");
+    image::GrayImage::from_fn(96, 96, |x, y| image::Luma([if is_square(x, y) { 0 } else { 255 }])).save(&mask).unwrap();
+    let turn = DQuat::from_axis_angle(DVec3::new(0.3, 0.5, 0.8).normalize(), 1.0_f64.to_radians());
+    view.camera.position = turn * truth.position;
+    let options = Options { solve: Solve::Camera, deterministic: true, ..Options::default() };
+    let mut off_px = |used: Option<MaskColour>| {
+        view.image.mask = used.map(|_| mask.clone());
+        view.image.used = used;
+        let found = run(&gpu, &scene, std::slice::from_ref(&view), &options, None);
+        apart_px(&found.cameras[0], &truth, &points).unwrap()
+    };
+    let (seen, masked) = (off_px(None), off_px(Some(MaskColour::White)));
+    println!("{seen:.4} px with the square, {masked:.4} px without it");
+    assert!(masked <= 0.1 && seen > 5.0 * masked, "{seen} {masked}");
 }
 
 #[test]
