@@ -88,6 +88,8 @@ impl Preset {
         c.learning_rate.sh_length_exponent = 0.5;
         if self == Self::Dnerf {
             c.schedule.coarse_to_fine = 20_000;
+            // What only full photos show has to grow, too.
+            (c.density.until, c.density.unseen_interval) = (25_000, 2500);
             c.motion.lost_objects = true;
             c.refit.error = 0.01;
         } else {
