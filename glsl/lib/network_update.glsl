@@ -1,6 +1,6 @@
 // Adam on four weights of a network, not applied where a number is not finite. Include lib/step.glsl, lib/adam.glsl and
 // lib/status.glsl first; the includer has the buffers of vec4 `parameter`, `moment_1` and `moment_2` and the constant NETWORK
-// (0 network F, 1 network G). Rust twin: `update_weight` in engine/src/train/linear/linear_update.rs.
+// (0 network F, 1 network G). Returns the new weights. Rust twin: `update_weight` in engine/src/train/linear/linear_update.rs.
 #ifndef SPGS_NETWORK_UPDATE
 #define SPGS_NETWORK_UPDATE
 
@@ -20,7 +20,7 @@ NetworkAdam network_adam() {
 
 // at: of the first weight in the three buffers; count: how many of the four are weights; index: the first one's number in the
 // network, for reports.
-void update_four(NetworkAdam with, uint at, uint count, uint index, vec4 gradient) {
+vec4 update_four(NetworkAdam with, uint at, uint count, uint index, vec4 gradient) {
     uint network = NETWORK;
     vec4 values = parameter[at / 4u];
     vec4 first = moment_1[at / 4u];
@@ -41,6 +41,7 @@ void update_four(NetworkAdam with, uint at, uint count, uint index, vec4 gradien
     parameter[at / 4u] = values;
     moment_1[at / 4u] = first;
     moment_2[at / 4u] = second;
+    return values;
 }
 
 #endif

@@ -181,9 +181,11 @@ fn update_and_gather_match_their_twins() {
     let gpu = tests_harness::shared_gpu();
     let mut r = Random(9);
     for (weights, slices) in [(1_u32, 1_u32), (300, 7), (1025, 64)] {
-        for (output, network) in [(Output::Gradient, 0), (Output::Adam, 0), (Output::Adam, 1)] {
+        for (output, network, mean) in
+            [(Output::Gradient, 0, 0), (Output::Adam, 0, 0), (Output::Adam, 0, 1), (Output::Adam, 1, 0)]
+        {
             let padded = weights.next_multiple_of(4);
-            let push = LinearUpdatePush { weights, slices, slice_stride: padded + 4, first_index: 128 };
+            let push = LinearUpdatePush { weights, slices, slice_stride: padded + 4, first_index: 128, mean_rate: 0.3 };
             let mut gradient = floats(&mut r, (slices * (padded + 4)) as usize, 0.1);
             // What overflows only when squared is not finite in the second moment alone.
             gradient[0] = if weights == 300 { 1e25 } else { f32::NAN }.to_bits();
@@ -196,12 +198,14 @@ fn update_and_gather_match_their_twins() {
                 moment_2: (0..padded).map(|_| r.range(0.5, 1.0).to_bits()).collect(),
                 // Given to Adam too: it must not write there.
                 gradient: Some(vec![0; padded as usize]),
+                // Likewise where no mean is kept.
+                mean: Some(floats(&mut r, padded as usize, 1.0)),
                 status: status::clear().to_vec(),
             };
-            let constants = LinearUpdateConstants { output: output as u32, network };
+            let constants = LinearUpdateConstants { output: output as u32, network, mean };
             let groups = weights.div_ceil(1024);
             let case = KernelCase { kernel: &LINEAR_UPDATE, constants, push, buffers, groups };
-            let done = case.check(&gpu, &format!("{weights} weights, {slices} slices, {output:?}"));
+            let done = case.check(&gpu, &format!("{weights} weights, {slices} slices, {output:?}, mean {mean}"));
             if output == Output::Adam {
                 let name = ["network F", "network G"][network as usize];
                 assert_eq!(status::first(&done.status), Some((name, 1, 128)));

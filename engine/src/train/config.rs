@@ -314,13 +314,14 @@ impl Config {
         let mut base = fallback.into();
         if let Some(name) = own.get("preset") {
             // A kind of data by its name alone means the paper's values for it.
-            base = Base::from(name.clone().try_into::<Preset>().map_err(|e| corrupt(&e))?);
+            let preset = name.clone().try_into::<Preset>().map_err(|e| corrupt(&e))?;
+            base = Base { is_static: base.is_static, ..Base::from(preset) };
         }
         if let Some(name) = own.get("method") {
             base.method = name.clone().try_into().map_err(|e| corrupt(&e))?;
         }
         // Parsed once alone, for the places of mistakes; then over the preset.
-        toml::from_str::<Self>(text).map_err(|e| corrupt(&e))?;
+        base.is_static |= !toml::from_str::<Self>(text).map_err(|e| corrupt(&e))?.motion.enabled;
         let mut merged =
             toml::Table::try_from(base.config()).map_err(|e| Error::usage("preset", e.to_string(), "TOML"))?;
         merge(&mut merged, own);
@@ -448,6 +449,7 @@ impl Config {
                 &mut c.schedule.time_window,
                 &mut c.schedule.sh_degree_interval,
                 &mut c.schedule.time_noise_iterations,
+                &mut c.motion.network_mean,
                 &mut c.refit.iterations,
                 &mut c.density.from,
                 &mut c.density.until,

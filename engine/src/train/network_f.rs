@@ -50,6 +50,8 @@ pub struct NetworkF {
     size: DeformSize,
     stage: Stage,
     parameters: Parameters,
+    /// How far the mean of the weights goes towards them in a step.
+    mean_rate: f32,
     /// Encoding, then the hidden layers' outputs.
     activation: Buffer,
     /// Gradients before the ReLU of each hidden layer, then of the heads.
@@ -88,6 +90,7 @@ impl NetworkF {
             activation_gradient: buffer("activation_gradient", bytes(hidden + HEADS as usize))?,
             gradient: gpu.buffer_with("network_f.gradient", &vec![0; (parameters.bytes() / 3) as usize])?,
             parameters,
+            mean_rate: 0.0,
         })
     }
 
@@ -96,6 +99,16 @@ impl NetworkF {
     pub fn with_stage(mut self, stage: Stage) -> Self {
         self.stage = stage;
         self
+    }
+
+    /// Keeps an exponential mean of the weights over about `steps` steps, which starts from them as they are.
+    ///
+    /// # Errors
+    /// `OutOfMemory`.
+    pub fn with_mean(mut self, steps: u64) -> Result<Self> {
+        self.parameters.keep_mean("network_f")?;
+        self.mean_rate = 1.0 / steps.max(1) as f32;
+        Ok(self)
     }
 
     /// Superpoints that it has room for.
@@ -119,6 +132,32 @@ impl NetworkF {
         superpoint_position: &Slice,
         pose: &Slice,
     ) -> Result<()> {
+        self.record_with(r, superpoints, step, superpoint_position, pose, |layer| {
+            self.parameters.slices(layer)[0].clone()
+        })
+    }
+
+    /// [`NetworkF::record_forward`] with the mean of the weights, where one is kept.
+    pub fn record_mean(
+        &self,
+        r: &mut Recorder,
+        superpoints: u32,
+        step: &Slice,
+        superpoint_position: &Slice,
+        pose: &Slice,
+    ) -> Result<()> {
+        self.record_with(r, superpoints, step, superpoint_position, pose, |layer| self.parameters.mean(layer))
+    }
+
+    fn record_with(
+        &self,
+        r: &mut Recorder,
+        superpoints: u32,
+        step: &Slice,
+        superpoint_position: &Slice,
+        pose: &Slice,
+        weights: impl Fn(usize) -> Slice,
+    ) -> Result<()> {
         if superpoints == 0 {
             return Ok(());
         }
@@ -129,7 +168,11 @@ impl NetworkF {
             encoding: self.activation(None, superpoints),
         };
         encode_superpoints::record(r, superpoints, buffers)?;
-        (0..=self.size.layers).try_for_each(|i| self.layer(i, superpoints, Some(pose)).forward(r))
+        (0..=self.size.layers).try_for_each(|i| {
+            let mut layer = self.layer(i, superpoints, Some(pose));
+            layer.parameters[0] = weights(i);
+            layer.forward(r)
+        })
     }
 
     /// Records, after the forward pass of the same step: gradients of all weights from those of the poses, given to Adam or
@@ -169,8 +212,9 @@ impl NetworkF {
             return Ok(());
         }
         let weights = (self.gradient.bytes() / 4) as u32;
-        let push = LinearUpdatePush { weights, slices: 1, slice_stride: weights, first_index: 0 };
-        pass.update(r, push, self.gradient.whole(), self.parameters.all(), None)
+        let push =
+            LinearUpdatePush { weights, slices: 1, slice_stride: weights, first_index: 0, mean_rate: self.mean_rate };
+        pass.update(r, push, self.gradient.whole(), self.parameters.all(), self.parameters.all_means(), None)
     }
 
     /// The weights.
@@ -178,16 +222,40 @@ impl NetworkF {
         Ok(network(&self.parameters.download()?, self.size))
     }
 
+    /// The mean of the weights; the weights where none is kept.
+    pub fn download_mean(&self) -> Result<DeformNetwork> {
+        self.parameters.download_mean()?.map_or_else(|| self.download(), |layers| Ok(network(&layers, self.size)))
+    }
+
+    /// Whether a mean of the weights is kept.
+    pub fn has_mean(&self) -> bool {
+        self.parameters.all_means().is_some()
+    }
+
+    /// Replaces the mean of the weights.
+    ///
+    /// # Errors
+    /// `Usage` for a network of another size.
+    pub fn upload_mean(&self, network: &DeformNetwork) -> Result<()> {
+        self.check_size(network)?;
+        self.parameters.upload_mean(&layers(network)?)
+    }
+
     /// Replaces the weights.
     ///
     /// # Errors
     /// `Usage` for a network of another size.
     pub fn upload(&self, network: &DeformNetwork) -> Result<()> {
+        self.check_size(network)?;
+        self.parameters.upload(&layers(network)?)
+    }
+
+    fn check_size(&self, network: &DeformNetwork) -> Result<()> {
         if network.size() != self.size {
             let say = |s: DeformSize| format!("{} layers of {}", s.layers, s.width);
             return Err(Error::usage("network F", say(network.size()), say(self.size)));
         }
-        self.parameters.upload(&layers(network)?)
+        Ok(())
     }
 
     /// The gradients that [`Output::Gradient`] left, in the network's shape.

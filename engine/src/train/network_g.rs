@@ -247,8 +247,8 @@ impl NetworkG {
             let kept = || self.gradient.slice(self.start(i), u64::from(stride) * 4);
             let gradient = (output == Output::Gradient).then(kept);
             let weights = self.parameters.shapes()[i].parameters();
-            let push = LinearUpdatePush { weights, slices: used, slice_stride: stride, first_index };
-            pass.update(r, push, self.split(i, 0).gradient, self.parameters.slices(i), gradient)
+            let push = LinearUpdatePush { weights, slices: used, slice_stride: stride, first_index, mean_rate: 0.0 };
+            pass.update(r, push, self.split(i, 0).gradient, self.parameters.slices(i), None, gradient)
         })
     }
 

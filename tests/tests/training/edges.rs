@@ -143,6 +143,13 @@ fn the_printed_configuration_is_the_one_for_the_data() {
     let (best, paper) = (print(posed.path(), &[]), print(posed.path(), &["--preset", "paper"]));
     has(&best, ["preset = \"dnerf\"", "method = \"best\"", "coarse_to_fine = 20000"]);
     has(&paper, ["preset = \"dnerf\"", "method = \"paper\"", "coarse_to_fine = 0"]);
+    let still = self::posed(&PosedOptions { moving: false, ..PosedOptions::default() });
+    for [until, text] in [["25000", &best], ["15000", &paper]] {
+        has(text, ["method", "[density]", &format!("until = {until}\n")]);
+    }
+    for text in [print(posed.path(), &["--no-motion"]), print(still.path(), &[])] {
+        has(&text, ["method = \"best\"", "until = 15000\n", "unseen_interval = 5000\n"]);
+    }
     if let Some(capture) = tests_harness::data("nerfies_capture1") {
         has(&print(&capture, &[]), ["preset = \"hypernerf\"", "method = \"best\"", "coarse_to_fine = 0"]);
         has(

@@ -14,6 +14,7 @@ mod interrupted;
 mod lifespan;
 mod limits;
 mod lost;
+mod mean;
 mod nonrigid;
 mod numbers;
 mod quality;

@@ -121,7 +121,7 @@ fn newest(folder: &Path) -> Result<Checkpoint> {
 fn begin(path: &Path, args: &TrainArgs) -> Result<(Dataset, Config)> {
     let first = decide::config(args, None)?;
     let data = load(path, &first.data, args)?;
-    let config = decide::config(args, Some(data.kind))?;
+    let config = decide::config(args, Some(&data))?;
     Ok((data, config))
 }
 

@@ -45,6 +45,9 @@ pub struct MotionConfig {
     pub network_layers: u32,
     /// See `network_layers`.
     pub network_width: u32,
+    /// Steps over which network F's weights are averaged for all that is looked at: evaluations, the model, the viewer. The network
+    /// that is trained keeps its own. Scaled with the schedule. Not in paper or code. 0: off.
+    pub network_mean: u64,
     /// Noise on time (annealed smooth training). Paper: not mentioned; code: yes unless `--is_blender`. Default yes for real
     /// captures, no for synthetic data (see the presets), where times are exact.
     pub time_noise: bool,

@@ -46,6 +46,8 @@ pub struct Base {
     pub preset: Preset,
     /// Whose values for it.
     pub method: Method,
+    /// Whether nothing moves: data of one time, or motion switched off.
+    pub is_static: bool,
 }
 
 impl Base {
@@ -53,6 +55,7 @@ impl Base {
     pub fn config(self) -> Config {
         match self.method {
             Method::Paper => self.preset.config(),
+            Method::Best if self.is_static => self.preset.best_static(),
             Method::Best => self.preset.best(),
         }
     }
@@ -61,7 +64,7 @@ impl Base {
 impl From<Preset> for Base {
     /// The paper's values.
     fn from(preset: Preset) -> Self {
-        Self { preset, method: Method::Paper }
+        Self { preset, ..Self::default() }
     }
 }
 
@@ -98,6 +101,13 @@ impl Preset {
                 DensityConfig { max_radius_px: 0.0, max_extent: 0.0, opacity_reset_interval: 6000, ..c.density };
             (c.density.from, c.density.interval, c.density.prune_interval) = (500, 100, 0);
         }
+        c
+    }
+
+    /// [`Preset::best`] where nothing moves: photos are full from the start, so that growing for longer only adds Gaussians.
+    pub fn best_static(self) -> Config {
+        let mut c = self.best();
+        (c.density.until, c.density.unseen_interval) = (self.config().density.until, 5000);
         c
     }
 
@@ -194,6 +204,7 @@ impl Default for MotionConfig {
             zero_heads: true,
             network_layers: 8,
             network_width: 256,
+            network_mean: 0,
             time_noise: false,
             lost_objects: false,
             time_noise_scale: 0.1,

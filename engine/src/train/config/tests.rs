@@ -28,7 +28,7 @@ fn a_file_changes_only_what_it_names() {
 
 #[test]
 fn a_kind_of_data_by_name_means_the_paper_s_values_for_it() {
-    let best = Base { preset: Preset::Dnerf, method: Method::Best };
+    let best = Base { preset: Preset::Dnerf, method: Method::Best, is_static: false };
     let read = |text: &str| Config::parse(text, best, Path::new("run.toml")).unwrap();
     assert_eq!(read("seed = 3"), Config { seed: 3, ..Preset::Dnerf.best() });
     assert_eq!(read("preset = \"dnerf\""), Preset::Dnerf.config());
@@ -36,6 +36,22 @@ fn a_kind_of_data_by_name_means_the_paper_s_values_for_it() {
     assert_eq!(read("method = \"paper\""), Preset::Dnerf.config());
     // Without its key a file of an earlier version is what it was: the paper's.
     assert_eq!(Config::default().method, Method::Paper);
+}
+
+#[test]
+fn where_nothing_moves_gaussians_grow_no_longer() {
+    let base = Base { preset: Preset::Dnerf, method: Method::Best, is_static: true };
+    let read = |text: &str, base| Config::parse(text, base, Path::new("run.toml")).unwrap();
+    let grows = |c: &Config| [c.density.until, c.density.unseen_interval];
+    assert_eq!(grows(&Preset::Dnerf.best()), [25_000, 2500]);
+    assert_eq!(grows(&base.config()), [15_000, 5000]);
+    assert_eq!(read("seed = 0", base), base.config());
+    // A file that switches motion off means the same; its own values hold.
+    let moving = Base { is_static: false, ..base };
+    assert_eq!(grows(&read("[motion]\nenabled = false", moving)), [15_000, 5000]);
+    assert_eq!(grows(&read("[density]\nuntil = 9000", base)), [9000, 5000]);
+    assert_eq!(read("method = \"best\"\npreset = \"dnerf\"", base), base.config());
+    assert_eq!(read("preset = \"dnerf\"", base), Preset::Dnerf.config());
 }
 
 #[test]

@@ -76,7 +76,7 @@ pub(super) fn of_checkpoint(stored: &Stored<'_>, before: Deformation) -> Result<
 impl NonrigidTraining {
     /// Network G after what a trained model moved before. Moments start at zero.
     pub(super) fn begin(gpu: &Gpu, config: &Config, stored: &Stored<'_>, network: &NonrigidNetwork) -> Result<Self> {
-        let frozen = SuperpointTraining::restore(gpu, config, stored)?;
+        let frozen = SuperpointTraining::frozen(gpu, config, stored)?;
         let gaussians = stored.parameters.gaussians.len() as u32;
         let (offset, gradient) = (planes(gpu, OFFSET, gaussians)?, planes(gpu, GRADIENT, gaussians)?);
         let network = NetworkG::new(gpu, network, gaussians.max(1))?.with_scale(config.nonrigid.scale);

@@ -21,6 +21,9 @@ use crate::render::scene_buffers::SceneBuffers;
 use crate::scene::parameter::MEAN;
 use crate::scene::{Association, Blend, DeformNetwork, Deformation, Motion, SuperpointDeformation, Superpoints};
 
+/// Its name in a checkpoint.
+const NETWORK_MEAN: &str = "network_f.mean";
+
 /// The model on the device.
 #[derive(Debug)]
 pub(super) struct SuperpointTraining {
@@ -69,6 +72,8 @@ struct State {
     association_moments: [Vec<f32>; 2],
     /// Network F.
     network: NetworkState,
+    /// Mean of its weights, where one is kept.
+    network_mean: Option<Vec<f32>>,
 }
 
 impl State {
@@ -81,6 +86,9 @@ impl State {
         saved.put_floats("logit_moment_1", shape(), &self.association_moments[0]);
         saved.put_floats("logit_moment_2", shape(), &self.association_moments[1]);
         saved.put_network("network_f", &self.network);
+        if let Some(mean) = &self.network_mean {
+            saved.put_floats(NETWORK_MEAN, vec![mean.len()], mean);
+        }
     }
 
     /// `None` before motion begins.
@@ -98,7 +106,16 @@ impl State {
             association,
             association_moments: [saved.floats("logit_moment_1", count)?, saved.floats("logit_moment_2", count)?],
             network: saved.network("network_f")?,
+            network_mean: saved.has(NETWORK_MEAN).then(|| saved.floats(NETWORK_MEAN, None)).transpose()?,
         }))
+    }
+
+    /// Network F as it is looked at: with the mean of its weights, where one is kept.
+    fn network_to_show(&self, config: &Config) -> Result<DeformNetwork> {
+        let size = config.motion.network_size();
+        self.network_mean
+            .as_ref()
+            .map_or_else(|| self.network.deform(size), |mean| DeformNetwork::from_flat(mean, size))
     }
 }
 
@@ -107,7 +124,7 @@ pub(super) fn of_checkpoint(stored: &Stored<'_>) -> Result<Deformation> {
     let Some(state) = State::read(stored)? else { return Ok(Deformation::None) };
     // What follows a path is where network F does not say: the checkpoint has a table then.
     let table = table_of(stored.saved, state.position.len())?;
-    let network = state.network.deform(stored.config.motion.network_size())?;
+    let network = state.network_to_show(stored.config)?;
     let network = table.is_none().then_some(network);
     let of_gaussian = stored.parameters.superpoint_of_gaussian.clone();
     let superpoints = Superpoints { of_gaussian, position: state.position };
@@ -134,7 +151,7 @@ impl SuperpointTraining {
             association_options(config),
         )?;
         let weights = DeformNetwork::init(config.seed, config.motion.network_size(), config.motion.zero_heads);
-        let network = NetworkF::new(gpu, &weights, superpoints.superpoints())?;
+        let network = Self::network(gpu, config, &weights, superpoints.superpoints())?;
         let follow = |path: Path| {
             let position: Vec<f32> = bytemuck::pod_collect_to_vec(&gpu.download(&superpoints.position)?);
             FollowedPath::new(gpu, path, position.as_chunks().0)
@@ -151,10 +168,25 @@ impl SuperpointTraining {
         let superpoints =
             SuperpointState::from_parts(gpu, &saved.position, &saved.association, [first, second], options)?;
         let weights = saved.network.deform(config.motion.network_size())?;
-        let network = NetworkF::new(gpu, &weights, saved.position.len() as u32)?;
+        let network = Self::network(gpu, config, &weights, saved.position.len() as u32)?;
         network.upload_moments([&saved.network.moment_1, &saved.network.moment_2])?;
+        network.upload_mean(&saved.network_to_show(config)?)?;
         let path = FollowedPath::restore(gpu, stored.saved, saved.position.len())?;
         Ok(Some(Self { path, ..Self::new(gpu, superpoints, network)? }))
+    }
+
+    /// A checkpoint's model for a stage that does not train it: network F has the mean of its weights, where one was kept.
+    pub(super) fn frozen(gpu: &Gpu, config: &Config, stored: &Stored<'_>) -> Result<Option<Self>> {
+        let Some(made) = Self::restore(gpu, config, stored)? else { return Ok(None) };
+        made.network.upload(&made.network.download_mean()?)?;
+        Ok(Some(made))
+    }
+
+    /// Network F with these weights, and a mean of them where the configuration has one kept.
+    fn network(gpu: &Gpu, config: &Config, weights: &DeformNetwork, superpoints: u32) -> Result<NetworkF> {
+        let network = NetworkF::new(gpu, weights, superpoints)?;
+        let steps = config.scaled().motion.network_mean;
+        if steps > 0 { network.with_mean(steps) } else { Ok(network) }
     }
 
     fn new(gpu: &Gpu, superpoints: SuperpointState, network: NetworkF) -> Result<Self> {
@@ -169,10 +201,15 @@ impl SuperpointTraining {
         self.table_at(gpu, &step, path.times())
     }
 
-    fn record_poses(&self, r: &mut Recorder, step: &Buffer) -> Result<()> {
-        let position = Slice::from(&self.superpoints.position);
+    /// Records poses, with the mean of network F's weights where they are not for a step.
+    fn record_poses(&self, r: &mut Recorder, step: &Buffer, for_step: bool) -> Result<()> {
+        let (position, count) = (Slice::from(&self.superpoints.position), self.superpoints.superpoints());
         let (step, pose) = (Slice::from(step), Slice::from(&self.pose));
-        self.network.record_forward(r, self.superpoints.superpoints(), &step, &position, &pose)?;
+        if for_step {
+            self.network.record_forward(r, count, &step, &position, &pose)?;
+        } else {
+            self.network.record_mean(r, count, &step, &position, &pose)?;
+        }
         self.path.as_ref().map_or(Ok(()), |path| path.record(r, &step, &pose))
     }
 
@@ -197,7 +234,7 @@ impl TrainedDeformation for SuperpointTraining {
     }
 
     fn record_forward(&self, r: &mut Recorder, inputs: &StepInputs<'_>) -> Result<()> {
-        self.record_poses(r, inputs.step)?;
+        self.record_poses(r, inputs.step, true)?;
         self.superpoints.record_blend(r, &Self::step_buffers(inputs))
     }
 
@@ -293,7 +330,7 @@ impl TrainedDeformation for SuperpointTraining {
             superpoints.of_gaussian = blend.of_gaussian();
         }
         let table = self.table_along_path(gpu)?;
-        let network = if table.is_none() { Some(self.network.download()?) } else { None };
+        let network = if table.is_none() { Some(self.network.download_mean()?) } else { None };
         Ok(Deformation::from(SuperpointDeformation {
             superpoints,
             blend,
@@ -313,6 +350,12 @@ impl TrainedDeformation for SuperpointTraining {
             association,
             association_moments: self.superpoints.download_moments(gpu)?,
             network: NetworkState { weights: self.network.download()?.flatten(), moment_1, moment_2 },
+            network_mean: self
+                .network
+                .has_mean()
+                .then(|| self.network.download_mean())
+                .transpose()?
+                .map(|n| n.flatten()),
         };
         state.write(saved);
         if let (Some(path), Some(table)) = (&self.path, self.table_along_path(gpu)?) {
@@ -328,7 +371,7 @@ impl TrainedDeformation for SuperpointTraining {
         let count = self.superpoints.superpoints();
         let mut motion = Motion { times: times.to_vec(), ..Motion::default() };
         let mut r = gpu.recorder("poses");
-        self.record_poses(&mut r, step_buffer)?;
+        self.record_poses(&mut r, step_buffer, false)?;
         let mut commands = r.finish()?;
         for &time in times {
             let step = Step { superpoints: count, time, exact_time: time, ..Step::default() };

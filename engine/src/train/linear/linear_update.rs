@@ -1,4 +1,4 @@
-//! Kernel `linear_update`: sum of the slices, then Adam.
+//! Kernel `linear_update`: sum of the slices, then Adam, and a running mean of the weights.
 
 use super::THREADS;
 use crate::gpu::interface::Call;
@@ -22,6 +22,8 @@ crate::gpu_struct! {
         pub slice_stride: u32,
         /// Number of the first weight within the network, for reports.
         pub first_index: u32,
+        /// How far the mean goes towards the weights, 0 to 1.
+        pub mean_rate: f32,
     }
 }
 
@@ -32,6 +34,8 @@ crate::gpu_constants! {
         output,
         /// A [`super::Network`].
         network,
+        /// 1: a mean follows the weights.
+        mean,
     }
 }
 
@@ -50,22 +54,24 @@ crate::gpu_buffers! {
         moment_2: Update F32,
         /// The sums, also those of the padding; absent when Adam takes them.
         gradient: optional Write F32,
+        /// `[weights]` running mean of the weights, padded likewise; absent when none is kept.
+        mean: optional Update F32,
         status: Atomic U32,
     }
 }
 
 crate::kernel! {
-    /// Sum of the slices, then Adam. Dispatch ceil(weights / 1024) workgroups.
+    /// Sum of the slices, then Adam, then the mean. Dispatch ceil(weights / 1024) workgroups.
     pub static LINEAR_UPDATE: LinearUpdate = {
         name: "linear_update",
-        doc: "dense layer: sum of the gradient's slices, Adam",
+        doc: "dense layer: sum of the gradient's slices, Adam, mean of the weights",
         local_size: THREADS,
         constants: LinearUpdateConstants,
         push: LinearUpdatePush,
         buffers: LinearUpdateBuffers,
         twin: linear_update_twin,
         tolerance: SUMS,
-        bytes: |work| 4 * work.get("weights") * (work.get("slices") + 6),
+        bytes: |work| 4 * work.get("weights") * (work.get("slices") + 6 + 2 * work.get("mean")),
     }
 }
 
@@ -74,14 +80,19 @@ fn linear_update_twin(call: Call<'_, LinearUpdate>) {
     if b.counters[COUNT_FAILED as usize] != 0 {
         return;
     }
-    // Sums are also kept of the padding.
+    // Sums and means are also kept of the padding.
     for at in 0..p.weights.next_multiple_of(4) {
         let sum = (0..p.slices)
             .fold(0.0, |sum, slice| sum + f32_at(b.slice_gradient, (slice * p.slice_stride + at) as usize));
+        if let (0, Some(gradient)) = (constants.output, &mut b.gradient) {
+            set_f32(gradient, at as usize, sum);
+        }
         if constants.output != 0 && at < p.weights {
             update_weight(&mut b, constants.network, at, p.first_index + at, sum);
-        } else if let (0, Some(gradient)) = (constants.output, &mut b.gradient) {
-            set_f32(gradient, at as usize, sum);
+        }
+        if let (1.., 1, Some(mean)) = (constants.output, constants.mean, &mut b.mean) {
+            let (at, before) = (at as usize, f32_at(mean, at as usize));
+            set_f32(mean, at, before + p.mean_rate * (f32_at(b.parameter, at) - before));
         }
     }
 }

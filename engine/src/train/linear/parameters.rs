@@ -16,6 +16,8 @@ pub struct Parameters {
     value: Buffer,
     moment_1: Buffer,
     moment_2: Buffer,
+    /// Running mean of the values, where one is kept.
+    mean: Option<Buffer>,
 }
 
 impl Parameters {
@@ -24,7 +26,7 @@ impl Parameters {
         let words: u32 = shapes.iter().map(padded).sum();
         let buffer = |part: &str| gpu.buffer(&format!("{name}.{part}"), u64::from(words) * 4, Memory::Device);
         let (value, moment_1, moment_2) = (buffer("parameter")?, buffer("moment_1")?, buffer("moment_2")?);
-        let made = Self { gpu: gpu.clone(), shapes: shapes.to_vec(), value, moment_1, moment_2 };
+        let made = Self { gpu: gpu.clone(), shapes: shapes.to_vec(), value, moment_1, moment_2, mean: None };
         made.upload(layers)?;
         let zero: Vec<Vec<f32>> = shapes.iter().map(|s| vec![0.0; s.parameters() as usize]).collect();
         made.upload_moments([&zero, &zero])?;
@@ -64,6 +66,35 @@ impl Parameters {
         [&self.value, &self.moment_1, &self.moment_2].map(Slice::from)
     }
 
+    /// Keeps a running mean of the weights from now on, which starts from them as they are.
+    pub fn keep_mean(&mut self, name: &str) -> Result<()> {
+        let mean = self.gpu.buffer(&format!("{name}.mean"), self.value.bytes(), Memory::Device)?;
+        self.write(&mean, &self.download()?)?;
+        self.mean = Some(mean);
+        Ok(())
+    }
+
+    /// The mean of layer `i`; its values where none is kept.
+    pub(in crate::train) fn mean(&self, i: usize) -> Slice {
+        let [value, ..] = self.slices(i);
+        self.mean.as_ref().map_or(value.clone(), |mean| mean.slice(value.start, value.bytes))
+    }
+
+    /// The mean of all layers, with the padding.
+    pub(in crate::train) fn all_means(&self) -> Option<Slice> {
+        self.mean.as_ref().map(Slice::from)
+    }
+
+    /// Replaces the mean; does nothing where none is kept.
+    pub fn upload_mean(&self, layers: &[Vec<f32>]) -> Result<()> {
+        self.mean.as_ref().map_or(Ok(()), |mean| self.write(mean, layers))
+    }
+
+    /// Mean weights and bias of each layer; `None` where no mean is kept.
+    pub fn download_mean(&self) -> Result<Option<Vec<Vec<f32>>>> {
+        self.mean.as_ref().map(|mean| self.read(mean)).transpose()
+    }
+
     /// Replaces the weights.
     pub fn upload(&self, layers: &[Vec<f32>]) -> Result<()> {
         self.write(&self.value, layers)
@@ -87,7 +118,7 @@ impl Parameters {
 
     /// Bytes of device memory.
     pub fn bytes(&self) -> u64 {
-        self.value.bytes() + self.moment_1.bytes() + self.moment_2.bytes()
+        self.value.bytes() + self.moment_1.bytes() + self.moment_2.bytes() + self.mean.as_ref().map_or(0, Buffer::bytes)
     }
 
     fn write(&self, buffer: &Buffer, layers: &[Vec<f32>]) -> Result<()> {

@@ -113,17 +113,19 @@ impl Layer {
 }
 
 impl Pass {
-    /// Sum of slices of a gradient `from`, into Adam of `parameters` (values and moments), or into `gradient` where it is
-    /// to be kept.
+    /// Sum of slices of a gradient `from`, into Adam of `parameters` (values and moments) and their `mean` where there is one, or
+    /// into `gradient` where it is to be kept.
     pub(in crate::train) fn update(
         &self,
         r: &mut Recorder,
         push: LinearUpdatePush,
         from: Slice,
         parameters: [Slice; 3],
+        mean: Option<Slice>,
         gradient: Option<Slice>,
     ) -> Result<()> {
         let [parameter, moment_1, moment_2] = parameters;
+        let with_mean = mean.is_some().into();
         let buffers = LinearUpdateBuffers {
             step: self.step.clone(),
             counters: self.counters.clone(),
@@ -132,9 +134,11 @@ impl Pass {
             moment_1,
             moment_2,
             gradient,
+            mean,
             status: self.status.clone(),
         };
-        let constants = LinearUpdateConstants { output: self.output as u32, network: self.network as u32 };
+        let constants =
+            LinearUpdateConstants { output: self.output as u32, network: self.network as u32, mean: with_mean };
         let groups = Groups::Direct(push.weights.div_ceil(THREADS * WEIGHTS_PER_THREAD).into());
         r.dispatch(&LINEAR_UPDATE, constants, push, buffers, groups)
     }

@@ -33,7 +33,7 @@ impl PresetName {
     pub fn base(self, kind: Option<DatasetKind>) -> Base {
         let of_format = kind.map(Benchmark::preset_of_format).unwrap_or_default();
         match self {
-            Self::Best => Base { preset: of_format, method: Method::Best },
+            Self::Best => Base { preset: of_format, method: Method::Best, ..Base::default() },
             Self::Paper => of_format.into(),
             Self::DNerf => Preset::Dnerf.into(),
             Self::HyperNerf => Preset::Hypernerf.into(),

@@ -1,9 +1,9 @@
 //! What a run is made of: configuration and first Gaussians, from arguments, files and the data set's format.
 
-use engine::data::dataset::{Dataset, DatasetKind};
+use engine::data::dataset::Dataset;
 use engine::error::Result;
 use engine::scene::Gaussians;
-use engine::train::config::Config;
+use engine::train::config::{Base, Config};
 use engine::train::start;
 
 use crate::cli::args::TrainArgs;
@@ -13,8 +13,9 @@ use crate::cli::model;
 ///
 /// # Errors
 /// Those of reading and checking it.
-pub(super) fn config(args: &TrainArgs, kind: Option<DatasetKind>) -> Result<Config> {
-    let base = args.preset.base(kind);
+pub(super) fn config(args: &TrainArgs, data: Option<&Dataset>) -> Result<Config> {
+    let is_static = args.no_motion || data.is_some_and(|d| d.is_static);
+    let base = Base { is_static, ..args.preset.base(data.map(|d| d.kind)) };
     let config = match &args.config {
         Some(path) => Config::read(path, base)?,
         None => base.config(),
