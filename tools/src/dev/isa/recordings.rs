@@ -186,6 +186,7 @@ fn variants(base: &Config) -> Vec<Config> {
         with(|c| (c.motion.neighbors, c.motion.association_slots) = (1, 1)),
         with(|c| c.motion.blend = SOFT as u32),
         with(|c| c.gaussians.antialiased = true),
+        with(|c| c.motion.network_mean = 100),
         with(|c| (c.motion.network_layers, c.motion.network_width) = (2, 32)),
     ];
     for degree in 0..3 {
