@@ -141,10 +141,10 @@ fn the_printed_configuration_is_the_one_for_the_data() {
     let has =
         |text: &str, lines: [&str; 3]| assert!(lines.iter().all(|line| text.contains(line)), "{lines:?} in {text}");
     let (best, paper) = (print(posed.path(), &[]), print(posed.path(), &["--preset", "paper"]));
-    has(&best, ["preset = \"dnerf\"", "method = \"best\"", "coarse_to_fine = 12000"]);
+    has(&best, ["preset = \"dnerf\"", "method = \"best\"", "coarse_to_fine = 20000"]);
     has(&paper, ["preset = \"dnerf\"", "method = \"paper\"", "coarse_to_fine = 0"]);
     let still = self::posed(&PosedOptions { moving: false, ..PosedOptions::default() });
-    for [until, text] in [["20000", &best], ["15000", &paper]] {
+    for [until, text] in [["25000", &best], ["15000", &paper]] {
         has(text, ["method", "[density]", &format!("until = {until}\n")]);
     }
     for text in [print(posed.path(), &["--no-motion"]), print(still.path(), &[])] {

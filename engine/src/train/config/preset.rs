@@ -91,9 +91,9 @@ impl Preset {
         c.learning_rate.sh_length_exponent = 0.5;
         c.motion.network_mean = 400;
         if self == Self::Dnerf {
-            c.schedule.coarse_to_fine = 12_000;
+            c.schedule.coarse_to_fine = 20_000;
             // What only full photos show has to grow, too.
-            (c.density.until, c.density.unseen_interval) = (20_000, 2500);
+            (c.density.until, c.density.unseen_interval) = (25_000, 2500);
             c.motion.lost_objects = true;
             c.refit.error = 0.01;
         } else {

@@ -43,7 +43,7 @@ fn where_nothing_moves_gaussians_grow_no_longer() {
     let base = Base { preset: Preset::Dnerf, method: Method::Best, is_static: true };
     let read = |text: &str, base| Config::parse(text, base, Path::new("run.toml")).unwrap();
     let grows = |c: &Config| [c.density.until, c.density.unseen_interval];
-    assert_eq!(grows(&Preset::Dnerf.best()), [20_000, 2500]);
+    assert_eq!(grows(&Preset::Dnerf.best()), [25_000, 2500]);
     assert_eq!(grows(&base.config()), [15_000, 5000]);
     assert_eq!(read("seed = 0", base), base.config());
     // A file that switches motion off means the same; its own values hold.
