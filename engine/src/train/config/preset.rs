@@ -89,11 +89,11 @@ impl Preset {
         c.density.unseen_interval = 5000;
         c.refit.iterations = 10_000;
         c.learning_rate.sh_length_exponent = 0.5;
-        c.motion.network_mean = 400;
         if self == Self::Dnerf {
             c.schedule.coarse_to_fine = 20_000;
             // What only full photos show has to grow, too.
             (c.density.until, c.density.unseen_interval) = (25_000, 2500);
+            c.motion.network_mean = 400;
             c.motion.lost_objects = true;
             c.refit.error = 0.01;
         } else {
