@@ -33,7 +33,9 @@ void main() {
         vec2 scale = 1.0 / (sqrt(squares) + EPSILON);
         float sum = 0.0;
         for (uint c = 0u; c < push.channels; c++) {
-            float d = first[c * push.pixels + pixel] * scale.x - second[c * push.pixels + pixel] * scale.y;
+            // Each product is rounded: fused into the difference, one of them would not be, and a picture would differ from itself.
+            precise vec2 v = vec2(first[c * push.pixels + pixel], second[c * push.pixels + pixel]) * scale;
+            precise float d = v.x - v.y;
             sum += head[c] * d * d;
         }
         distance_of_pixel[pixel] = sum;

@@ -74,6 +74,13 @@ fn chain(gpu: &Gpu, size: [u32; 2], lambda: f32, color: &[u32], target: &[u32], 
     chain_of(gpu, own, size, lambda, [color, target], kind)
 }
 
+/// How far the SSIM maps may be from the twin's, relative L2. Where nearly all of a variance cancels (spread below 0.01), kernel and
+/// twin are both some 2e-4 from f64, each by its own way of rounding: there it is the bound of the gradient against f64.
+fn maps_bound(color: &[u32]) -> f64 {
+    let (low, high) = words_to_floats(color).iter().fold((f32::MAX, f32::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
+    if high - low < 0.011 { 5e-4 } else { 2e-4 }
+}
+
 fn chain_of(
     gpu: &Gpu,
     stage: LossStage,
@@ -105,7 +112,7 @@ fn chain_of(
         let done = KernelCase { kernel: &SSIM_FORWARD, constants, push: (), buffers, groups: n }.run(gpu);
         done.assert_equal(&context);
         let relative = relative_l2(&words_to_floats(&done.gpu.ssim_maps), &words_to_floats(&done.twin.ssim_maps));
-        assert!(relative < 2e-4, "{size:?}: maps {relative:e} from the twin");
+        assert!(relative < maps_bound(color), "{size:?}: maps {relative:e} from the twin");
         (sums, ssim_maps) = (done.gpu.loss_partial, Some(done.gpu.ssim_maps));
     }
     let buffers = ImageLossBuffers {
