@@ -42,14 +42,15 @@ impl Trainer {
 
     /// `[N]` Σ αT over the photos as they are at `iteration`.
     fn contributions(&self, iteration: u64) -> Result<Vec<f64>> {
-        let scene = self.scene()?;
+        let photos = self.pyramid.places(iteration);
+        let step = photos.len().div_ceil(MOST_PHOTOS).max(1);
+        let photos = photos.step_by(step);
+        let scene = self.scene_at(photos.clone().map(|photo| self.pyramid.views[photo].time))?;
         let (background, near) = (self.config.background, self.config.near);
         let options = RenderOptions { background, near, ..RenderOptions::default() };
         let mut of = Contributions::new(&self.gpu, &scene, &options)?;
         let mut sums = vec![0.0; scene.gaussians.len()];
-        let photos = self.pyramid.places(iteration);
-        let step = photos.len().div_ceil(MOST_PHOTOS).max(1);
-        for photo in photos.step_by(step) {
+        for photo in photos {
             let view = &self.pyramid.views[photo];
             let weight = vec![[1.0, 0.0, 0.0]; view.camera.width as usize * view.camera.height as usize];
             for (sum, [seen, ..]) in sums.iter_mut().zip(of.of_view(&view.camera, view.time, &weight)?) {

@@ -1,5 +1,6 @@
 //! The mean of network F's weights: what is looked at has it, what is trained does not.
 
+use engine::render::{RenderOptions, Renderer};
 use engine::train::checkpoint::Checkpoint;
 use engine::train::trainer::Trainer;
 
@@ -89,4 +90,34 @@ fn the_nonrigid_stage_moves_gaussians_by_the_mean() {
     let stage = Trainer::nonrigid(&gpu, &config, &data, &rigid).unwrap().checkpoint().unwrap();
     assert!(weights(&stage, "weights") == weights(&rigid, "mean"));
     assert!(weights(&rigid, "weights") != weights(&rigid, "mean"));
+}
+
+/// What evaluations draw has no network F: its poses are in a table of the times that are wanted.
+#[test]
+fn a_scene_at_given_times_shows_what_network_f_shows() {
+    let posed = posed(&PosedOptions::default());
+    let (_, data) = load(&posed);
+    let gpu = gpu();
+    let mut run = trainer(&gpu, &config(MEAN), &data).unwrap();
+    assert!(run.scene_at([0.5]).unwrap().deformation.table().is_none(), "nothing moves yet");
+    while run.motion_at(&[0.0]).unwrap().is_none() {
+        run.step().unwrap();
+    }
+    let later = run.iteration() + 5;
+    advance(&mut run, later).unwrap();
+    let times = [0.75, 0.25, 0.75];
+    let (with_network, with_table) = (run.scene().unwrap(), run.scene_at(times).unwrap());
+    assert!(with_network.deformation.network().is_some() && with_table.deformation.network().is_none());
+    assert_eq!(with_table.deformation.key_times(), [0.25, 0.75]);
+    let alone = run.scene_at([0.25]).unwrap();
+    let camera = &data.views[0].camera;
+    let mut image =
+        |scene, time| Renderer::new(&gpu, scene, &RenderOptions::default()).unwrap().render(camera, time).unwrap().rgba;
+    for time in times {
+        let (expected, found) = (image(&with_network, time), image(&with_table, time));
+        assert!(apart(&expected, &found) < 1e-4, "time {time}: {:e}", apart(&expected, &found));
+    }
+    let (expected, found) = (image(&with_network, 0.25), image(&alone, 0.25));
+    assert!(apart(&expected, &found) < 1e-4, "one time: {:e}", apart(&expected, &found));
+    assert!(apart(&image(&with_network, 0.75), &expected) > 1e-3, "it moves");
 }

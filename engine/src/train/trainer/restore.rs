@@ -154,6 +154,25 @@ impl Trainer {
         Ok(Scene { gaussians, deformation, ..Scene::default() })
     }
 
+    /// [`Trainer::scene`] for pictures at these times: its poses stand in a table of just them, so that no picture evaluates
+    /// network F, which takes a CPU seconds. Between them they are interpolated.
+    ///
+    /// # Errors
+    /// As [`Trainer::scene`].
+    pub fn scene_at(&self, times: impl IntoIterator<Item = f64>) -> Result<Scene> {
+        let mut scene = self.scene()?;
+        let mut times: Vec<f32> = times.into_iter().map(|t| t as f32).collect();
+        times.sort_by(f32::total_cmp);
+        times.dedup();
+        if times.is_empty() {
+            return Ok(scene);
+        }
+        if let (Some(motion), Some(moved)) = (self.motion_at(&times)?, scene.deformation.superpoint_deformation_mut()) {
+            (moved.table, moved.network, moved.association) = (Some(motion), None, None);
+        }
+        Ok(scene)
+    }
+
     /// Poses of network F at `times`, as a table; `None` before motion begins.
     ///
     /// # Errors

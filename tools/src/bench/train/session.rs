@@ -161,7 +161,8 @@ impl<'a> Session<'a> {
             }
             tick();
             if evaluates {
-                let [psnr, ssim] = self.score(&trainer.scene()?, config, MotionSource::Auto)?;
+                let times = self.views.iter().map(|&i| self.held_out.views()[i].time);
+                let [psnr, ssim] = self.score(&trainer.scene_at(times)?, config, MotionSource::Auto)?;
                 let (iteration, gaussians) = (trainer.iteration(), trainer.gaussians());
                 milestones.push(Milestone { iteration, seconds, psnr, ssim, gaussians });
                 if is_late || until.psnr.is_some_and(|wanted| psnr >= wanted) {

@@ -152,7 +152,8 @@ impl Run<'_> {
         let total = self.held_out.views().len();
         let step = total.div_ceil(count.max(1)).max(1);
         let indices: Vec<usize> = (0..total).step_by(step).collect();
-        let scene = self.trainer.scene()?;
+        let times = indices.iter().map(|&i| self.held_out.views()[i].time);
+        let scene = self.trainer.scene_at(times)?;
         let options = options(self.trainer.config());
         let views = evaluate::render_views(self.gpu, &scene, &self.held_out, &indices, &options)?;
         let (log, bar, quiet) = (self.log.clone(), self.bar.clone(), self.quiet);
