@@ -229,15 +229,31 @@ uvec2 staged_four(uint item, bool along_k) {
         : uvec2(item / (SHARED_TILE / 4u), item % (SHARED_TILE / 4u) * 4u);
 }
 
-void stage_operands_by_four(uvec2 first, uint k_0, uvec2 size, uint k_end) {
-    for (uint item = thread_index(); item < STAGED_DEPTH * SHARED_TILE / 4u; item += PRODUCT_THREADS) {
+// A thread's share of what is staged next. It comes from memory while the sums take up what was staged before: few workgroups
+// share the work of a small matrix, and nothing else would hide that time.
+const uint STAGED_FOURS = 2u; // of an operand: STAGED_DEPTH * SHARED_TILE / 4 / PRODUCT_THREADS
+vec4 next_a[2];
+vec4 next_b[2];
+
+void fetch_operands(uvec2 first, uint k_0, uvec2 size, uint k_end) {
+    [[unroll]] for (uint i = 0u; i < STAGED_FOURS; i++) {
+        uint item = thread_index() + i * PRODUCT_THREADS;
         uvec2 at = staged_four(item, A_ALONG_K == 1);
         bool inside = k_0 + at.x < k_end && first.x + at.y < size.x;
-        stage_four(0u, A_ALONG_K == 1, at.x, at.y, inside ? operand_a_four(first.x + at.y, k_0 + at.x) : vec4(0.0));
+        next_a[i] = inside ? operand_a_four(first.x + at.y, k_0 + at.x) : vec4(0.0);
         at = staged_four(item, B_ALONG_K == 1);
         inside = k_0 + at.x < k_end && first.y + at.y < size.y;
-        stage_four(STAGED_HALF, B_ALONG_K == 1, at.x, at.y,
-            inside ? operand_b_four(k_0 + at.x, first.y + at.y) : vec4(0.0));
+        next_b[i] = inside ? operand_b_four(k_0 + at.x, first.y + at.y) : vec4(0.0);
+    }
+}
+
+void stage_fetched() {
+    [[unroll]] for (uint i = 0u; i < STAGED_FOURS; i++) {
+        uint item = thread_index() + i * PRODUCT_THREADS;
+        uvec2 at = staged_four(item, A_ALONG_K == 1);
+        stage_four(0u, A_ALONG_K == 1, at.x, at.y, next_a[i]);
+        at = staged_four(item, B_ALONG_K == 1);
+        stage_four(STAGED_HALF, B_ALONG_K == 1, at.x, at.y, next_b[i]);
     }
 }
 #endif
@@ -247,12 +263,12 @@ uvec2 staged_element(uint item, bool along_k) {
     return along_k ? uvec2(item % STAGED_DEPTH, item / STAGED_DEPTH) : uvec2(item / SHARED_TILE, item % SHARED_TILE);
 }
 
-// The tile's rows of both operands, k_0 up to k_0 + 63, into shared memory; zeros outside.
+// The tile's rows of both operands, k_0 up to k_0 + 63, into shared memory; zeros outside. Where VECTORS is 1 they were fetched.
 void stage_operands(uvec2 first, uint k_0, uvec2 size, uint k_end) {
 #if K_STEP == 4
     uint vectors = VECTORS;
     if (vectors == 1u) {
-        stage_operands_by_four(first, k_0, size, k_end);
+        stage_fetched();
     } else
 #endif
     {
@@ -267,6 +283,16 @@ void stage_operands(uvec2 first, uint k_0, uvec2 size, uint k_end) {
     }
 }
 
+// Begins to read what will be staged from k_0 on, where that is by whole loads; nothing from k_end on.
+void fetch_next(uvec2 first, uint k_0, uvec2 size, uint k_end) {
+#if K_STEP == 4
+    uint vectors = VECTORS;
+    if (vectors == 1u && k_0 < k_end) {
+        fetch_operands(first, k_0, size, k_end);
+    }
+#endif
+}
+
 void product_by_shared(uint tile, uint tiles_b, uint rows, uint columns, uint k_first, uint k_end) {
     uint thread = thread_index();
     uint group = thread / 64u;
@@ -279,10 +305,12 @@ void product_by_shared(uint tile, uint tiles_b, uint rows, uint columns, uint k_
         sum[r] = vec4(0.0);
     }
     vec4 row_sum = vec4(0.0);
+    fetch_next(uvec2(a_first, b_first), k_first, uvec2(rows, columns), k_end);
     for (uint k_0 = k_first; k_0 < k_end; k_0 += STAGED_DEPTH) {
         barrier();
         stage_operands(uvec2(a_first, b_first), k_0, uvec2(rows, columns), k_end);
         barrier();
+        fetch_next(uvec2(a_first, b_first), k_0 + STAGED_DEPTH, uvec2(rows, columns), k_end);
         for (uint j = 0u; j < SHARED_DEPTH; j++) {
             uint k = group * SHARED_DEPTH + j;
             vec4 a = product_stage[k * SHARED_PITCH + a_own];

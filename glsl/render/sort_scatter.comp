@@ -200,13 +200,18 @@ void main() {
     }
     barrier();
 
+    // All at once: a load after a store would wait for it, as far as the compiler knows.
+    uint value[SORT_ROUNDS];
+    [[unroll]] for (uint r = 0u; r < ROUNDS; r++) {
+        value[r] = has_values != 0u && first + r * size < present ? values_in[start + r * size] : 0u;
+    }
     [[unroll]] for (uint r = 0u; r < ROUNDS; r++) {
         uint to = rank_rows[row + ((key[r] >> push.shift) & mask)] + rank[r];
         bool valid = first + r * size < present && to < count;
         if (valid) {
             keys_out[to] = key[r];
             if (has_values != 0u) {
-                values_out[to] = values_in[start + r * size];
+                values_out[to] = value[r];
             }
         }
         if (has_next != 0u) {

@@ -1,5 +1,6 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_control_flow_attributes : require
 
 // In place, for each digit: exclusive prefix sum of the histogram over partitions; the digit totals go to `totals_row`.
 // Runs between the count and the scatter when there are so many partitions that summing them in every workgroup of
@@ -24,7 +25,17 @@ layout(push_constant) uniform PushBlock {
 const uint DIGITS_PER_GROUP = 8u;
 const uint CHUNKS = 32u;
 
+const uint ROWS_AT_ONCE = 8u; // that a thread reads before it waits for the first
+
 shared uint sums[SORT_THREADS];
+
+// Counts of `digit` in the rows from `first` on, 0 from `end` on.
+void read_rows(uint first, uint end, uint digit, out uint n[ROWS_AT_ONCE]) {
+    [[unroll]] for (uint i = 0u; i < ROWS_AT_ONCE; i++) {
+        uint p = min(first + i, end - 1u);
+        n[i] = first + i < end ? histogram[p * SORT_DIGITS + digit] : 0u;
+    }
+}
 
 void main() {
     uint t = gl_LocalInvocationID.x;
@@ -37,8 +48,12 @@ void main() {
     uint first = min(chunk * per_chunk, partitions);
     uint end = valid ? min(first + per_chunk, partitions) : first;
     uint sum = 0u;
-    for (uint p = first; p < end; p++) {
-        sum += histogram[p * SORT_DIGITS + digit];
+    uint n[ROWS_AT_ONCE];
+    for (uint p = first; p < end; p += ROWS_AT_ONCE) {
+        read_rows(p, end, digit, n);
+        [[unroll]] for (uint i = 0u; i < ROWS_AT_ONCE; i++) {
+            sum += n[i];
+        }
     }
     sums[t] = sum;
     barrier();
@@ -46,10 +61,14 @@ void main() {
     for (uint c = 0u; c < chunk; c++) {
         before += sums[c * DIGITS_PER_GROUP + t % DIGITS_PER_GROUP];
     }
-    for (uint p = first; p < end; p++) {
-        uint n = histogram[p * SORT_DIGITS + digit];
-        histogram[p * SORT_DIGITS + digit] = before;
-        before += n;
+    for (uint p = first; p < end; p += ROWS_AT_ONCE) {
+        read_rows(p, end, digit, n);
+        [[unroll]] for (uint i = 0u; i < ROWS_AT_ONCE; i++) {
+            if (p + i < end) {
+                histogram[(p + i) * SORT_DIGITS + digit] = before;
+            }
+            before += n[i];
+        }
     }
     if (valid && chunk == CHUNKS - 1u) {
         histogram[push.totals_row * SORT_DIGITS + digit] = before;

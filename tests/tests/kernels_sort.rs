@@ -1,6 +1,6 @@
 //! Compaction, radix sort and tile kernels on the device against their twins, bit for bit.
 
-use engine::render::radix_sort::{SortPlan, rank_by_ballot};
+use engine::render::radix_sort::{DeviceSort, SortPlan, rank_by_ballot};
 use engine::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers};
 use engine::render::sort_scatter::{SORT_SCATTER, SortScatterBuffers};
 use engine::render::sort_spine::{SORT_SPINE, SPINE_GROUPS, SortSpineBuffers};
@@ -43,7 +43,7 @@ fn sort_and_check_by(
     let rows = plan.histogram_rows() as usize * 256;
     let counters = vec![0, 0, n, 0, 0, 0, 0, 0];
     let buffers = SortHistogramBuffers { counters: counters.clone(), keys: keys.to_vec(), histogram: vec![0; rows] };
-    let push = plan.histogram_push(2);
+    let push = plan.histogram_push(0, 2);
     let case = KernelCase { kernel: &SORT_HISTOGRAM, constants: (), push, buffers, groups: plan.partitions };
     // The count leaves the rows it does not own poisoned, like the totals row; the sort must not read them.
     let mut histogram = case.check(gpu, &context).histogram;
@@ -136,4 +136,29 @@ fn spine_over_many_partitions() {
     let keys: Vec<u32> = (0..partitions * 4096 + 5).map(|_| rng.next() & 0xFFF).collect();
     assert!(tests_harness::small() || SortPlan::new(keys.len() as u32, 12).unwrap().prescanned);
     sort_and_check(&gpu, &keys, 12, true, true, "many partitions");
+}
+
+/// Sorts with few partitions and with many; digits counted by the pass before or apart, as a GPU has them in large sorts.
+#[test]
+fn device_sorts_are_stable_whoever_counts_the_digits() {
+    let gpu = tests_harness::shared_gpu();
+    let mut random = Rng(11);
+    for (count, rounds) in [(1_u32, 16), (5_000, 4), (200_000, 4), (200_000, 16)] {
+        let keys: Vec<u32> = (0..count).map(|_| random.next() & 0x000f_ffff).collect();
+        let mut expected: Vec<(u32, u32)> = keys.iter().copied().zip(0..).collect();
+        expected.sort_by_key(|(key, _)| *key);
+        for counted_apart in [false, true] {
+            let plan = SortPlan { counted_apart, ..SortPlan::with_rounds(count, 20, rounds).unwrap() };
+            let mut sort = DeviceSort::with_plan(&gpu, &keys, &plan).unwrap();
+            for _ in 0..2 {
+                sort.run().unwrap();
+            }
+            let [sorted, values] = sort.download().unwrap();
+            let found: Vec<(u32, u32)> = sorted.into_iter().zip(values).collect();
+            let first = found.iter().zip(&expected).position(|(f, e)| f != e).map(|i| (i, found[i], expected[i]));
+            assert!(first.is_none(), "{count} keys, {rounds} rounds, counted apart: {counted_apart}: {first:?}");
+        }
+    }
+    let plan = SortPlan::with_rounds(8, 20, 4).unwrap();
+    assert!(DeviceSort::with_plan(&gpu, &[1, 2], &plan).is_err());
 }

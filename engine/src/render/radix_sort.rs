@@ -60,6 +60,9 @@ pub struct SortPlan {
     pub rounds: u32,
     /// `sort_spine` runs before each `sort_scatter`.
     pub prescanned: bool,
+    /// `sort_histogram` counts the digits of every pass, not of the first alone: `sort_scatter` would count those of the next by an
+    /// atomic per key.
+    pub counted_apart: bool,
 }
 
 impl SortPlan {
@@ -76,7 +79,10 @@ impl SortPlan {
     /// # Errors
     /// As [`SortPlan::new`].
     pub fn for_device(gpu: &Gpu, capacity: u32, key_bits: u32) -> Result<Self> {
-        Self::with_rounds(capacity, key_bits, rounds_of(capacity, gpu.info().is_cpu()))
+        let is_cpu = gpu.info().is_cpu();
+        let plan = Self::with_rounds(capacity, key_bits, rounds_of(capacity, is_cpu))?;
+        // Reading the keys once more takes a GPU a tenth of so many atomics.
+        Ok(Self { counted_apart: plan.prescanned && !is_cpu, ..plan })
     }
 
     /// The same with `rounds` keys per thread of a partition: a power of two, at most 16.
@@ -100,7 +106,8 @@ impl SortPlan {
             })
             .collect();
         let partitions = capacity.div_ceil(rounds * SORT_THREADS).max(1);
-        Ok(Self { capacity, digits, partitions, rounds, prescanned: partitions > SPINE_PARTITIONS })
+        let prescanned = partitions > SPINE_PARTITIONS;
+        Ok(Self { capacity, digits, partitions, rounds, prescanned, counted_apart: false })
     }
 
     /// log2 of the keys of a partition.
@@ -127,7 +134,7 @@ impl SortPlan {
     pub fn scatter_constants(&self, pass: usize, has_values: bool, by_ballot: bool) -> SortScatterConstants {
         SortScatterConstants {
             has_values: has_values.into(),
-            has_next: (pass + 1 < self.digits.len()).into(),
+            has_next: (!self.counted_apart && pass + 1 < self.digits.len()).into(),
             rank_by_ballot: by_ballot.into(),
             rounds: self.rounds,
         }
@@ -147,9 +154,9 @@ impl SortPlan {
         }
     }
 
-    /// Push constants of `sort_histogram` for the first pass.
-    pub fn histogram_push(&self, count_word: u32) -> SortHistogramPush {
-        let Digit { shift, bits } = self.digits[0];
+    /// Push constants of `sort_histogram` for pass `pass`.
+    pub fn histogram_push(&self, pass: usize, count_word: u32) -> SortHistogramPush {
+        let Digit { shift, bits } = self.digits[pass];
         SortHistogramPush { shift, digit_bits: bits, count_word, partition_shift: self.partition_shift() }
     }
 

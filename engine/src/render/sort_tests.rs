@@ -39,7 +39,7 @@ fn sort_by_twins(
     let mut histogram = first_histogram.unwrap_or_else(|| {
         let buffers =
             SortHistogramBuffers { counters: counters.clone(), keys: keys.to_vec(), histogram: vec![POISON; rows] };
-        SORT_HISTOGRAM.run_twin(32, (), plan.histogram_push(1), buffers, plan.partitions).histogram
+        SORT_HISTOGRAM.run_twin(32, (), plan.histogram_push(0, 1), buffers, plan.partitions).histogram
     });
     let (mut keys, mut moved) = (keys.to_vec(), values.unwrap_or_default().to_vec());
     for pass in 0..plan.digits.len() {

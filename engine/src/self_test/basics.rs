@@ -86,7 +86,7 @@ fn sort_cases(gpu: &Gpu, prescanned: bool) -> Result<Vec<KernelCase>> {
     let counters = vec![0, 0, KEYS, 0, 0, 0, 0, 0];
     let mut cases = Vec::new();
     let lanes = |kernel: &Kernel| gpu.subgroup_size_of(kernel);
-    let push = plan.histogram_push(COUNT_WORD);
+    let push = plan.histogram_push(0, COUNT_WORD);
     let buffers = SortHistogramBuffers { counters: counters.clone(), keys: keys.clone(), histogram: vec![0; rows] };
     cases.push(KernelCase::new(&SORT_HISTOGRAM, (), push, buffers.clone(), plan.partitions));
     let mut histogram = SORT_HISTOGRAM.run_twin(lanes(&SORT_HISTOGRAM), (), push, buffers, plan.partitions).histogram;

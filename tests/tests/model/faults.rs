@@ -51,7 +51,7 @@ fn sort_case() -> proof::KernelCase {
     let counters = vec![0, 0, n, 0, 0, 0, 0, 0];
     let rows = plan.histogram_rows() as usize * 256;
     let buffers = SortHistogramBuffers { counters: counters.clone(), keys: keys.clone(), histogram: vec![0; rows] };
-    let push = plan.histogram_push(2);
+    let push = plan.histogram_push(0, 2);
     let histogram = KernelCase { kernel: &SORT_HISTOGRAM, constants: (), push, buffers, groups: plan.partitions };
     let histogram = histogram.run_model(&Options::new(32, 0)).gpu.histogram;
     let out = vec![0; n as usize];
@@ -108,7 +108,7 @@ fn a_bound_that_is_off_by_one_is_found() {
         keys: vec![7; n as usize],
         histogram: vec![0; plan.histogram_rows() as usize * 256],
     };
-    let push = plan.histogram_push(2);
+    let push = plan.histogram_push(0, 2);
     let case =
         KernelCase { kernel: &SORT_HISTOGRAM, constants: (), push, buffers, groups: plan.partitions }.into_words();
     let words = engine::gpu::spirv::words(&SORT_HISTOGRAM).unwrap();

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use super::SortPlan;
 use super::record::{SortSlices, record};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Commands, Gpu, Groups, Memory};
 use crate::render::sort_histogram::{SORT_HISTOGRAM, SortHistogramBuffers};
 
@@ -22,8 +22,18 @@ impl DeviceSort {
     /// # Errors
     /// `Usage`, `Limit` (see [`SortPlan::new`]), `OutOfMemory`, `DeviceLost`.
     pub fn new(gpu: &Gpu, keys: &[u32], key_bits: u32) -> Result<Self> {
+        Self::with_plan(gpu, keys, &SortPlan::for_device(gpu, keys.len() as u32, key_bits)?)
+    }
+
+    /// The same by a plan for as many keys.
+    ///
+    /// # Errors
+    /// As [`DeviceSort::new`]; `Usage` for a plan of other capacity.
+    pub fn with_plan(gpu: &Gpu, keys: &[u32], plan: &SortPlan) -> Result<Self> {
         let count = keys.len() as u32;
-        let plan = SortPlan::for_device(gpu, count, key_bits)?;
+        if plan.capacity != count {
+            return Err(Error::usage("keys to sort", count.to_string(), format!("{} as planned", plan.capacity)));
+        }
         let positions: Vec<u32> = (0..count).collect();
         let unsorted = [
             gpu.buffer_with("keys", bytemuck::cast_slice(keys))?,
@@ -40,13 +50,13 @@ impl DeviceSort {
         let mut r = gpu.recorder("sort").with_timestamps(true);
         r.copy(&unsorted[0], &key[0])?;
         r.copy(&unsorted[1], &value[0])?;
-        for later in &histograms[1..] {
-            r.fill(later, 0)?;
+        if !plan.counted_apart {
+            histograms[1..].iter().try_for_each(|later| r.fill(later, 0))?;
         }
         let buffers =
             SortHistogramBuffers { counters: counters.whole(), keys: key[0].whole(), histogram: histograms[0].whole() };
         let groups = || Groups::Direct(plan.partitions.into());
-        r.dispatch(&SORT_HISTOGRAM, (), plan.histogram_push(0), buffers, groups())?;
+        r.dispatch(&SORT_HISTOGRAM, (), plan.histogram_push(0, 0), buffers, groups())?;
         let slices = SortSlices {
             counters: counters.whole(),
             count_word: 0,
@@ -54,7 +64,7 @@ impl DeviceSort {
             values: [0, 1].map(|i: usize| value[i].whole()),
             histograms: histograms.iter().map(Buffer::whole).collect(),
         };
-        record(&mut r, "keys", &plan, &slices, groups)?;
+        record(&mut r, "keys", plan, &slices, groups)?;
         let last = plan.result_in();
         Ok(Self { gpu: gpu.clone(), commands: r.finish()?, sorted: [key[last].clone(), value[last].clone()] })
     }

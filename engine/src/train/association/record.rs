@@ -152,15 +152,15 @@ impl SuperpointState {
         let w = &self.work;
         let count = w.pair_count.whole();
         let groups = || Groups::Direct(w.plan.partitions.into());
-        for histogram in &w.histograms[1..] {
-            r.fill(histogram, 0)?;
+        if !w.plan.counted_apart {
+            w.histograms[1..].iter().try_for_each(|histogram| r.fill(histogram, 0))?;
         }
         let buffers = SortHistogramBuffers {
             counters: count.clone(),
             keys: w.keys[0].whole(),
             histogram: w.histograms[0].whole(),
         };
-        let push = w.plan.histogram_push(0);
+        let push = w.plan.histogram_push(0, 0);
         r.dispatch_labelled("sort_histogram pairs", &SORT_HISTOGRAM, (), push, buffers, groups())?;
         let slices = SortSlices {
             counters: count,
