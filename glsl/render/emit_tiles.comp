@@ -34,10 +34,11 @@ layout(std430, set = 0, binding = 1) readonly buffer CountersBlock { uint counte
 layout(std430, set = 0, binding = 2) readonly buffer TileCountBlock { uint tile_count[]; };
 layout(std430, set = 0, binding = 3) readonly buffer SplatsBlock { uvec4 splats[]; };
 layout(std430, set = 0, binding = 4) readonly buffer InstanceBlockBlock { uint instance_block[]; };
-layout(std430, set = 0, binding = 5) buffer RangesBlock { uint ranges[]; };
+layout(std430, set = 0, binding = 5) readonly buffer TileStartBlock { uint tile_start[]; };
 layout(std430, set = 0, binding = 6) writeonly buffer PairsBlock { uvec2 pairs[]; };
-layout(std430, set = 0, binding = 7) writeonly buffer GaussianOfSlotBlock { uint gaussian_of_slot[]; };
-layout(std430, set = 0, binding = 8) writeonly buffer FirstSlotBlock { uint first_slot[]; };
+layout(std430, set = 0, binding = 7) buffer TileEndBlock { uint tile_end[]; };
+layout(std430, set = 0, binding = 8) writeonly buffer GaussianOfSlotBlock { uint gaussian_of_slot[]; };
+layout(std430, set = 0, binding = 9) writeonly buffer FirstSlotBlock { uint first_slot[]; };
 
 layout(push_constant) uniform PushBlock {
     uint block_capacity; // where the super sums of instance_block start
@@ -84,18 +85,17 @@ uint owner(uint instance) {
     return low;
 }
 
-// Should a list become longer than it was counted, what is too much is left out: its end goes back to where the next one begins.
+// Should a list become longer than it was counted, what is too much is left out: its end, which counts all, is then past where the
+// next one begins (sort_tiles).
 void append(uint tile, uint depth, uint instance, uint slot) {
-    uint at = atomicAdd(ranges[2u * tile + 1u], 1u);
-    uint room_end = ranges[2u * tile + 2u];
+    uint at = atomicAdd(tile_end[tile * TILE_PITCH], 1u);
+    uint room_end = tile_start[tile + 1u];
     uint with_slots = WITH_SLOTS;
     if (with_slots == 1u) {
         gaussian_of_slot[slot] = instance;
     }
     if (at < room_end) {
         pairs[at] = uvec2(depth, with_slots == 1u ? slot : instance);
-    } else {
-        atomicMin(ranges[2u * tile + 1u], room_end);
     }
 }
 

@@ -18,6 +18,7 @@ use engine::render::blend_rgba32f::BLEND_RGBA32F;
 use engine::render::deform_network::{self, DEFORM_NETWORK, DeformNetworkBuffers, DeformNetworkConstants};
 use engine::render::deform_project::DeformProject;
 use engine::render::frame::Frame;
+use engine::render::limits::TILE_PITCH;
 use engine::scene::network::DeformSize;
 use engine::scene::{Camera, DeformNetwork, Linear};
 use glam::DVec3;
@@ -51,8 +52,9 @@ fn assert_deform_project(result: &KernelResult<DeformProject>, n: usize, context
     }
     // From changes to counts to their sum; past the last tile nothing is left.
     let (mut count, mut sum) = (0_u32, 0_u64);
-    for change in &gpu.tile_change {
-        count = count.wrapping_add(*change);
+    for counter in gpu.tile_change.chunks_exact(TILE_PITCH as usize) {
+        assert_eq!(counter[1..], [0; TILE_PITCH as usize - 1], "{context}: between counters");
+        count = count.wrapping_add(counter[0]);
         sum += u64::from(count);
     }
     assert_eq!((count, sum), (0, instances), "{context}: changes from tile to tile");
