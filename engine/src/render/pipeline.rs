@@ -314,4 +314,5 @@ pub static KERNELS: &[&Kernel] = &[
     &SORT_SPINE.kernel,
     &SORT_SCATTER.kernel,
     &super::arithmetic_rate::ARITHMETIC_RATE.kernel,
+    &super::copy_rate::COPY_RATE.kernel,
 ];
