@@ -264,8 +264,8 @@ uint count_tiles(Ellipse e, uvec2 rows) {
         uvec2 columns = tile_columns_of_row(e, extent, row, frame.size);
         if (columns.x < columns.y) {
             uint first = row * frame.tiles.x;
-            atomicAdd(tile_change[first + columns.x], 1u);
-            atomicAdd(tile_change[first + columns.y], 0xffffffffu);
+            atomicAdd(tile_change[(first + columns.x) * TILE_PITCH], 1u);
+            atomicAdd(tile_change[(first + columns.y) * TILE_PITCH], 0xffffffffu);
             count += columns.y - columns.x;
         }
     }

@@ -6,9 +6,10 @@
 #extension GL_KHR_shader_subgroup_vote : require
 
 // Appends each visible Gaussian to the list of each tile that it reaches, as a pair (depth, instance). In what order a list then
-// is, is left to chance; sort_tiles gives it the one that counts. A workgroup has 256 Gaussians. Those that reach few tiles
-// are written by a thread each; for the others the threads run over instances, not Gaussians, so that one that covers the whole
-// image is spread over all threads.
+// is, is left to chance; sort_tiles gives it the one that counts. A workgroup has 256 Gaussians. The tiles of those that reach few
+// are found by a thread each; for the others the threads run over instances, not Gaussians, so that one that covers the whole
+// image is spread over all threads. Where subgroups are wide, what a thread finds goes into a queue in shared memory, and the threads
+// run over that too: no lane waits for the atomics of one with more tiles.
 //
 // An instance is the Gaussian and, beside it, the quadrants of the tile that it reaches, so that whoever walks a tile list need
 // not look at its ellipse again.
@@ -34,19 +35,31 @@ layout(std430, set = 0, binding = 1) readonly buffer CountersBlock { uint counte
 layout(std430, set = 0, binding = 2) readonly buffer TileCountBlock { uint tile_count[]; };
 layout(std430, set = 0, binding = 3) readonly buffer SplatsBlock { uvec4 splats[]; };
 layout(std430, set = 0, binding = 4) readonly buffer InstanceBlockBlock { uint instance_block[]; };
-layout(std430, set = 0, binding = 5) buffer RangesBlock { uint ranges[]; };
+layout(std430, set = 0, binding = 5) readonly buffer TileStartBlock { uint tile_start[]; };
 layout(std430, set = 0, binding = 6) writeonly buffer PairsBlock { uvec2 pairs[]; };
-layout(std430, set = 0, binding = 7) writeonly buffer GaussianOfSlotBlock { uint gaussian_of_slot[]; };
-layout(std430, set = 0, binding = 8) writeonly buffer FirstSlotBlock { uint first_slot[]; };
+layout(std430, set = 0, binding = 7) buffer TileEndBlock { uint tile_end[]; };
+layout(std430, set = 0, binding = 8) writeonly buffer GaussianOfSlotBlock { uint gaussian_of_slot[]; };
+layout(std430, set = 0, binding = 9) writeonly buffer FirstSlotBlock { uint first_slot[]; };
 
 layout(push_constant) uniform PushBlock {
     uint block_capacity; // where the super sums of instance_block start
 } push;
 
-const uint SERIAL_TILES = 16u; // most instances that one thread writes
+const uint SERIAL_TILES = 16u; // most instances that one thread finds
 
-shared uint first_shared[SCAN_BLOCK]; // of each Gaussian, among the instances that all threads share
-shared uint first_of_block[SCAN_BLOCK]; // of each Gaussian, its first slot
+// Where subgroups are narrow, lanes wait little for each other, and there is no queue.
+const uint QUEUE_SUBGROUP = 16u;
+// Its entries: the tile, the quadrants and the Gaussian of the block. An image of more tiles has no queue either.
+const uint QUEUE_QUADRANT_SHIFT = 20u;
+const uint QUEUE_THREAD_SHIFT = 24u;
+const uint QUEUE_TILES = (1u << QUEUE_QUADRANT_SHIFT) - 1u;
+const uint ALL_QUADRANTS = 15u;
+const uint NO_INSTANCE = 0xffffffffu; // of the tile past those
+
+shared uint queue[SCAN_BLOCK * SERIAL_TILES];
+shared uint depth_of_block[SCAN_BLOCK]; // of each Gaussian of the queue
+shared uint first_shared[SCAN_BLOCK]; // of each Gaussian, among the instances that all threads find
+shared uint slot_of_block[SCAN_BLOCK]; // what the place of each Gaussian's instances, in the queue or among those, is to their slots
 
 // Instances of the blocks before this one, summed by the workgroup.
 uint instances_before(uint group) {
@@ -84,36 +97,51 @@ uint owner(uint instance) {
     return low;
 }
 
-// Should a list become longer than it was counted, what is too much is left out: its end goes back to where the next one begins.
+// Should a list become longer than it was counted, what is too much is left out: its end, which counts all, is then past where the
+// next one begins (sort_tiles).
 void append(uint tile, uint depth, uint instance, uint slot) {
-    uint at = atomicAdd(ranges[2u * tile + 1u], 1u);
-    uint room_end = ranges[2u * tile + 2u];
+    uint at = atomicAdd(tile_end[tile * TILE_PITCH], 1u);
+    uint room_end = tile_start[tile + 1u];
     uint with_slots = WITH_SLOTS;
     if (with_slots == 1u) {
         gaussian_of_slot[slot] = instance;
     }
     if (at < room_end) {
         pairs[at] = uvec2(depth, with_slots == 1u ? slot : instance);
-    } else {
-        atomicMin(ranges[2u * tile + 1u], room_end);
     }
 }
 
-// The `count` instances of one Gaussian, row by row.
-void emit_serially(uint gaussian, uint count, uint slot) {
+bool has_queue() {
+    uint size = SUBGROUP_SIZE;
+    return size >= QUEUE_SUBGROUP && frame.tile_count <= QUEUE_TILES;
+}
+
+// The `count` instances of one Gaussian, row by row: into the queue from `at` on, or straight into their lists, as slots from `at` on.
+void emit_serially(uint thread, uint gaussian, uint count, uint at) {
+    bool queued = has_queue();
     uint depth;
     Ellipse e = ellipse_of(gaussian, depth);
+    depth_of_block[thread] = depth;
     Extent extent = extent_of(e);
     uvec2 rows = tile_row_range(e, frame.size);
-    uint end = slot + count;
+    uint end = at + count;
     for (uint row = rows.x; row < rows.y; row++) {
         uvec2 columns = tile_columns_of_row(e, extent, row, frame.size);
         vec4 half_rows = half_rows_of_tile_row(e, extent, row);
-        for (uint column = columns.x; column < columns.y && slot < end; column++) {
-            uint instance = gaussian | quadrants_of_tile(half_rows, column) << INSTANCE_QUADRANT_SHIFT;
-            append(row * frame.tiles.x + column, depth, instance, slot);
-            slot++;
+        for (uint column = columns.x; column < columns.y && at < end; column++) {
+            uint tile = row * frame.tiles.x + column;
+            uint quadrants = quadrants_of_tile(half_rows, column);
+            if (queued) {
+                queue[at] = tile | quadrants << QUEUE_QUADRANT_SHIFT | thread << QUEUE_THREAD_SHIFT;
+            } else {
+                append(tile, depth, gaussian | quadrants << INSTANCE_QUADRANT_SHIFT, at);
+            }
+            at++;
         }
+    }
+    // The count may have promised more than there are.
+    for (; queued && at < end; at++) {
+        queue[at] = NO_INSTANCE;
     }
 }
 
@@ -157,17 +185,32 @@ void main() {
             first_slot[g] = slot;
         }
     }
+    uint queue_total = 0u;
+    uint in_queue = 0u;
+    bool queued = has_queue();
+    if (queued) {
+        in_queue = workgroup_exclusive_add(serial ? count : 0u, queue_total);
+    }
     uint shared_total;
-    first_shared[t] = workgroup_exclusive_add(serial ? 0u : count, shared_total);
-    first_of_block[t] = slot;
+    uint in_shared = workgroup_exclusive_add(serial ? 0u : count, shared_total);
+    first_shared[t] = in_shared;
+    slot_of_block[t] = slot - (serial ? in_queue : in_shared);
+    if (serial && count != 0u) {
+        emit_serially(t, g, count, queued ? in_queue : slot);
+    }
     barrier();
 
-    if (serial && count != 0u) {
-        emit_serially(g, count, slot);
+    for (uint k = t; k < queue_total; k += SCAN_BLOCK) {
+        uint entry = queue[k];
+        if (entry != NO_INSTANCE) {
+            uint from = entry >> QUEUE_THREAD_SHIFT;
+            uint quadrants = entry >> QUEUE_QUADRANT_SHIFT & ALL_QUADRANTS;
+            uint instance = group * SCAN_BLOCK + from | quadrants << INSTANCE_QUADRANT_SHIFT;
+            append(entry & QUEUE_TILES, depth_of_block[from], instance, slot_of_block[from] + k);
+        }
     }
     for (uint k = t; k < shared_total; k += SCAN_BLOCK) {
         uint from = owner(k);
-        uint local = k - first_shared[from];
-        emit_one(group * SCAN_BLOCK + from, local, first_of_block[from] + local);
+        emit_one(group * SCAN_BLOCK + from, k - first_shared[from], slot_of_block[from] + k);
     }
 }

@@ -9,8 +9,9 @@
 // Where the list of each tile begins: sums twice over what deform_project has counted, from changes to counts and from counts
 // to starts. One workgroup: 4,096 tiles at a time, sixteen neighbours per thread, all on their way from memory at once.
 //
-// Each list begins empty: emit_tiles moves its end. After the last tile stands the end of all lists. A frame that has more
-// instances than there is room for fails here: its lists have no room, so nothing is emitted and nothing blended.
+// Each list begins empty: what counted the changes of a tile becomes the end of its list, which emit_tiles moves. After the last
+// tile stands the end of all lists. A frame that has more instances than there is room for fails here: its lists have no room, so
+// nothing is emitted and nothing blended.
 
 #include "lib/frame.glsl"
 #include "lib/limits.glsl"
@@ -20,14 +21,14 @@
 layout(local_size_x = 256) in;
 
 layout(std430, set = 0, binding = 1) buffer CountersBlock { uint counters[]; };
-layout(std430, set = 0, binding = 2) readonly buffer TileChangeBlock { uvec4 tile_change[]; };
-layout(std430, set = 0, binding = 3) writeonly buffer RangesBlock { uvec2 ranges[]; };
+layout(std430, set = 0, binding = 2) buffer TileChangeBlock { uint tile_change[]; };
+layout(std430, set = 0, binding = 3) writeonly buffer TileStartBlock { uint tile_start[]; };
 layout(std430, set = 0, binding = 4) writeonly buffer IndirectBlock { uint indirect[]; };
 
 layout(constant_id = 1) const uint LONG = 0; // with lists of more pairs, `indirect` dispatches a workgroup per tile; 0: no such dispatch
 
-const uint QUADS = 4u;                             // four tiles each, of a thread at a time
-const uint TILES_AT_ONCE = SCAN_THREADS * 4u * QUADS;
+const uint TILES_OF_THREAD = 16u; // at a time
+const uint TILES_AT_ONCE = SCAN_THREADS * TILES_OF_THREAD;
 
 shared uint all_instances; // to process: none when the frame failed
 shared uint some_are_long;
@@ -51,45 +52,43 @@ void main() {
     uint count_before = 0u; // of the last tile of the block before
     uint start_before = 0u;
     for (uint first = 0u; first < tiles; first += TILES_AT_ONCE) {
-        uint own = first + thread * (4u * QUADS);
-        uvec4 change[QUADS];
-        [[unroll]] for (uint q = 0u; q < QUADS; q++) {
-            // The buffer is whole blocks long.
-            change[q] = tile_change[own / 4u + q];
+        uint own = first + thread * TILES_OF_THREAD;
+        uint change[TILES_OF_THREAD];
+        [[unroll]] for (uint i = 0u; i < TILES_OF_THREAD; i++) {
+            uint word = tile_change[min(own + i, tiles) * TILE_PITCH];
+            change[i] = own + i < tiles ? word : 0u;
         }
         uint sum = 0u;
-        [[unroll]] for (uint q = 0u; q < QUADS; q++) {
-            sum += change[q].x + change[q].y + change[q].z + change[q].w;
+        [[unroll]] for (uint i = 0u; i < TILES_OF_THREAD; i++) {
+            sum += change[i];
         }
         uint change_of_block;
         uint count = count_before + workgroup_exclusive_add(sum, change_of_block);
         uint running = count;
         uint instances_here = 0u;
-        [[unroll]] for (uint q = 0u; q < QUADS; q++) {
-            [[unroll]] for (uint c = 0u; c < 4u; c++) {
-                running += change[q][c];
-                longest = max(longest, running);
-                instances_here += running;
-            }
+        [[unroll]] for (uint i = 0u; i < TILES_OF_THREAD; i++) {
+            running += change[i];
+            longest = max(longest, running);
+            instances_here += running;
         }
         uint instances_of_block;
         uint start = start_before + workgroup_exclusive_add(instances_here, instances_of_block);
-        [[unroll]] for (uint q = 0u; q < QUADS; q++) {
-            [[unroll]] for (uint c = 0u; c < 4u; c++) {
-                uint tile = own + 4u * q + c;
-                count += change[q][c];
-                if (tile < tiles) {
-                    // At most where all end, whatever was counted: nothing is written past the room there is.
-                    ranges[tile] = uvec2(min(start, instances));
-                }
-                start += count;
+        [[unroll]] for (uint i = 0u; i < TILES_OF_THREAD; i++) {
+            uint tile = own + i;
+            count += change[i];
+            if (tile < tiles) {
+                // At most where all end, whatever was counted: nothing is written past the room there is.
+                uint begin = min(start, instances);
+                tile_start[tile] = begin;
+                tile_change[tile * TILE_PITCH] = begin;
             }
+            start += count;
         }
         count_before += change_of_block;
         start_before += instances_of_block;
     }
     if (thread == 0u) {
-        ranges[tiles] = uvec2(instances);
+        tile_start[tiles] = instances;
     }
     uint long_from = LONG;
     if (long_from != 0u) {

@@ -15,10 +15,13 @@
 // - A longer list is first cut into parts that are as long as that, at SPLITTERS pairs of it that are sorted: those lie as dense
 //   as the list does. Until a part has its order, `values` says where its pairs are.
 //
+// It also says in `ranges` where each list begins and ends, side by side: the ends that emit_tiles moves lie apart (TILE_PITCH).
+//
 // The order does not depend on that of the list, which is chance: no two pairs are equal.
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
+#include "lib/limits.glsl"
 
 layout(local_size_x = 256) in;
 layout(constant_id = 1) const uint TIE_MASK = 0xffffffffu; // bits of a pair's second word that stand for the Gaussian
@@ -30,9 +33,11 @@ layout(constant_id = 5) const uint AT_ONCE = 4; // loads of a thread that are on
 #define SCAN_THREADS THREADS
 #include "lib/subgroup.glsl"
 
-layout(std430, set = 0, binding = 1) readonly buffer RangesBlock { uint ranges[]; };
+layout(std430, set = 0, binding = 1) readonly buffer TileStartBlock { uint tile_start[]; };
 layout(std430, set = 0, binding = 2) readonly buffer PairsBlock { uvec2 pairs[]; };
 layout(std430, set = 0, binding = 3) coherent buffer ValuesBlock { uint values[]; };
+layout(std430, set = 0, binding = 4) readonly buffer TileEndBlock { uint tile_end[]; };
+layout(std430, set = 0, binding = 5) writeonly buffer RangesBlock { uvec2 ranges[]; };
 
 const uint CAPACITY = 2048u;
 const uint MAX_BUCKETS = 1024u;
@@ -291,8 +296,13 @@ void main() {
     uint list = 0u;
     uint n = 0u;
     if (tile < frame.tile_count) {
-        list = ranges[2u * tile];
-        n = ranges[2u * tile + 1u] - list;
+        list = tile_start[tile];
+        // What emit_tiles had too much for the room of the list was left out.
+        uint end = min(tile_end[tile * TILE_PITCH], tile_start[tile + 1u]);
+        n = end - list;
+        if (thread_index() == 0u) {
+            ranges[tile] = uvec2(list, end);
+        }
     }
     uint shortest = SHORTEST;
     uint longest = LONGEST;

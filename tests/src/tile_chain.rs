@@ -3,7 +3,8 @@
 use engine::gpu::interface::Interface;
 use engine::render::emit_tiles::{EMIT_TILES, EmitTiles, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use engine::render::frame::Frame;
-use engine::render::scan_tiles::{SCAN_TILES, ScanTilesBuffers, ScanTilesConstants, range_words};
+use engine::render::limits::TILE_PITCH;
+use engine::render::scan_tiles::{SCAN_TILES, ScanTilesBuffers, ScanTilesConstants};
 use engine::render::sort_tiles::{self, SORT_TILES, SortTilesBuffers};
 
 use crate::model::Options;
@@ -76,7 +77,7 @@ pub struct TileChain {
 pub struct TileLists {
     /// `[8]`
     pub counters: Vec<u32>,
-    /// `[T+1][2]`
+    /// `[T][2]`
     pub ranges: Vec<u32>,
     /// `[instances]`
     pub values: Vec<u32>,
@@ -90,10 +91,10 @@ impl TileChain {
 
     /// `emit_tiles` after `scan_tiles`.
     pub fn emission(&self, runner: &impl Runner) -> KernelCase<EmitTiles> {
-        let ranges = vec![0; range_words(self.frame.tile_count) as usize];
+        let tile_start = vec![0; self.frame.tile_count as usize + 1];
         let (counters, tile_change) = (self.counters.clone(), self.tile_change.clone());
         let indirect = Some(vec![0; 3]);
-        let buffers = ScanTilesBuffers { frame: self.frame_words(), counters, tile_change, ranges, indirect };
+        let buffers = ScanTilesBuffers { frame: self.frame_words(), counters, tile_change, tile_start, indirect };
         let constants = ScanTilesConstants { long: LONG_LIST };
         let scanned = runner.check(KernelCase { kernel: &SCAN_TILES, constants, push: (), buffers, groups: 1 });
         let buffers = EmitTilesBuffers {
@@ -102,8 +103,9 @@ impl TileChain {
             tile_count: self.tile_count.clone(),
             splats: self.splats.clone(),
             instance_block: self.instance_block.clone(),
-            ranges: scanned.ranges,
+            tile_start: scanned.tile_start,
             pairs: vec![0; 2 * self.frame.instance_capacity.max(1) as usize],
+            tile_end: scanned.tile_change,
             gaussian_of_slot: None,
             first_slot: None,
         };
@@ -116,19 +118,37 @@ impl TileChain {
     /// The whole chain.
     pub fn run(&self, runner: &impl Runner) -> TileLists {
         let emitted = runner.check(self.emission(runner));
-        let EmitTilesBuffers { counters, ranges, pairs, .. } = emitted;
-        let values = sort(runner, self.frame_words(), ranges.clone(), pairs, false);
+        let counters = emitted.counters.clone();
+        let SortTilesBuffers { ranges, values, .. } = sort(runner, unsorted(emitted), false);
         TileLists { counters, ranges, values }
     }
 }
 
-/// The lists of pairs in their order.
-pub fn sort(runner: &impl Runner, frame: Vec<u32>, ranges: Vec<u32>, pairs: Vec<u32>, with_slots: bool) -> Vec<u32> {
-    let groups = ranges.len() as u32 / 2;
+/// What `sort_tiles` takes from `emit_tiles`.
+pub fn unsorted(emitted: EmitTilesBuffers<Vec<u32>>) -> SortTilesBuffers<Vec<u32>> {
+    let EmitTilesBuffers { frame, tile_start, pairs, tile_end, .. } = emitted;
+    let (ranges, values) = (vec![0; 2 * tile_start.len() - 2], vec![0; pairs.len() / 2]);
+    SortTilesBuffers { frame, tile_start, pairs, values, tile_end, ranges }
+}
+
+/// Counters of tiles from words side by side.
+pub fn spread(words: &[u32]) -> Vec<u32> {
+    let mut spread = vec![0; words.len() * TILE_PITCH as usize];
+    spread.iter_mut().step_by(TILE_PITCH as usize).zip(words).for_each(|(to, word)| *to = *word);
+    spread
+}
+
+/// The lists of pairs in their order, and where they are.
+pub fn sort(
+    runner: &impl Runner,
+    mut buffers: SortTilesBuffers<Vec<u32>>,
+    with_slots: bool,
+) -> SortTilesBuffers<Vec<u32>> {
+    // One more than there are: a grid may be folded.
+    let groups = buffers.tile_start.len() as u32;
     let (is_cpu, threads) = runner.kind();
-    let mut buffers = SortTilesBuffers { frame, ranges, values: vec![0; pairs.len() / 2], pairs };
     for constants in sort_tiles::dispatches(is_cpu, threads, u32::MAX, with_slots) {
         buffers = runner.check(KernelCase { kernel: &SORT_TILES, constants, push: (), buffers, groups });
     }
-    buffers.values
+    buffers
 }

@@ -15,9 +15,11 @@ use engine::render::blend_packed::{BLEND_PACKED, BlendPacked, BlendPackedBuffers
 use engine::render::blend_rgba8::{BLEND_RGBA8, BlendRgba8};
 use engine::render::blend_rgba16f::BLEND_RGBA16F;
 use engine::render::blend_rgba32f::BLEND_RGBA32F;
+use engine::render::copy_rate::{COPY_RATE, COPY_RATE_OF_GROUP, CopyRateBuffers, CopyRatePush, copy_rate};
 use engine::render::deform_network::{self, DEFORM_NETWORK, DeformNetworkBuffers, DeformNetworkConstants};
 use engine::render::deform_project::DeformProject;
 use engine::render::frame::Frame;
+use engine::render::limits::TILE_PITCH;
 use engine::scene::network::DeformSize;
 use engine::scene::{Camera, DeformNetwork, Linear};
 use glam::DVec3;
@@ -51,8 +53,9 @@ fn assert_deform_project(result: &KernelResult<DeformProject>, n: usize, context
     }
     // From changes to counts to their sum; past the last tile nothing is left.
     let (mut count, mut sum) = (0_u32, 0_u64);
-    for change in &gpu.tile_change {
-        count = count.wrapping_add(*change);
+    for counter in gpu.tile_change.chunks_exact(TILE_PITCH as usize) {
+        assert_eq!(counter[1..], [0; TILE_PITCH as usize - 1], "{context}: between counters");
+        count = count.wrapping_add(counter[0]);
         sum += u64::from(count);
     }
     assert_eq!((count, sum), (0, instances), "{context}: changes from tile to tile");
@@ -431,4 +434,19 @@ fn the_rate_kernel_adds_up_what_its_twin_does() {
         case.check(&gpu, &format!("{count} × {rounds}"));
     }
     assert!(arithmetic_rate(&gpu).unwrap() > 0.01);
+}
+
+#[test]
+fn the_copy_kernel_copies_what_its_twin_does() {
+    let gpu = tests_harness::shared_gpu();
+    let group = COPY_RATE_OF_GROUP;
+    for count in [0, 1, 255, group - 1, group, group + 1, 3 * group + 257] {
+        let source = (0..4 * count + 8).map(|i| i.wrapping_mul(2_654_435_761)).collect();
+        let buffers = CopyRateBuffers { source, destination: vec![0; 4 * count as usize + 8] };
+        // One more than there are: a grid may be folded.
+        let (push, groups) = (CopyRatePush { count }, count.div_ceil(group) + 1);
+        let case = KernelCase { kernel: &COPY_RATE, constants: (), push, buffers, groups };
+        case.check(&gpu, &format!("{count} vectors"));
+    }
+    assert!(copy_rate(&gpu).unwrap() > 0.01);
 }

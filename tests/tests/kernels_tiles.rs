@@ -3,11 +3,11 @@
 use engine::render::ellipse::Ellipse;
 use engine::render::emit_tiles::EmitTilesConstants;
 use engine::render::frame::Frame;
-use engine::render::limits::{FAILED_INSTANCES, INSTANCE_GAUSSIAN};
+use engine::render::limits::{FAILED_INSTANCES, INSTANCE_GAUSSIAN, TILE_PITCH};
 use engine::render::scan_tiles::tile_change_words;
-use engine::render::sort_tiles::{SORT_TILES, SORT_TILES_CAPACITY, long_from};
+use engine::render::sort_tiles::{SORT_TILES, SORT_TILES_CAPACITY, SortTilesBuffers, long_from};
 use engine::render::tiles::block_words;
-use tests_harness::tile_chain::{TileChain, TileLists, sort};
+use tests_harness::tile_chain::{TileChain, TileLists, sort, spread, unsorted};
 use tests_harness::{TestGpu, widths};
 
 struct Rng(u64);
@@ -75,7 +75,8 @@ impl Scene {
         for (g, e) in self.ellipses.iter().enumerate().filter(|(g, _)| self.tile_count[*g] != 0) {
             let rows = e.tile_row_range(self.frame.size);
             for row in rows[0]..rows[1] {
-                let columns = e.tile_columns_of_row(row, self.frame.size).map(|c| (row * tiles + c) as usize);
+                let at = |c: u32| ((row * tiles + c) * TILE_PITCH) as usize;
+                let columns = e.tile_columns_of_row(row, self.frame.size).map(at);
                 change[columns[0]] = change[columns[0]].wrapping_add(1);
                 change[columns[1]] = change[columns[1]].wrapping_sub(1);
             }
@@ -122,11 +123,11 @@ impl Scene {
         case.buffers.gaussian_of_slot = Some(vec![0; without.pairs.len() / 2]);
         case.buffers.first_slot = Some(vec![0; self.tile_count.len()]);
         let with = case.check(gpu, "with slots");
-        let (gaussian_of_slot, first_slot) = (with.gaussian_of_slot.unwrap(), with.first_slot.unwrap());
-        assert_eq!(with.ranges, without.ranges);
-        let of_slots = sort(gpu, chain.frame_words(), with.ranges.clone(), with.pairs, true);
-        let of_instances = sort(gpu, chain.frame_words(), with.ranges, without.pairs, false);
+        let (gaussian_of_slot, first_slot) = (with.gaussian_of_slot.clone().unwrap(), with.first_slot.clone().unwrap());
+        assert_eq!(with.tile_end, without.tile_end);
         let instances = with.counters[5] as usize;
+        let of_slots = sort(gpu, unsorted(with), true).values;
+        let of_instances = sort(gpu, unsorted(without), false).values;
         let pairs = of_slots.iter().zip(&of_instances).take(instances);
         pairs.for_each(|(slot, instance)| assert_eq!(gaussian_of_slot[*slot as usize], *instance));
         let visible = first_slot.iter().enumerate().filter(|(g, _)| instances != 0 && self.tile_count[*g] != 0);
@@ -211,7 +212,33 @@ fn a_failure_from_before_stops_the_chain() {
     assert!(done.ranges.iter().all(|r| *r == 0));
 }
 
-/// Should two kernels ever disagree on what a splat reaches, lists lose or miss members, but none runs into the next.
+/// Emits and sorts with lists that differ from what was counted: they lose members, but none runs into the next. Returns how many
+/// are without some.
+fn check_cut_lists(gpu: &TestGpu, scene: &Scene, chain: &TileChain) -> usize {
+    // Who is left out is chance: the twin has others.
+    let emitted = chain.emission(gpu).run(gpu).gpu;
+    let ends: Vec<u32> = emitted.tile_end.iter().step_by(TILE_PITCH as usize).copied().collect();
+    let done = sort(gpu, unsorted(emitted), false);
+    let mut cut = 0;
+    for (tile, (range, room)) in done.ranges.chunks_exact(2).zip(done.tile_start.windows(2)).enumerate() {
+        assert!(
+            room[0] == range[0] && range[0] <= range[1] && range[1] <= room[1],
+            "tile {tile}: {range:?} in {room:?}"
+        );
+        assert_eq!(range[1], ends[tile].min(room[1]), "tile {tile}");
+        cut += usize::from(ends[tile] > room[1]);
+        for pair in done.pairs[2 * range[0] as usize..2 * range[1] as usize].chunks_exact(2) {
+            let g = (pair[1] & INSTANCE_GAUSSIAN) as usize;
+            assert_eq!(pair[0], scene.depths[g].to_bits(), "tile {tile}");
+            let (row, column) = (tile as u32 / scene.frame.tiles[0], tile as u32 % scene.frame.tiles[0]);
+            let [first, end] = scene.ellipses[g].tile_columns_of_row(row, scene.frame.size);
+            assert!((first..end).contains(&column), "tile {tile}: Gaussian {g} is of another");
+        }
+    }
+    cut
+}
+
+/// Should two kernels ever disagree on how many tiles a splat reaches.
 #[test]
 fn counts_that_disagree() {
     let gpu = tests_harness::shared_gpu();
@@ -220,17 +247,22 @@ fn counts_that_disagree() {
         for count in scene.tile_count.iter_mut().filter(|c| **c != 0) {
             *count = (*count as i32 + error).max(1) as u32;
         }
-        // Who is left out is chance: the twin has others.
-        let done = scene.chain(scene.total() as u32, 0).emission(&gpu).run(&gpu).gpu;
-        for (tile, range) in done.ranges.windows(3).step_by(2).enumerate() {
-            assert!(range[0] <= range[1] && range[1] <= range[2], "tile {tile}: {range:?}");
-            let list = &done.pairs[2 * range[0] as usize..2 * range[1] as usize];
-            for pair in list.chunks_exact(2) {
-                let g = (pair[1] & INSTANCE_GAUSSIAN) as usize;
-                assert_eq!(pair[0], scene.depths[g].to_bits(), "tile {tile}");
-            }
-        }
+        let chain = scene.chain(scene.total() as u32, 0);
+        check_cut_lists(&gpu, &scene, &chain);
     }
+}
+
+/// The same of a tile: lists are longer than there is room for.
+#[test]
+fn lists_that_are_longer_than_counted() {
+    let gpu = tests_harness::shared_gpu();
+    let scene = Scene::random(600, [200, 200], 31);
+    let mut chain = scene.chain(scene.total() as u32, 0);
+    let mut fewer = Scene { tile_count: scene.tile_count.clone(), splats: vec![], ..scene };
+    fewer.tile_count.iter_mut().step_by(3).for_each(|count| *count = 0);
+    chain.tile_change = fewer.counted().0;
+    let tiles = fewer.frame.tile_count as usize;
+    assert!(check_cut_lists(&gpu, &fewer, &chain) > tiles / 2);
 }
 
 #[test]
@@ -252,16 +284,21 @@ fn longest_of_few_threads(gpu: &TestGpu) -> u32 {
 
 /// Sorts lists of pairs, beside the twin. Room that is not used lies between them.
 fn sort_lists(gpu: &TestGpu, lists: &[Vec<[u32; 2]>]) {
-    let (mut ranges, mut pairs) = (vec![], vec![]);
+    let (mut tile_start, mut ends, mut pairs) = (vec![], vec![], vec![]);
     for list in lists {
-        let start = pairs.len() as u32;
-        ranges.extend([start, start + list.len() as u32]);
+        tile_start.push(pairs.len() as u32);
         pairs.extend(list);
+        ends.push(pairs.len() as u32);
         pairs.resize(pairs.len() + 3, [0; 2]);
     }
-    ranges.extend([pairs.len() as u32; 2]);
+    tile_start.push(pairs.len() as u32);
     let frame = Frame { tile_count: lists.len() as u32, ..Frame::default() };
-    sort(gpu, bytemuck::cast_slice(&[frame]).to_vec(), ranges, pairs.as_flattened().to_vec(), false);
+    let frame = bytemuck::cast_slice(&[frame]).to_vec();
+    let (values, ranges) = (vec![0; pairs.len()], vec![0; 2 * lists.len()]);
+    let pairs = pairs.as_flattened().to_vec();
+    let buffers = SortTilesBuffers { frame, tile_start, pairs, values, tile_end: spread(&ends), ranges };
+    let ranges = sort(gpu, buffers, false).ranges;
+    assert!(ranges.iter().skip(1).step_by(2).eq(&ends), "{ranges:?} do not end at {ends:?}");
 }
 
 /// Lists around what a workgroup sorts at once, around what few threads of a CPU device do, and far beyond, of depths that are all

@@ -4,7 +4,7 @@
 //! and, for the visible ones only, `splats`, as `vec4[3N]`: (mean px, l11, l12), (l22, log2 opacity, z, 0), (r, g, b, 0),
 //! or packed ([`super::splat`]).
 //! Sums: tile instances in `instance_block[b]` per workgroup and in `[block_capacity + b / 256]` above it; `counters` 0 visible,
-//! 1–2 instances (64 bits), 4 rejected; in `tile_change[k]` how many more Gaussians reach tile k than tile k − 1. All of them
+//! 1–2 instances (64 bits), 4 rejected; in `tile_change[k * TILE_PITCH]` how many more Gaussians reach tile k than tile k − 1. All of them
 //! must be zeroed before.
 //!
 //! With `NONRIGID` = 1 it adds `nonrigid_offset float[10][N]`, planes dx 3, dq 4 (w,x,y,z), ds 3, to the moved Gaussian:
@@ -96,7 +96,7 @@ crate::gpu_buffers! {
         blend_index: optional Read U32,
         /// `[K-1][N]`; of soft superpoints.
         blend_weight: optional Read F32,
-        /// Row-major ([`scan_tiles`](crate::render::scan_tiles)).
+        /// `[T+1][`[`TILE_PITCH`](crate::render::limits::TILE_PITCH)`]`, row-major ([`scan_tiles`](crate::render::scan_tiles)).
         tile_change: Atomic U32,
     }
 }

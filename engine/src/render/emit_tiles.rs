@@ -42,11 +42,12 @@ crate::gpu_buffers! {
         splats: Read F32,
         /// Tile instances per block of 256 Gaussians, then per super block.
         instance_block: Read U32,
-        /// `[T+1][2]`: first and last + 1 instance of each tile's list, as long as it has become; no longer than up to where the next
-        /// one begins.
-        ranges: Atomic U32,
+        /// `[T+1]`: where the list of each tile begins, and the room of the one before ends.
+        tile_start: Read U32,
         /// `[instances][2]`: bits of the depth, and an instance ([`INSTANCE_GAUSSIAN`], [`INSTANCE_QUADRANT_SHIFT`]) or its slot.
         pairs: Write U32,
+        /// `[T+1][`[`TILE_PITCH`]`]`: the end of each tile's list, with what was left out because there was no room.
+        tile_end: Atomic U32,
         /// `[instances]`: instances; with slots only.
         gaussian_of_slot: optional Write U32,
         /// `[N]`; with slots only.
@@ -72,9 +73,10 @@ crate::kernel! {
 
 /// Sorts the pairs of each tile, which come in whatever order its atomics had.
 fn arrange_pairs(buffers: &mut [Vec<u32>]) {
-    let [_, _, _, _, _, ranges, pairs, ..] = buffers else { return };
-    for range in ranges.chunks_exact(2) {
-        let Some(list) = pairs.get_mut(2 * range[0] as usize..2 * range[1] as usize) else { continue };
+    let [_, _, _, _, _, starts, pairs, ends, ..] = buffers else { return };
+    for (room, end) in starts.windows(2).zip(ends.iter().step_by(TILE_PITCH as usize)) {
+        let end = (*end).min(room[1]);
+        let Some(list) = pairs.get_mut(2 * room[0] as usize..2 * end as usize) else { continue };
         let mut sorted: Vec<[u32; 2]> = list.chunks_exact(2).map(|p| [p[0], p[1]]).collect();
         sorted.sort_unstable();
         list.copy_from_slice(sorted.as_flattened());
@@ -106,12 +108,12 @@ fn emit_tiles_twin(call: Call<'_, EmitTiles>) {
                 if let Some(gaussian_of_slot) = b.gaussian_of_slot.as_mut().filter(|_| with_slots) {
                     gaussian_of_slot[own as usize] = instance;
                 }
-                let [.., end, next, _] = &mut b.ranges[2 * tile..2 * tile + 4] else { continue };
-                if *end < *next {
+                let end = &mut b.tile_end[tile * TILE_PITCH as usize];
+                if *end < b.tile_start[tile + 1] {
                     let pair = [second[2].to_bits(), if with_slots { own } else { instance }];
                     b.pairs[2 * *end as usize..2 * *end as usize + 2].copy_from_slice(&pair);
-                    *end += 1;
                 }
+                *end += 1;
             }
             slot += count;
         }

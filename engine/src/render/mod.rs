@@ -33,6 +33,8 @@ pub mod blend_rgba32f;
 pub mod blend_rgba8;
 pub(crate) mod capacity;
 #[doc(hidden)]
+pub mod copy_rate;
+#[doc(hidden)]
 pub mod deform_network;
 #[doc(hidden)]
 pub mod deform_project;

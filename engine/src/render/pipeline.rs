@@ -146,7 +146,7 @@ fn deform_project(
         optional: scene.optional.as_ref().map(Buffer::whole),
         blend_index: scene.deformation.blend_index(),
         blend_weight: scene.deformation.blend_weight(),
-        tile_change: work.tile_change.clone(),
+        tile_change: work.tile_counters.clone(),
     };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
     let groups = Groups::Direct(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS).into());
@@ -178,8 +178,8 @@ fn scan_tiles(
     let buffers = ScanTilesBuffers {
         frame: frame.frame.whole(),
         counters: work.counters.clone(),
-        tile_change: work.tile_change.clone(),
-        ranges: work.ranges.whole(),
+        tile_change: work.tile_counters.clone(),
+        tile_start: work.tile_start.whole(),
         indirect: (long != 0).then(|| work.indirect.whole()),
     };
     r.dispatch(&SCAN_TILES, ScanTilesConstants { long }, (), buffers, Groups::Direct(1))
@@ -199,8 +199,9 @@ fn emit_tiles(
         tile_count: work.tile_count.whole(),
         splats: work.splats.whole(),
         instance_block: work.instance_block.clone(),
-        ranges: work.ranges.whole(),
+        tile_start: work.tile_start.whole(),
         pairs: work.pairs.whole(),
+        tile_end: work.tile_counters.clone(),
         gaussian_of_slot: slots.map(|s| s.gaussian_of_slot.whole()),
         first_slot: slots.map(|s| s.first_slot.whole()),
     };
@@ -232,9 +233,11 @@ fn sort_tiles(
 ) -> Result<()> {
     let buffers = SortTilesBuffers {
         frame: frame.frame.whole(),
-        ranges: work.ranges.whole(),
+        tile_start: work.tile_start.whole(),
         pairs: work.pairs.whole(),
         values: work.values.whole(),
+        tile_end: work.tile_counters.clone(),
+        ranges: work.ranges.whole(),
     };
     let (is_cpu, threads) = sort_workgroup(gpu);
     for constants in sort_tiles::dispatches(is_cpu, threads, scene.gaussians, shape.slots.is_some()) {
@@ -311,4 +314,5 @@ pub static KERNELS: &[&Kernel] = &[
     &SORT_SPINE.kernel,
     &SORT_SCATTER.kernel,
     &super::arithmetic_rate::ARITHMETIC_RATE.kernel,
+    &super::copy_rate::COPY_RATE.kernel,
 ];

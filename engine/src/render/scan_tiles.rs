@@ -9,14 +9,9 @@ use crate::gpu::kernel::Tolerance;
 /// Tiles that the workgroup has at a time.
 pub const TILES_AT_ONCE: u32 = 4096;
 
-/// Words of `tile_change` for so many tiles: whole blocks, and room for a change past the last tile.
+/// Words of `tile_change` for so many tiles: a counter for each, and one for a change past the last tile.
 pub fn tile_change_words(tiles: u32) -> u32 {
-    (tiles + 1).next_multiple_of(TILES_AT_ONCE)
-}
-
-/// Words of `ranges`: two for each tile, and two past the last one.
-pub fn range_words(tiles: u32) -> u32 {
-    2 * (tiles + 1)
+    (tiles + 1) * TILE_PITCH
 }
 
 crate::gpu_constants! {
@@ -33,10 +28,11 @@ crate::gpu_buffers! {
         frame: Read Struct(Frame),
         /// In: instances and failure; out: instances to process, 0 when the frame failed, and the failure.
         counters: Atomic U32,
-        /// By how much the count of each tile differs from that of the tile before, row-major ([`tile_change_words`]).
-        tile_change: Read U32,
-        /// `[T+1][2]`: where the list of each tile begins, twice; then where all lists end. Zeros when the frame failed.
-        ranges: Write U32,
+        /// `[T+1][`[`TILE_PITCH`]`]`. In: by how much the count of each tile differs from that of the tile before, row-major; out:
+        /// where its list begins, which is the end that [`emit_tiles`](super::emit_tiles) moves.
+        tile_change: Update U32,
+        /// `[T+1]`: where the list of each tile begins; then where all lists end. Zeros when the frame failed.
+        tile_start: Write U32,
         /// `[3]`: workgroups of the dispatch for long lists: one per tile, or none when no list is so long.
         indirect: optional Write U32,
     }
@@ -53,7 +49,7 @@ crate::kernel! {
         buffers: ScanTilesBuffers,
         twin: scan_tiles_twin,
         tolerance: Tolerance::EXACT,
-        bytes: |w| 12 * w.get("tiles"),
+        bytes: |w| 16 * w.get("tiles"),
     }
 }
 
@@ -67,13 +63,14 @@ fn scan_tiles_twin(call: Call<'_, ScanTiles>) {
     let instances = if failed { 0 } else { counted };
     let (mut count, mut start, mut longest) = (0_u32, 0_u32, 0);
     for tile in 0..frame.tile_count as usize {
-        count = count.wrapping_add(b.tile_change[tile]);
+        let counter = &mut b.tile_change[tile * TILE_PITCH as usize];
+        count = count.wrapping_add(*counter);
         longest = longest.max(count);
-        b.ranges[2 * tile..2 * tile + 2].fill(start.min(instances));
+        *counter = start.min(instances);
+        b.tile_start[tile] = *counter;
         start = start.wrapping_add(count);
     }
-    let end = 2 * frame.tile_count as usize;
-    b.ranges[end..end + 2].fill(instances);
+    b.tile_start[frame.tile_count as usize] = instances;
     if let Some(indirect) = b.indirect.as_mut().filter(|_| constants.long != 0) {
         let groups = if instances != 0 && longest > constants.long { frame.tile_count } else { 0 };
         let x = groups.min(65_535);

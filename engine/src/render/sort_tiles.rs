@@ -1,7 +1,7 @@
 //! Kernel `sort_tiles`: the order in which the list of each tile is blended.
 
 use super::frame::Frame;
-use super::limits::INSTANCE_GAUSSIAN;
+use super::limits::{INSTANCE_GAUSSIAN, TILE_PITCH};
 use super::twin;
 use crate::gpu::capability::DeviceInfo;
 use crate::gpu::interface::Call;
@@ -74,12 +74,16 @@ crate::gpu_buffers! {
     /// Buffers of [`SORT_TILES`].
     pub struct SortTilesBuffers {
         frame: Read Struct(Frame),
-        /// `[T+1][2]`: first and last + 1 instance of each tile.
-        ranges: Read U32,
+        /// `[T+1]`: where the list of each tile begins, and the room of the one before ends.
+        tile_start: Read U32,
         /// `[instances][2]`: bits of the depth, and an instance or its slot, in any order within a tile.
         pairs: Read U32,
         /// `[instances]`: the second words by depth within each tile, ties by themselves.
         values: Update U32,
+        /// `[T+1][`[`TILE_PITCH`]`]`: the end of each tile's list, or, where pairs were left out, past its room.
+        tile_end: Read U32,
+        /// `[T][2]`: first and last + 1 instance of each tile.
+        ranges: Write U32,
     }
 }
 
@@ -94,7 +98,7 @@ crate::kernel! {
         buffers: SortTilesBuffers,
         twin: sort_tiles_twin,
         tolerance: Tolerance::EXACT,
-        bytes: |w| 12 * w.get("instances") + 8 * w.get("tiles"),
+        bytes: |w| 12 * w.get("instances") + 16 * w.get("tiles"),
     }
 }
 
@@ -102,7 +106,9 @@ fn sort_tiles_twin(call: Call<'_, SortTiles>) {
     let Call { constants, buffers: b, .. } = call;
     let frame: Frame = twin::struct_at(b.frame, 0);
     for tile in 0..frame.tile_count as usize {
-        let [first, end] = [b.ranges[2 * tile] as usize, b.ranges[2 * tile + 1] as usize];
+        let range = [b.tile_start[tile], b.tile_end[tile * TILE_PITCH as usize].min(b.tile_start[tile + 1])];
+        b.ranges[2 * tile..2 * tile + 2].copy_from_slice(&range);
+        let [first, end] = range.map(|at| at as usize);
         if !(constants.shortest as usize..=constants.longest as usize).contains(&(end - first)) {
             continue;
         }

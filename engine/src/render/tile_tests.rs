@@ -5,9 +5,7 @@ use super::ellipse::{Ellipse, quadrants_of_tile};
 use super::emit_tiles::{EMIT_TILES, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use super::frame::Frame;
 use super::limits::*;
-use super::scan_tiles::{
-    SCAN_TILES, ScanTilesBuffers, ScanTilesConstants, TILES_AT_ONCE, range_words, tile_change_words,
-};
+use super::scan_tiles::{SCAN_TILES, ScanTilesBuffers, ScanTilesConstants, TILES_AT_ONCE, tile_change_words};
 use super::sort_tests::Rng;
 use super::sort_tiles::{self, SORT_TILES, SortTilesBuffers};
 use super::tiles::*;
@@ -206,7 +204,8 @@ impl Chain {
         for e in &self.ellipses {
             let rows = e.tile_row_range(self.size);
             for row in rows[0]..rows[1] {
-                let [first, end] = e.tile_columns_of_row(row, self.size).map(|c| (row * tiles[0] + c) as usize);
+                let at = |c: u32| ((row * tiles[0] + c) * TILE_PITCH) as usize;
+                let [first, end] = e.tile_columns_of_row(row, self.size).map(at);
                 change[first] = change[first].wrapping_add(1);
                 change[end] = change[end].wrapping_sub(1);
             }
@@ -234,7 +233,7 @@ impl Chain {
             frame: words.clone(),
             counters: vec![visible, total as u32, (total >> 32) as u32, 0, 0, POISON, 0, 0],
             tile_change: self.tile_change(tiles),
-            ranges: vec![POISON; range_words(frame.tile_count) as usize],
+            tile_start: vec![POISON; frame.tile_count as usize + 1],
             indirect: None,
         };
         let scanned = SCAN_TILES.run_twin(LANES, ScanTilesConstants::default(), (), buffers, 1);
@@ -245,20 +244,23 @@ impl Chain {
             tile_count,
             splats: self.splats(),
             instance_block: vec![POISON; blocks as usize],
-            ranges: scanned.ranges,
+            tile_start: scanned.tile_start,
             pairs: vec![POISON; 2 * capacity as usize],
+            tile_end: scanned.tile_change,
             gaussian_of_slot: None,
             first_slot: None,
         };
         let (constants, push) = (EmitTilesConstants::default(), EmitTilesPush { block_capacity });
-        let EmitTilesBuffers { counters, ranges, pairs, .. } =
+        let EmitTilesBuffers { counters, tile_start, pairs, tile_end, .. } =
             EMIT_TILES.run_twin(LANES, constants, push, buffers, gaussians.div_ceil(256));
         let values = vec![POISON; capacity as usize];
-        let buffers = SortTilesBuffers { frame: words, ranges: ranges.clone(), pairs, values };
+        let ranges = vec![POISON; 2 * frame.tile_count as usize];
+        let buffers = SortTilesBuffers { frame: words, tile_start, pairs, values, tile_end, ranges };
         let constants = sort_tiles::dispatches(false, 128, gaussians, false)[0];
-        let values = SORT_TILES.run_twin(LANES, constants, (), buffers, frame.tile_count).values;
+        let SortTilesBuffers { ranges, values, .. } =
+            SORT_TILES.run_twin(LANES, constants, (), buffers, frame.tile_count);
         let list = |r: &[u32]| values[r[0] as usize..r[1] as usize].iter().map(|v| v & INSTANCE_GAUSSIAN).collect();
-        let tiles = ranges.chunks_exact(2).take(frame.tile_count as usize).map(list).collect();
+        let tiles = ranges.chunks_exact(2).map(list).collect();
         Lists { counters, tiles }
     }
 
@@ -331,8 +333,9 @@ fn glsl_has_the_same_sizes() {
     let of = |glsl: &str, line: &str| assert!(glsl.contains(line), "{line}");
     let capacity = sort_tiles::SORT_TILES_CAPACITY;
     of(include_str!("../../../glsl/render/sort_tiles.comp"), &format!("const uint CAPACITY = {capacity}u;"));
-    let quads = TILES_AT_ONCE / (256 * 4);
-    of(include_str!("../../../glsl/render/scan_tiles.comp"), &format!("const uint QUADS = {quads}u;"));
+    let of_thread = TILES_AT_ONCE / 256;
+    let line = format!("const uint TILES_OF_THREAD = {of_thread}u;");
+    of(include_str!("../../../glsl/render/scan_tiles.comp"), &line);
 }
 
 #[test]

@@ -4,7 +4,7 @@
 use crate::error::Result;
 use crate::gpu::{Buffer, Gpu, Memory, SLICE_ALIGNMENT, Slice};
 
-use super::scan_tiles::{range_words, tile_change_words};
+use super::scan_tiles::tile_change_words;
 use super::tiles::block_words;
 
 /// Bytes of a pair, the largest thing that there is for each tile instance.
@@ -18,10 +18,14 @@ pub(crate) struct WorkBuffers {
     pub(crate) zeroed: Buffer,
     pub(crate) counters: Slice,
     pub(crate) instance_block: Slice,
-    pub(crate) tile_change: Slice,
+    /// Of each tile first the change from the one before, then the end of its list.
+    pub(crate) tile_counters: Slice,
     pub(crate) block_capacity: u32,
     pub(crate) splats: Buffer,
     pub(crate) tile_count: Buffer,
+    /// Where the list of each tile begins; then where all end.
+    pub(crate) tile_start: Buffer,
+    /// Where the list of each tile begins and ends.
     pub(crate) ranges: Buffer,
     /// Workgroups of the dispatch for long lists.
     pub(crate) indirect: Buffer,
@@ -38,12 +42,12 @@ impl WorkBuffers {
         let parts = [
             ("counters", COUNTER_WORDS * 4),
             ("instance_block", u64::from(blocks) * 4),
-            ("tile_change", u64::from(tile_change_words(tiles)) * 4),
+            ("tile_counters", u64::from(tile_change_words(tiles)) * 4),
         ];
         let total: u64 = parts.iter().map(|(_, bytes)| bytes.next_multiple_of(SLICE_ALIGNMENT)).sum();
         let zeroed = gpu.buffer("zeroed", total, Memory::Device)?;
         let mut start = 0;
-        let [counters, instance_block, tile_change] = parts.map(|(name, bytes)| {
+        let [counters, instance_block, tile_counters] = parts.map(|(name, bytes)| {
             let slice = zeroed.slice(start, bytes).named(name);
             start += bytes.next_multiple_of(SLICE_ALIGNMENT);
             slice
@@ -52,11 +56,12 @@ impl WorkBuffers {
         Ok(Self {
             counters,
             instance_block,
-            tile_change,
+            tile_counters,
             block_capacity,
             splats: words("splats", 12 * u64::from(gaussians.max(1)))?,
             tile_count: words("tile_count", gaussians.into())?,
-            ranges: words("ranges", range_words(tiles).into())?,
+            tile_start: words("tile_start", u64::from(tiles) + 1)?,
+            ranges: words("ranges", 2 * u64::from(tiles))?,
             indirect: words("indirect", 3)?,
             pairs: words("pairs", PAIR_BYTES / 4 * u64::from(instances.max(1)))?,
             values: words("values", instances.into())?,

@@ -10,6 +10,7 @@ use crate::gpu::proof::KernelCase;
 use crate::image::{Image, difference};
 use crate::reference::{self, ReferenceOptions};
 use crate::render::frame::Frame;
+use crate::render::limits::TILE_PITCH;
 use crate::render::sort_tiles::{self, SORT_TILES, SORT_TILES_CAPACITY, SortTiles, SortTilesBuffers};
 use crate::render::{RenderOptions, Renderer};
 use crate::scene::synthetic::{Random, moving_scene};
@@ -43,18 +44,19 @@ pub(super) fn test(gpu: &Gpu) -> Result<()> {
 /// What the lists of so small a scene do not show of `sort_tiles`: many pairs at one depth, and more than are sorted at once.
 fn long_lists(gpu: &Gpu) -> Result<()> {
     let mut random = Random::new(SEED);
-    let (mut ranges, mut pairs) = (Vec::new(), Vec::new());
+    let (mut tile_start, mut tile_end, mut pairs) = (vec![0], Vec::new(), Vec::new());
     for (count, depths) in [(ALIKE, 1), (SORT_TILES_CAPACITY + 500, 1 << 20)] {
-        let first = pairs.len() as u32 / 2;
-        ranges.extend([first, first + count]);
         let pair = |g: u32| [random.bits() as u32 % depths + 1, count - g];
         pairs.extend((0..count).flat_map(pair));
+        let end = pairs.len() as u32 / 2;
+        tile_start.push(end);
+        tile_end.push(end);
+        tile_end.resize(tile_start.len().saturating_sub(1) * TILE_PITCH as usize, 0);
     }
-    ranges.extend([pairs.len() as u32 / 2; 2]);
-    let tiles = ranges.len() as u32 / 2 - 1;
+    let tiles = tile_start.len() as u32 - 1;
     let frame = bytemuck::cast_slice(&[Frame { tile_count: tiles, ..Frame::default() }]).to_vec();
-    let values = vec![0; pairs.len() / 2];
-    let mut buffers = SortTilesBuffers { frame, ranges, pairs, values };
+    let (values, ranges) = (vec![0; pairs.len() / 2], vec![0; 2 * tiles as usize]);
+    let mut buffers = SortTilesBuffers { frame, tile_start, pairs, values, tile_end, ranges };
     let threads = sort_tiles::threads(gpu.info(), gpu.subgroup_size_of(&SORT_TILES));
     for constants in sort_tiles::dispatches(gpu.info().is_cpu(), threads, u32::MAX, false) {
         let result = KernelCase::new(&SORT_TILES, constants, (), buffers, tiles).run(gpu)?;

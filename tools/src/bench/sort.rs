@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::cli::args::{Global, SortArgs};
 use crate::cli::{gpu_session, output, progress};
-use crate::report::measure::{Quantiles, copy_bandwidth};
+use crate::report::measure::Quantiles;
 use crate::report::page::{Align, Axis, Chart, Mark, Page, Series, Table, field};
 use crate::report::provenance;
 
@@ -37,7 +37,7 @@ pub(super) struct Row {
 /// Those of the device; `Kernel` when the keys come back unsorted.
 pub fn run(args: &SortArgs, global: &Global) -> Result<()> {
     let gpu = gpu_session::open(global)?;
-    let copy = copy_bandwidth(&gpu)?;
+    let copy = engine::render::copy_rate::copy_rate(&gpu)?;
     let bar = progress::bar((args.keys.len() as u64) * u64::from(args.runs + 1), global.quiet);
     let mut rows = Vec::new();
     for &keys in &args.keys {

@@ -58,7 +58,7 @@ pub(crate) fn run(args: &TrainBenchArgs, global: &Global) -> Result<()> {
     let gpu = gpu_session::open_to_train(global)?;
     let [steps, warmup] = STEPS[usize::from(args.sweep)];
     let plan = Plan { steps: args.frames.unwrap_or(steps), warmup: args.warmup.unwrap_or(warmup) };
-    let copy = crate::report::measure::copy_bandwidth(&gpu)?;
+    let copy = engine::render::copy_rate::copy_rate(&gpu)?;
     let scenes: Vec<(u32, [u32; 2])> = if args.sweep {
         let [counts, sides] = SWEEP;
         counts.into_iter().flat_map(|n| sides.into_iter().map(move |s| (n, [s, s]))).collect()

@@ -5,15 +5,12 @@ use std::time::Instant;
 
 use engine::error::Result;
 use engine::gpu::kernel::{Kernel, Workload};
-use engine::gpu::{Commands, Gpu, Memory, RecordedOperation, RecordedTask, Timing};
+use engine::gpu::{Commands, Gpu, RecordedOperation, RecordedTask, Timing};
+use engine::render::copy_rate::copy_rate;
 use engine::render::{FrameStatistics, MemoryUse, RenderOptions, Renderer};
 use engine::scene::{Camera, Scene};
 use serde::Serialize;
 
-/// Bytes of each of the two buffers between which the copy bandwidth is measured.
-const COPY_BYTES: u64 = 128 << 20;
-/// Copies, of which the best counts.
-const COPY_RUNS: usize = 8;
 /// Frames of the paper's protocol.
 pub const PAPER_FRAMES: u32 = 1000;
 
@@ -152,7 +149,7 @@ pub struct Measurement {
 
 /// Measures `scene` from one view. `tick` is called after each frame.
 pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, tick: &dyn Fn()) -> Result<Measurement> {
-    let copy_gb_per_s = copy_bandwidth(gpu)?;
+    let copy_gb_per_s = copy_rate(gpu)?;
     // Timestamps between operations cost a little, so frame times come from a renderer without them.
     let (operations, device_ms) = {
         let profiled = RenderOptions { profile: true, ..options.clone() };
@@ -352,30 +349,6 @@ pub(crate) fn rate_row(
         of_copy_bandwidth: gb_per_s.filter(|_| copy_gb_per_s > 0.0).map(|r| r / copy_gb_per_s),
         label,
     }
-}
-
-/// Best rate of a device-to-device copy, bytes read plus bytes written, GB/s.
-pub fn copy_bandwidth(gpu: &Gpu) -> Result<f64> {
-    let limit = gpu.info().capabilities.max_allocation_bytes;
-    let bytes = COPY_BYTES.min(limit);
-    let source = gpu.buffer("copy source", bytes, Memory::Device)?;
-    let destination = gpu.buffer("copy destination", bytes, Memory::Device)?;
-    let mut recorder = gpu.recorder("copy").with_timestamps(true);
-    recorder.fill(&source, 0)?;
-    recorder.copy(&source, &destination)?;
-    let mut commands = recorder.finish()?;
-    let mut best = f64::INFINITY;
-    for _ in 0..COPY_RUNS {
-        let start = Instant::now();
-        let submission = gpu.submit(&mut commands)?;
-        gpu.wait(submission)?;
-        let host_us = start.elapsed().as_secs_f64() * 1e6;
-        let us = commands.timings()?.last().map_or(host_us, |t| t.us);
-        if us > 0.0 {
-            best = best.min(us);
-        }
-    }
-    Ok(2.0 * bytes as f64 / best / 1e3)
 }
 
 #[cfg(test)]

@@ -2,7 +2,9 @@
 
 use super::super::ellipse::Ellipse;
 use super::super::frame::Frame;
-use super::super::limits::{COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE, SCAN_SUPER};
+use super::super::limits::{
+    COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE, SCAN_SUPER, TILE_PITCH,
+};
 use super::super::mean_storage;
 use super::super::quaternion::{self, dot};
 use super::super::sh_storage;
@@ -260,7 +262,7 @@ fn count_tiles(tile_change: &mut [u32], frame: &Frame, e: &Ellipse) -> u32 {
     for row in rows[0]..rows[1] {
         let [first, end] = e.tile_columns_of_row(row, frame.size);
         if first < end {
-            let at = |column: u32| (row * frame.tiles[0] + column) as usize;
+            let at = |column: u32| ((row * frame.tiles[0] + column) * TILE_PITCH) as usize;
             tile_change[at(first)] = tile_change[at(first)].wrapping_add(1);
             tile_change[at(end)] = tile_change[at(end)].wrapping_sub(1);
             count += end - first;

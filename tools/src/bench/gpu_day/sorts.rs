@@ -7,7 +7,6 @@ use engine::error::Result;
 use super::clock::Context;
 use super::outcome::{Done, Figure, Outcome};
 use crate::bench::sort;
-use crate::report::measure::copy_bandwidth;
 use crate::report::page::Page;
 use crate::report::provenance;
 
@@ -19,7 +18,7 @@ const RUNS: u32 = 5;
 /// Sorts, checks and times.
 pub(super) fn run(context: &Context<'_>) -> Result<Done> {
     let gpu = context.open()?;
-    let copy = copy_bandwidth(&gpu)?;
+    let copy = engine::render::copy_rate::copy_rate(&gpu)?;
     let (mut rows, mut reduced) = (Vec::new(), Vec::new());
     let mut seconds_per_key = 0.0;
     for keys in KEYS {

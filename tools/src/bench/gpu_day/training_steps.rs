@@ -11,7 +11,6 @@ use super::frames::{SYNTHETIC, cost, smaller};
 use super::outcome::{Done, Measured, Outcome, figures};
 use crate::bench::prediction::{self, Kind};
 use crate::bench::train::{self, Case, Plan};
-use crate::report::measure::copy_bandwidth;
 use crate::report::page::Page;
 use crate::report::provenance;
 
@@ -52,7 +51,8 @@ fn measure(context: &Context<'_>, gpu: &Gpu, case: &Case, mut reduced: Vec<Strin
         reduced.push(format!("{steps} steps of {STEPS}, to stay within the time"));
     }
     let plan = Plan { steps, warmup: WARMUP.min(steps / 2) };
-    let (mut numbers, measured) = train::measure_case(gpu, case, plan, copy_bandwidth(gpu)?, &|| context.tick())?;
+    let (mut numbers, measured) =
+        train::measure_case(gpu, case, plan, engine::render::copy_rate::copy_rate(gpu)?, &|| context.tick())?;
     let figures = figures(
         measured.predicted.as_ref(),
         Kind::Step,
