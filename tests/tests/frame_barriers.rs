@@ -1,6 +1,7 @@
 //! Where barriers stand in a frame, checked against the accesses themselves. The plans are golden files; see
 //! `plans.rs`.
 
+use engine::gpu::access::Use;
 use engine::render::{RenderOptions, Renderer};
 use engine::scene::synthetic::{demo_camera, demo_scene};
 
@@ -16,5 +17,37 @@ fn every_hazard_of_a_frame_needs_its_barrier() {
             uses.iter().any(|b| a.buffer == b.buffer && a.start < b.end && b.start < a.end && (a.write || b.write))
         });
         assert_eq!(conflicts, *barrier, "#{index} {label}");
+    }
+}
+
+#[test]
+fn a_training_step_keeps_its_order_between_barriers() {
+    let gpu = tests_harness::gpu();
+    for (superpoints, most_barriers) in [(0, 14), (8, 35)] {
+        let trainer = tools::bench::train::stepped(&gpu, 500, superpoints, [64, 48]).unwrap();
+        let commands = trainer.commands().unwrap();
+        let operations = commands.uses();
+        let mut level = 0;
+        let levels: Vec<u32> = operations
+            .iter()
+            .map(|(_, _, barrier)| {
+                level += u32::from(*barrier);
+                level
+            })
+            .collect();
+        for (second, (label, uses, _)) in operations.iter().enumerate() {
+            let conflicts = |(_, earlier, _): &(&str, &[Use], bool)| {
+                earlier.iter().any(|a| {
+                    uses.iter()
+                        .any(|b| a.buffer == b.buffer && a.start < b.end && b.start < a.end && (a.write || b.write))
+                })
+            };
+            let waits = (0..second).filter(|first| conflicts(&operations[*first])).map(|first| levels[first]).max();
+            assert!(
+                waits.is_none_or(|level| level < levels[second]),
+                "#{second} {label} runs beside what it waits for"
+            );
+        }
+        assert!(commands.barriers() <= most_barriers, "{} barriers", commands.barriers());
     }
 }

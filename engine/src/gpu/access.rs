@@ -23,6 +23,10 @@ impl Stages {
     pub const INDIRECT: Self = Self(4);
     /// Host reads of mapped memory.
     pub const HOST: Self = Self(8);
+    /// All that the device executes.
+    pub const OF_DEVICE: Self = Self(7);
+    /// All.
+    pub const ALL: Self = Self(15);
 
     /// Whether every stage of `other` is in `self`.
     pub fn contains(self, other: Self) -> bool {
@@ -111,15 +115,21 @@ pub struct HazardTracker {
 impl HazardTracker {
     /// The barrier that must stand before an operation with these accesses, if any; then the operation counts as done.
     pub fn step(&mut self, label: &str, uses: &[Use]) -> Option<Barrier> {
-        let barrier = self.conflicts(uses);
+        self.step_beside(&[(label, uses)])
+    }
+
+    /// The barrier that must stand before the first of operations that do not conflict with each other, if any; then all of
+    /// them count as done.
+    pub fn step_beside(&mut self, operations: &[(&str, &[Use])]) -> Option<Barrier> {
+        let barrier = self.conflicts(operations.iter().flat_map(|(_, uses)| *uses));
         if let Some(barrier) = &barrier {
             self.apply(barrier);
         }
-        self.remember(label, uses);
+        operations.iter().for_each(|(label, uses)| self.remember(label, uses));
         barrier
     }
 
-    fn conflicts(&self, uses: &[Use]) -> Option<Barrier> {
+    fn conflicts<'a>(&self, uses: impl Iterator<Item = &'a Use>) -> Option<Barrier> {
         let mut barrier =
             Barrier { source: Stages::NONE, flush: false, destination: Stages::NONE, reasons: Vec::new() };
         for access in uses {

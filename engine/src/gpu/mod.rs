@@ -2,13 +2,15 @@
 //! Gaussians.
 //!
 //! [`Gpu`] opens a device ([`capability::REQUIREMENTS`] is the table of what it must have). [`Kernel`] declares a compute
-//! shader once. [`Recorder`] collects operations, derives the barriers from the declared accesses (`access`) and becomes
+//! shader once. [`Recorder`] collects operations, derives the barriers from the declared accesses (`access`) and, where that is
+//! asked for, an order in which independent ones run beside each other (`schedule`), and becomes
 //! [`Commands`], which are submitted again and again, several in flight, or a [`Sequence`], which is written into the
 //! command buffers of another program ([`host`]).
 
 #[doc(hidden)]
 pub mod access;
 mod account;
+mod barrier;
 pub mod budget;
 mod cache_folder;
 pub mod capability;
@@ -37,6 +39,8 @@ pub mod queue_family;
 pub mod reconvergence;
 mod recorded;
 mod recorder;
+#[doc(hidden)]
+pub mod schedule;
 mod sequence;
 #[doc(hidden)]
 pub mod spirv;

@@ -10,6 +10,7 @@ use super::interface::{Buffers as _, Constants as _, Interface, KernelOf};
 use super::kernel::{Access, Binding, Kernel};
 use super::memory::{Buffer, Memory, Slice};
 use super::operation::{Grid, Operation, Work};
+use super::schedule::{CostOf, arrange};
 use super::sequence::Sequence;
 use crate::error::{Error, Result};
 
@@ -44,6 +45,8 @@ pub struct Recorder {
     absent: Option<Buffer>,
     /// Dispatches that had a part.
     absent_parts: u64,
+    /// Operations are arranged by what they cost, so that independent ones run beside each other.
+    cost: Option<CostOf>,
 }
 
 impl std::fmt::Debug for Recorder {
@@ -66,6 +69,7 @@ impl Gpu {
             fetched: Vec::new(),
             absent: None,
             absent_parts: 0,
+            cost: None,
         }
     }
 
@@ -91,6 +95,14 @@ impl Recorder {
     pub fn with_timestamps_on_request(mut self, profile: bool) -> Self {
         self.on_request = true;
         self.with_timestamps(profile)
+    }
+
+    /// Has independent operations run beside each other ([`schedule`](super::schedule)): they are encoded in another order than
+    /// they were recorded in, with fewer barriers and the same results. Where times are taken, each runs alone.
+    #[must_use]
+    pub fn with_overlap(mut self, cost: CostOf) -> Self {
+        self.cost = Some(cost);
+        self
     }
 
     /// Fills a range with a 32-bit value.
@@ -347,7 +359,7 @@ impl Recorder {
     }
 
     /// Test seam: drops the barrier before operation `index` (or, past the last, the one at the beginning), so that tests
-    /// can show that the validation layer notices. Returns whether there was one.
+    /// can show that the validation layer notices. Returns whether there was one. Not with [`Recorder::with_overlap`].
     pub fn omit_barrier(&mut self, index: usize) -> bool {
         match self.operations.get_mut(index) {
             Some(operation) => operation.barrier.take().is_some(),
@@ -355,7 +367,7 @@ impl Recorder {
         }
     }
 
-    /// Derives nothing new: encodes the list with its barriers.
+    /// Encodes the list with its barriers.
     ///
     /// # Errors
     /// `Usage` when something is only known at encoding ([`Recorder::update`], [`Recorder::copy_to_image`], a kernel's image).
@@ -369,8 +381,12 @@ impl Recorder {
         for kept in self.gpu.1.as_ref().map(|watch| watch.buffers()).unwrap_or_default() {
             self.host_read(&kept);
         }
+        if let Some(cost) = self.cost {
+            self.operations = arrange(self.operations, cost);
+        }
         let plan = plan(&self.operations, self.begin_barrier);
-        Sequence::new(&self.gpu, self.name, self.operations, plan, (self.profile, self.begin_barrier, slots))
+        let how = (self.profile, self.begin_barrier, self.cost.is_some(), slots);
+        Sequence::new(&self.gpu, self.name, self.operations, plan, how)
     }
 }
 

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use ash::vk;
 
 use super::access::{Barrier, Stages};
+use super::barrier::memory_barrier;
 use super::device::{Gpu, Shared, Sync2, vk_error};
 use super::host::{HostCommandBuffer, HostImage};
 use super::memory::{Buffer, Slice};
@@ -28,6 +29,8 @@ pub struct Sequence {
     pub(super) operations: Vec<Operation>,
     plan: String,
     begin_barrier: bool,
+    /// Operations run beside each other, but where their times are taken.
+    beside: bool,
     descriptors: vk::DescriptorPool,
     /// One per operation; null for what is no dispatch, or one to an image.
     sets: Vec<vk::DescriptorSet>,
@@ -62,7 +65,7 @@ impl Sequence {
         name: String,
         operations: Vec<Operation>,
         plan: String,
-        (profile, begin_barrier, slots): (bool, bool, u32),
+        (profile, begin_barrier, beside, slots): (bool, bool, bool, u32),
     ) -> Result<Self> {
         let mut sequence = Self {
             gpu: Arc::clone(&gpu.0),
@@ -72,6 +75,7 @@ impl Sequence {
             operations,
             plan,
             begin_barrier,
+            beside,
             descriptors: vk::DescriptorPool::null(),
             queries: vk::QueryPool::null(),
             slots: slots.max(1),
@@ -170,7 +174,7 @@ impl Sequence {
     pub(super) fn encode_with(&self, to: &Encoding<'_>) -> Result<()> {
         self.check(to)?;
         let first_query = to.slot * self.queries_per_slot();
-        if to.timed && self.queries != vk::QueryPool::null() {
+        if self.takes_times(to) {
             // SAFETY: recording; the queries of this slot are not in use any more.
             unsafe {
                 let count = self.queries_per_slot();
@@ -178,18 +182,14 @@ impl Sequence {
             }
         }
         // Earlier submissions share buffers with this one; the queue alone orders nothing.
-        let begin = self.begin_barrier.then(|| {
-            let all = Stages::COMPUTE.union(Stages::TRANSFER).union(Stages::INDIRECT);
-            memory_barrier(all, true, all, to.breadcrumbs.is_some())
-        });
+        let begin = self
+            .begin_barrier
+            .then(|| memory_barrier(Stages::OF_DEVICE, true, Stages::OF_DEVICE, to.breadcrumbs.is_some()));
         self.barriers_of(to.raw, begin, to.images, true);
         self.timestamp(to, first_query);
         let (mut updates, mut images) = (to.updates.iter(), to.images.iter());
         for (index, operation) in self.operations.iter().enumerate() {
-            if let Some(Barrier { source, flush, destination, .. }) = &operation.barrier {
-                let barrier = memory_barrier(*source, *flush, *destination, to.breadcrumbs.is_some());
-                self.barriers_of(to.raw, Some(barrier), &[], true);
-            }
+            self.barrier_before(to, operation);
             self.breadcrumb(to, index);
             match &operation.work {
                 Work::Update { slice, slot_bytes } => {
@@ -217,6 +217,24 @@ impl Sequence {
         }
         self.barriers_of(to.raw, None, to.images, false);
         Ok(())
+    }
+
+    fn barrier_before(&self, to: &Encoding<'_>, operation: &Operation) {
+        // A time belongs to one operation only where none runs beside it.
+        let alone = self.beside && self.takes_times(to);
+        let barrier = match &operation.barrier {
+            Some(Barrier { source, flush, destination, .. }) if !alone => (*source, *flush, *destination),
+            Some(Barrier { flush, .. }) => (Stages::OF_DEVICE, *flush, Stages::ALL),
+            None if alone => (Stages::OF_DEVICE, false, Stages::OF_DEVICE),
+            None => return,
+        };
+        let (source, flush, destination) = barrier;
+        let barrier = memory_barrier(source, flush, destination, to.breadcrumbs.is_some());
+        self.barriers_of(to.raw, Some(barrier), &[], true);
+    }
+
+    fn takes_times(&self, to: &Encoding<'_>) -> bool {
+        to.timed && self.queries != vk::QueryPool::null()
     }
 
     fn check(&self, to: &Encoding<'_>) -> Result<()> {
@@ -292,7 +310,7 @@ impl Sequence {
     }
 
     fn timestamp(&self, to: &Encoding<'_>, query: u32) {
-        if to.timed && self.queries != vk::QueryPool::null() {
+        if self.takes_times(to) {
             let stage = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
             // SAFETY: recording; the query exists and was reset.
             unsafe { self.gpu.device.cmd_write_timestamp(to.raw, stage, self.queries, query) };
@@ -444,57 +462,4 @@ impl Drop for Sequence {
             self.gpu.device.destroy_descriptor_pool(self.descriptors, None);
         }
     }
-}
-
-fn memory_barrier(source: Stages, flush: bool, destination: Stages, crumbs: bool) -> vk::MemoryBarrier2<'static> {
-    // A breadcrumb is a transfer that must not overtake the kernels before it.
-    let crumb = if crumbs { vk::PipelineStageFlags2::TRANSFER } else { vk::PipelineStageFlags2::NONE };
-    let barrier =
-        vk::MemoryBarrier2::default().src_stage_mask(stages(source)).dst_stage_mask(stages(destination) | crumb);
-    if flush {
-        barrier.src_access_mask(writes(source)).dst_access_mask(reads(destination) | writes(destination))
-    } else {
-        barrier
-    }
-}
-
-fn stages(s: Stages) -> vk::PipelineStageFlags2 {
-    let mut flags = vk::PipelineStageFlags2::NONE;
-    for (stage, flag) in [
-        (Stages::COMPUTE, vk::PipelineStageFlags2::COMPUTE_SHADER),
-        (Stages::TRANSFER, vk::PipelineStageFlags2::TRANSFER),
-        (Stages::INDIRECT, vk::PipelineStageFlags2::DRAW_INDIRECT),
-        (Stages::HOST, vk::PipelineStageFlags2::HOST),
-    ] {
-        if s.contains(stage) {
-            flags |= flag;
-        }
-    }
-    flags
-}
-
-fn writes(s: Stages) -> vk::AccessFlags2 {
-    let mut flags = vk::AccessFlags2::NONE;
-    if s.contains(Stages::COMPUTE) {
-        flags |= vk::AccessFlags2::SHADER_STORAGE_WRITE;
-    }
-    if s.contains(Stages::TRANSFER) {
-        flags |= vk::AccessFlags2::TRANSFER_WRITE;
-    }
-    flags
-}
-
-fn reads(s: Stages) -> vk::AccessFlags2 {
-    let mut flags = vk::AccessFlags2::NONE;
-    for (stage, flag) in [
-        (Stages::COMPUTE, vk::AccessFlags2::SHADER_STORAGE_READ),
-        (Stages::TRANSFER, vk::AccessFlags2::TRANSFER_READ),
-        (Stages::INDIRECT, vk::AccessFlags2::INDIRECT_COMMAND_READ),
-        (Stages::HOST, vk::AccessFlags2::HOST_READ),
-    ] {
-        if s.contains(stage) {
-            flags |= flag;
-        }
-    }
-    flags
 }

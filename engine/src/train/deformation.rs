@@ -37,8 +37,12 @@ pub(super) struct StepInputs<'a> {
     pub(super) step: &'a Buffer,
     /// The frame's counters: nothing changes when the frame failed.
     pub(super) counters: &'a Slice,
+    /// What the counters begin with: whether a step before this one failed.
+    pub(super) failed: &'a Buffer,
     /// Reports of numbers that are not finite.
     pub(super) status: &'a Buffer,
+    /// Those of what runs beside the frame and its loss, which waits for no other report.
+    pub(super) status_beside: &'a Buffer,
     /// `float[6][N]` of the pose of each Gaussian's superpoint.
     pub(super) pose_gradient: &'a Buffer,
 }

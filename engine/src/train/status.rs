@@ -28,6 +28,12 @@ pub fn report(words: &mut [u32], group: usize, index: u32) {
     words[2 * group + 1] = words[2 * group + 1].min(index);
 }
 
+/// All reports of two `status` buffers.
+pub(super) fn joined(a: &[u32], b: &[u32]) -> Vec<u32> {
+    let join = |(i, (a, b)): (usize, (&u32, &u32))| if i % 2 == 0 { a.saturating_add(*b) } else { *a.min(b) };
+    a.iter().zip(b).enumerate().map(join).collect()
+}
+
 /// The first group with a report: its name, how many, and the first index.
 pub fn first(words: &[u32]) -> Option<(&'static str, u32, u32)> {
     let names = PARAMETERS.iter().map(|p| p.name).chain(OTHER);

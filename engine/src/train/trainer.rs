@@ -1,5 +1,6 @@
 //! [`Trainer`]: state and the one step that reads like the paper's algorithm.
 
+mod cost;
 pub mod flight;
 mod record;
 mod restore;
@@ -45,8 +46,8 @@ const FIRST_INSTANCES_PER_GAUSSIAN: u64 = 4;
 /// Room beyond what a step needed when the buffers grow.
 const GROWTH_PERCENT: u64 = 130;
 /// Where the parts of the readback begin, bytes.
-const READBACK: [u64; 4] = [0, 256, 512, 768];
-const READBACK_BYTES: u64 = 1024;
+const READBACK: [u64; 5] = [0, 256, 512, 768, 1024];
+const READBACK_BYTES: u64 = 1280;
 
 /// What is trained on.
 #[derive(Debug, Clone)]
@@ -142,6 +143,8 @@ pub struct Trainer {
     pub(super) flying: VecDeque<Job>,
     pub(super) finished: VecDeque<Finished>,
     pub(super) status: Buffer,
+    /// Reports of what runs beside the frame and its loss.
+    pub(super) status_beside: Buffer,
     /// What the counters of a step begin with: zeros, and whether the step before it failed.
     pub(super) failed: Buffer,
     pub(super) splat_gradient: Buffer,
@@ -202,8 +205,8 @@ impl Trainer {
             gpu.set_byte_budget(config.budget.max_bytes);
         }
         let workers = std::thread::available_parallelism().map_or(1, |n| n.get().min(8));
-        let status = gpu.buffer("status", status::STATUS_WORDS as u64 * 4, Memory::Device)?;
-        gpu.upload(&status, bytemuck::cast_slice(&status::clear()))?;
+        let [status, status_beside] =
+            ["status", "status_beside"].map(|name| gpu.buffer_with(name, bytemuck::cast_slice(&status::clear())));
         let failed = gpu.buffer_with("failed", bytemuck::cast_slice(&[0_u32; COUNTER_WORDS as usize]))?;
         let parameters = Parameters::upload(gpu, state)?;
         let n = u64::from(parameters.count().max(1));
@@ -231,7 +234,8 @@ impl Trainer {
             slots: (0..FLIGHT).map(|_| Slot::new(gpu)).collect::<Result<_>>()?,
             flying: VecDeque::new(),
             finished: VecDeque::new(),
-            status,
+            status: status?,
+            status_beside: status_beside?,
             failed,
             splat_gradient: gpu.buffer("splat_gradient", n * u64::from(ROW_WORDS) * 4, Memory::Device)?,
             pose_gradient: gpu.buffer("pose_gradient", n * pose_gradient_bytes(config), Memory::Device)?,
@@ -418,7 +422,9 @@ impl Trainer {
         // The steps in flight have finished: what they left of the failure goes, and what their sums over gradients that
         // were never written may have reported; nothing of them was applied.
         self.clear_failure()?;
-        self.gpu.upload(&self.status, bytemuck::cast_slice(&status::clear()))?;
+        for status in [&self.status, &self.status_beside] {
+            self.gpu.upload(status, bytemuck::cast_slice(&status::clear()))?;
+        }
         let wanted = instances.saturating_mul(GROWTH_PERCENT) / 100;
         let limit = u64::from(u32::MAX) / u64::from(ROW_WORDS) / 4;
         if instances > limit {

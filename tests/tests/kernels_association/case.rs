@@ -166,6 +166,7 @@ impl DeviceStep {
         let buffers = StepBuffers {
             step: with("step", case.step_words()),
             counters: with("counters", vec![0; 8]),
+            failed: with("failed", vec![0; 8]),
             status: with("status", status::clear().to_vec()),
             mean: with("mean", bits(planes(&case.mean))),
             superpoint_of_gaussian: with("superpoint_of_gaussian", case.own.clone()),

@@ -146,7 +146,10 @@ pub(crate) fn synthetic(gpu: &Gpu, superpoints: u32, background: [f32; 3], n: u3
 }
 
 /// Two training steps of a synthetic scene: a trainer whose commands are those of every further step.
-pub(crate) fn stepped(gpu: &Gpu, gaussians: u32, superpoints: u32, size: [u32; 2]) -> Result<Trainer> {
+///
+/// # Errors
+/// As those of the trainer.
+pub fn stepped(gpu: &Gpu, gaussians: u32, superpoints: u32, size: [u32; 2]) -> Result<Trainer> {
     let case = synthetic(gpu, superpoints, [0.0; 3], gaussians, size)?;
     let mut trainer = Trainer::new(gpu, &case.config, &case.data, &case.first)?;
     trainer.step()?;

@@ -41,8 +41,8 @@ impl SuperpointState {
         if self.options.blend_slots() == 0 { Ok(()) } else { self.record_nearest(r, b) }
     }
 
-    /// The part before `deform_project_backward` (it needs the old means) and after the forward pass (a failed one is
-    /// known by then): nearest superpoints, sort, property losses with the logits' update, sums for the next centres.
+    /// The part before `deform_project_backward` (it needs the old means): nearest superpoints and sort, then, after the forward
+    /// pass (a failed one is known by then), property losses with the logits' update, sums for the next centres.
     pub fn record_before(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {
         if self.options.blend_slots() == 0 {
             self.record_nearest(r, b)?;
@@ -126,9 +126,11 @@ impl SuperpointState {
 
     pub(super) fn record_nearest(&self, r: &mut Recorder, b: &StepBuffers) -> Result<()> {
         let blend = self.options.blend_slots();
+        // It waits for no frame: of this one, which may yet fail and run again, it finds the same again. Of one behind a failed
+        // one nothing may be found.
         let buffers = NearestSuperpointsBuffers {
             step: b.step.clone(),
-            counters: b.counters.clone(),
+            counters: b.failed.clone(),
             mean: b.mean.clone(),
             superpoint_position: self.position.whole(),
             superpoint_of_gaussian: b.superpoint_of_gaussian.clone(),

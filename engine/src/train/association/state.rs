@@ -60,6 +60,8 @@ pub struct StepBuffers {
     pub step: Slice,
     /// `uint[8]` of the frame.
     pub counters: Slice,
+    /// What they begin with: whether a step before this one failed.
+    pub failed: Slice,
     /// Not-finite reports.
     pub status: Slice,
     /// `float[3][N]` canonical means.
@@ -147,9 +149,11 @@ impl SuperpointState {
         sampling.record(&mut r, mean, m, &Slice::from(&chosen), &Slice::from(&state.position))?;
         let step = Step { gaussians, superpoints: m, neighbors: state.options.slots, ..Step::default() };
         let step = gpu.buffer_with("init step", bytemuck::bytes_of(&step))?;
+        let counters = Slice::from(&gpu.buffer_with("init counters", &[0; 32])?);
         let b = StepBuffers {
             step: Slice::from(&step),
-            counters: Slice::from(&gpu.buffer_with("init counters", &[0; 32])?),
+            counters: counters.clone(),
+            failed: counters,
             status: Slice::from(&gpu.buffer_with("init status", bytemuck::cast_slice(&status::clear()))?),
             mean: mean.clone(),
             superpoint_of_gaussian: superpoint_of_gaussian.clone(),

@@ -217,7 +217,8 @@ impl SuperpointTraining {
         StepBuffers {
             step: Slice::from(inputs.step),
             counters: inputs.counters.clone(),
-            status: Slice::from(inputs.status),
+            failed: Slice::from(inputs.failed),
+            status: Slice::from(inputs.status_beside),
             mean: Slice::from(&inputs.scene.parameter[MEAN]),
             superpoint_of_gaussian: Slice::from(&inputs.scene.deformation.superpoint_of_gaussian),
             pose: Slice::from(&inputs.scene.deformation.pose),
@@ -249,7 +250,7 @@ impl TrainedDeformation for SuperpointTraining {
         let backward = Backward {
             step: &shared.step,
             counters: &shared.counters,
-            status: &shared.status,
+            status: &Slice::from(inputs.status),
             superpoint_gradient: &Slice::from(&self.superpoints.gradient),
             plane_stride: count,
         };

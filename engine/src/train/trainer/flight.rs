@@ -318,8 +318,8 @@ impl Trainer {
         if word(0, COUNT_FAILED) != 0 {
             return Ok(Outcome::NoRoom(instances));
         }
-        let first = (READBACK[3] / 4) as usize;
-        if let Some((group, count, index)) = status::first(&words[first..first + status::STATUS_WORDS]) {
+        let reports = |part: usize| &words[(READBACK[part] / 4) as usize..][..status::STATUS_WORDS];
+        if let Some((group, count, index)) = status::first(&status::joined(reports(3), reports(4))) {
             let what = format!("{group} at iteration {} ({count} not finite), first", job.iteration);
             return Err(Error::NonFinite { what, index: index as usize, value: "not finite".into() });
         }

@@ -1,6 +1,6 @@
-//! Recording of a step: the order of the paper's algorithm.
+//! Recording of a step: the order of the paper's algorithm. What does not depend on each other then runs beside each other.
 
-use super::{Profile, READBACK, Slot, Trainer};
+use super::{Profile, READBACK, Slot, Trainer, cost};
 use crate::error::Result;
 use crate::gpu::{Buffer, Commands, Recorder, Slice};
 use crate::render::limits::COUNT_FAILED;
@@ -18,7 +18,8 @@ impl Trainer {
     pub(super) fn record(&self, at: usize, slot: usize) -> Result<Commands> {
         let (t, Slot { step, readback }) = (&self.targets[at], &self.slots[slot]);
         let frame = &t.frames[slot];
-        let mut r = self.gpu.recorder("train step").with_timestamps_on_request(self.profile != Profile::Off);
+        let profile = self.profile != Profile::Off;
+        let mut r = self.gpu.recorder("train step").with_timestamps_on_request(profile).with_overlap(cost::of);
         let inputs = self.step_inputs(t, frame, step);
         if let Some(model) = &self.deformation {
             model.record_forward(&mut r, &inputs)?;
@@ -68,7 +69,9 @@ impl Trainer {
             frame: &frame.frame,
             step,
             counters: &t.work.counters,
+            failed: &self.failed,
             status: &self.status,
+            status_beside: &self.status_beside,
             pose_gradient: &self.pose_gradient,
         }
     }
@@ -99,7 +102,7 @@ impl Trainer {
     }
 
     fn record_readback(&self, r: &mut Recorder, t: &Target, readback: &Buffer) -> Result<()> {
-        let [counters, loss, property, status] = READBACK;
+        let [counters, loss, property, status, status_beside] = READBACK;
         // What failed fails all that is submitted behind it, until the host has cleared it.
         let failed = 4 * u64::from(COUNT_FAILED);
         r.copy(t.work.zeroed.slice(t.work.counters.start + failed, 4), self.failed.slice(failed, 4))?;
@@ -109,6 +112,7 @@ impl Trainer {
             r.copy(loss, readback.slice(property, 16))?;
         }
         r.copy(&self.status, readback.slice(status, status::STATUS_WORDS as u64 * 4))?;
+        r.copy(&self.status_beside, readback.slice(status_beside, status::STATUS_WORDS as u64 * 4))?;
         r.host_read(readback);
         Ok(())
     }

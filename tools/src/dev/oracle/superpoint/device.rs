@@ -60,6 +60,7 @@ impl Device<'_> {
         Ok(StepBuffers {
             step: with("step", bytemuck::bytes_of(&step))?,
             counters: with("counters", &[0; 32])?,
+            failed: with("failed", &[0; 32])?,
             status: with("status", bytemuck::cast_slice(&status::clear()))?,
             mean: with("mean", bytemuck::cast_slice(&mean))?,
             superpoint_of_gaussian: with("superpoint_of_gaussian", bytemuck::cast_slice(&self.case.of_gaussian))?,
