@@ -6,7 +6,11 @@
 // later splats and the background contribute: R starts as g . colour of the finished pixel and loses w_i q_i at each splat.
 // 1 - alpha >= 0.01, so nothing blows up, and no second pass from the back is needed.
 //
-// One subgroup owns SUBTILES subtiles of a tile (shapes as in blend.comp). The splats of the tile come in batches of
+// A tile's list is cut into at most SEGMENTS segments that are replayed side by side, because a small image has few tiles with
+// long lists. In front of a segment other than the first, `states` (from `blend_states`) says what the forward pass had: T, and the
+// colour and alpha so far, which R has lost.
+//
+// One subgroup owns SUBTILES subtiles of a segment (shapes as in blend.comp). The splats of the segment come in batches of
 // SUBGROUP_SIZE, one per lane; for each subtile the splats that reach it are replayed in order, each lane summing over its
 // own pixels. The ten sums of all lanes are added by a butterfly that halves the number of values per lane at each step (12
 // shuffles at 32 lanes, not 50), and the total joins the row of the splat:
@@ -21,6 +25,8 @@ layout(constant_id = 1) const uint ACCUMULATE = 0;
 layout(constant_id = 2) const uint STAGE = 1;
 layout(constant_id = 3) const uint PIXELS_PER_LANE = 2; // of one subtile; at most 16
 layout(constant_id = 4) const uint SUBTILES = 4;        // of one subgroup: 1, 2 or 4, at most those of a tile
+layout(constant_id = 5) const uint SEGMENTS = 1;        // see segments.glsl
+layout(constant_id = 6) const uint LEAST_SEGMENT = 256;
 
 #include "frame.glsl"
 #include "dispatch.glsl"
@@ -38,6 +44,8 @@ layout(std430, set = 0, binding = 3) readonly buffer GaussianOfSlotBlock { uint 
 layout(std430, set = 0, binding = 4) readonly buffer SplatsBlock { vec4 splats[]; };
 layout(std430, set = 0, binding = 5) readonly buffer ColorBlock { vec4 color[]; };
 layout(std430, set = 0, binding = 6) readonly buffer ImageGradientBlock { vec4 image_gradient[]; };
+// Binding 7 is where the rows go.
+layout(std430, set = 0, binding = 8) readonly buffer StatesBlock { vec4 states[]; };
 
 const uint ROW = 12u;               // words of a row; the last two stay 0
 const uint SUMS = 10u;              // h, hu, hv, huu, huv, hvv, red, green, blue, pixels
@@ -45,6 +53,23 @@ const uint SUM_PIXELS = 9u;
 const float FAR_VALUE = 1e12;       // gradients and colours past this count as 0: products must stay finite
 const float FAR_PRODUCT = 1e24;
 
+#include "segments.glsl"
+
+// First and last + 1 instance of a segment: tile * SEGMENTS + its place in the tile's list.
+uvec2 range_of_segment(uint segment) {
+    uint segments = SEGMENTS;
+    uint tile = segment / segments;
+    uint first = ranges[2u * tile];
+    uint end = max(ranges[2u * tile + 1u], first);
+    if (segments > 1u) {
+        uint splats = segment_length(end - first);
+        first = min(first + (segment - tile * segments) * splats, end);
+        end = min(first + splats, end);
+    }
+    return uvec2(first, end);
+}
+
+#define SEGMENTED
 #include "tile_batches.glsl"
 
 shared vec4 staged[3 * 128];
@@ -76,20 +101,26 @@ bool all_below(vec3 x, float limit) {
 
 void add_to_row(uint at, float value); // at: word of the target
 
-// Takes up the pixel `at` as the lane's i-th, unless it is outside the image.
-void open_pixel(uint i, uvec2 at, bool in_image) {
+// Takes up the pixel `at` as the lane's i-th, unless it is outside the image. place: of the segment in the tile's list.
+void open_pixel(uint i, uvec2 at, bool in_image, uint place) {
     transmittance[i] = in_image ? 1.0 : -1.0;
     vec4 g = vec4(0.0);
     float r = 0.0;
+    float past = 0.0; // of r: what the segments in front contributed
     if (in_image) {
         uint k = at.y * frame.size.x + at.x;
         g = image_gradient[k];
         vec4 c = color[k];
         r = g.x * c.x + g.y * c.y + g.z * c.z + g.w * c.w;
+        if (place > 0u) {
+            vec4 state = states[(place - 1u) * frame.size.x * frame.size.y + k];
+            transmittance[i] = state.w;
+            past = g.x * state.x + g.y * state.y + g.z * state.z + g.w * (1.0 - abs(state.w));
+        }
     }
-    bool usable = all_below(g.xyz, FAR_VALUE) && below(g.w, FAR_VALUE) && below(r, FAR_PRODUCT);
+    bool usable = all_below(g.xyz, FAR_VALUE) && below(g.w, FAR_VALUE) && below(r, FAR_PRODUCT) && below(past, FAR_PRODUCT);
     pixel_gradient[i] = usable ? g : vec4(0.0);
-    to_come[i] = usable ? r : 0.0;
+    to_come[i] = usable ? r - past : 0.0;
 }
 
 // Replays one splat on the lane's pixels of subtile s. corner: of the subtile; pixel: centre of the lane's first one from there;
@@ -288,6 +319,17 @@ void load(bool valid, uint index, uint row) {
     }
 }
 
+// Whether the subgroup has pixels that are not opaque.
+bool any_open() {
+    uint pixels_per_lane = PIXELS_PER_LANE;
+    uint subtiles = SUBTILES;
+    bool pixel_open = false;
+    [[unroll]] for (uint i = 0u; i < subtiles * pixels_per_lane; i++) {
+        pixel_open = pixel_open || transmittance[i] > 0.0;
+    }
+    return subgroupAny(pixel_open);
+}
+
 void main() {
     uint size = SUBGROUP_SIZE;
     uint accumulate = ACCUMULATE;
@@ -299,10 +341,14 @@ void main() {
     uint across = TILE_SIZE / columns;
     uint per_tile = across * (TILE_SIZE / extent.y) / subtiles; // subgroups
     uint subgroup = workgroup_index() * (128u / size) + gl_SubgroupID;
-    uint tile = subgroup / per_tile;
-    uint tiles = frame.tile_count;
-    bool open = tile < tiles; // the subgroup has pixels that are not opaque
-    uint inside = (subgroup - tile * per_tile) * subtiles; // first subtile
+    uint per_list = SEGMENTS;
+    uint segment = subgroup / per_tile;
+    uint segments = per_list * frame.tile_count;
+    uint tile = segment / per_list;
+    uint place = segment - tile * per_list;
+    uvec2 range = segment < segments ? range_of_segment(segment) : uvec2(0u);
+    bool open = range.x < range.y; // the subgroup has pixels that are not opaque
+    uint inside = (subgroup - segment * per_tile) * subtiles; // first subtile
     uvec2 origin = TILE_SIZE * uvec2(tile % frame.tiles.x, tile / frame.tiles.x);
     uint lane = gl_SubgroupInvocationID;
     uvec2 of_lane = uvec2(lane % columns, lane / columns);
@@ -314,14 +360,18 @@ void main() {
     [[unroll]] for (uint s = 0u; s < SUBTILES; s++) {
         [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
             uvec2 at = corner[s] + of_lane + uvec2(0u, j * lane_rows);
-            open_pixel(s * PIXELS_PER_LANE + j, at, tile < tiles && at.x < frame.size.x && at.y < frame.size.y);
+            open_pixel(s * PIXELS_PER_LANE + j, at, open && at.x < frame.size.x && at.y < frame.size.y, place);
         }
+    }
+    if (per_list > 1u) {
+        // Segments behind opaque pixels have nothing to do.
+        open = any_open();
     }
 
     uint stage = STAGE;
-    uint base = open ? ranges[2u * tile] : 0u;
-    uint end = open ? ranges[2u * tile + 1u] : 0u;
-    uint batches = batches_to_walk(tile, per_tile, tiles, stage != 0u);
+    uint base = range.x;
+    uint end = range.y;
+    uint batches = batches_to_walk(segment, per_tile, segments, stage != 0u);
     for (uint batch = 0u; batch < batches; batch++) {
         bool valid = open && base + lane < end;
         uint row = valid ? values[base + lane] : 0u;
@@ -341,11 +391,7 @@ void main() {
             walk(3u, corner[3], extent, valid, vec2(of_lane), row_step);
         }
         deliver(valid, row);
-        bool pixel_open = false;
-        [[unroll]] for (uint i = 0u; i < subtiles * pixels_per_lane; i++) {
-            pixel_open = pixel_open || transmittance[i] > 0.0;
-        }
-        open = subgroupAny(pixel_open);
+        open = any_open();
         base += size;
         if (stage == 0u && !open) {
             break;

@@ -1,4 +1,4 @@
-// Blends the splats of each tile front to back: the body of the kernels `blend` and `blend_packed`, which declare the
+// Blends the splats of each tile front to back: the body of the kernels `blend`, `blend_packed` and `blend_states`, which declare the
 // constants and buffers and say how a pixel is stored. One subgroup owns one subtile of pixels and shares nothing with the others,
 // so a subtile stops as soon as its own pixels are opaque; with STAGE 1 it then only waits for the others of its workgroup.
 //
@@ -17,6 +17,12 @@
 #define SPGS_BLEND_TILE
 
 #include "tile_batches.glsl"
+#ifdef BLEND_STATES
+#include "segments.glsl"
+
+// Keeps a pixel's state at the beginning of a segment: colour so far, transmittance (negative once closed).
+void store_state(uint at, vec4 state);
+#endif
 
 // What becomes of a finished pixel: at = row * width + column; value: colour over the background, 1 - transmittance.
 void store_pixel(uvec2 pixel, uint at, vec4 value);
@@ -73,6 +79,19 @@ uint instance_at(uint at, bool present) {
     return instance;
 }
 
+#ifdef BLEND_STATES
+// Stores the state of the lane's pixels, whose first one is `own`, at the beginning of a segment other than the first.
+void store_states(uint segment, uvec2 own, uint lane_rows) {
+    [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
+        uint y = own.y + j * lane_rows;
+        if (own.x < frame.size.x && y < frame.size.y) {
+            uint at = ((segment - 1u) * frame.size.y + y) * frame.size.x + own.x;
+            store_state(at, vec4(sum_colour[j], transmittance[j]));
+        }
+    }
+}
+#endif
+
 Candidate candidate_of(uint instance, uint quadrants, vec2 corner) {
     Candidate c = Candidate(instance, vec4(0.0), vec4(0.0), vec3(0.0));
     if ((instance & quadrants) != 0u) {
@@ -124,6 +143,11 @@ void main() {
 
     uint base = open ? ranges[2u * tile] : 0u;
     uint end = open ? ranges[2u * tile + 1u] : 0u;
+#ifdef BLEND_STATES
+    uint segment = 1u; // the next one
+    uint segment_splats = segment_length(max(end, base) - base);
+    uint segment_base = base + segment_splats;
+#endif
     uint batches = batches_to_walk(tile, subtiles, tiles, stage == 1u);
     Candidate next = candidate_of(instance_at(base + lane, base + lane < end), quadrants, vec2(corner));
     uint next_but_one = 0u;
@@ -131,6 +155,13 @@ void main() {
         next_but_one = instance_at(base + size + lane, base + size + lane < end);
     }
     for (uint batch = 0u; batch < batches; batch++) {
+#ifdef BLEND_STATES
+        if (base == segment_base && base < end) {
+            store_states(segment, own, lane_rows);
+            segment++;
+            segment_base += segment_splats;
+        }
+#endif
         uint instance = next.instance;
         vec4 first = next.first;
         vec4 second = next.second;
@@ -214,15 +245,25 @@ void main() {
         }
     }
 
+#ifdef BLEND_STATES
+    // Those that a subgroup of opaque pixels did not walk to.
+    for (; segment_base < end; segment_base += segment_splats) {
+        store_states(segment, own, lane_rows);
+        segment++;
+    }
+#endif
+
     [[unroll]] for (uint j = 0u; j < PIXELS_PER_LANE; j++) {
         uint y = own.y + j * lane_rows;
         if (tile < tiles && own.x < frame.size.x && y < frame.size.y) {
             uint at = y * frame.size.x + own.x;
             float rest = abs(transmittance[j]);
             store_pixel(uvec2(own.x, y), at, vec4(sum_colour[j] + rest * frame.background, 1.0 - rest));
+#ifndef BLEND_STATES
             if (with_depth == 1u) {
                 depth[at] = sum_depth[j];
             }
+#endif
         }
     }
 }

@@ -1,12 +1,19 @@
 // How many batches of splats a subgroup goes through. Include after the declaration of the buffer `ranges` and the constant
-// SUBGROUP_SIZE.
+// SUBGROUP_SIZE; with SEGMENTED defined, what is called a tile here is a segment of a tile's list (lib/segments.glsl), and
+// `range_of_segment` must be declared.
 #ifndef SPGS_TILE_BATCHES
 #define SPGS_TILE_BATCHES
 
 uint batches_of_tile(uint tile) {
     uint size = SUBGROUP_SIZE;
+#ifdef SEGMENTED
+    uvec2 range = range_of_segment(tile);
+    uint first = range.x;
+    uint end = range.y;
+#else
     uint first = ranges[2u * tile];
     uint end = max(ranges[2u * tile + 1u], first);
+#endif
     return (end - first + size - 1u) / size;
 }
 

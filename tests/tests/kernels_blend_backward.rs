@@ -1,14 +1,17 @@
 //! `blend_backward` and `sum_instance_gradients` on the device against their twins.
 
 use engine::gpu::interface::{Interface, KernelOf};
-use engine::render::blend::{self, BLEND, BlendBuffers, BlendConstants, Stage};
+use engine::render::blend::{self, BLEND, BlendBuffers, BlendConstants, MIN_TRANSMITTANCE, Stage};
+use engine::render::blend_states::{BLEND_STATES, BlendStates, BlendStatesBuffers, BlendStatesConstants};
 use engine::render::deform_project::DEFORM_PROJECT;
 use engine::render::frame::Frame;
 use engine::render::limits::{COUNT_FAILED, INSTANCE_GAUSSIAN};
+use engine::render::segments::Segments;
 use engine::train::blend_backward::blend_backward_native::BLEND_BACKWARD_NATIVE;
 use engine::train::blend_backward::sum_instance_gradients::*;
 use engine::train::blend_backward::{self, *};
 use tests_harness::gradient::{assert_gradients_close, columns};
+use tests_harness::kernel_case::POISON;
 use tests_harness::render_case::{Random, RenderInput, test_camera, tile_lists};
 use tests_harness::{KernelCase, TestGpu, widths};
 
@@ -24,6 +27,7 @@ struct Rendered {
     first_slot: Vec<u32>,
     color: Vec<u32>,
     image_gradient: Vec<u32>,
+    segments: Segments,
 }
 
 impl Rendered {
@@ -101,7 +105,45 @@ impl Rendered {
             first_slot,
             color,
             image_gradient,
+            segments: Segments::WHOLE,
         }
+    }
+
+    /// The same with lists in segments.
+    fn cut(self, per_list: u32, least: u32) -> Self {
+        Self { segments: Segments { per_list, least }, ..self }
+    }
+
+    /// The forward pass that keeps states, of lists of Gaussians or of slots.
+    fn states_case(&self, stage: Stage, size: u32, with_slots: bool) -> KernelCase<BlendStates> {
+        let pixels_per_lane = blend::pixels_per_lane(size);
+        let with = u32::from(with_slots);
+        let blend =
+            BlendConstants { stage: stage as u32, pixels_per_lane, with_slots: with, ..BlendConstants::default() };
+        let pixels = self.frame.pixels();
+        KernelCase {
+            kernel: &BLEND_STATES,
+            constants: BlendStatesConstants::new(blend, self.segments),
+            push: (),
+            buffers: BlendStatesBuffers {
+                frame: bytemuck::cast_slice(&[self.frame]).to_vec(),
+                ranges: self.ranges.clone(),
+                values: if with_slots { self.slots.clone() } else { self.gaussians.clone() },
+                splats: self.splats.clone(),
+                color: vec![0; 4 * pixels],
+                gaussian_of_slot: with_slots.then(|| self.gaussian_of_slot.clone()),
+                states: vec![POISON; self.segments.state_bytes(pixels as u64) as usize / 4],
+            },
+            groups: blend::groups(self.frame.tile_count, size, pixels_per_lane) as u32,
+        }
+    }
+
+    /// What the forward pass kept, by the twin; `None` of whole lists.
+    fn states(&self) -> Option<Vec<u32>> {
+        (self.segments.per_list > 1).then(|| {
+            let KernelCase { constants, buffers, .. } = self.states_case(Stage::Shuffle, 8, false);
+            BLEND_STATES.run_twin(8, constants, (), buffers, 1).states
+        })
     }
 
     fn buffers(&self, accumulation: Accumulation) -> BlendBackwardBuffers<Vec<u32>> {
@@ -116,6 +158,7 @@ impl Rendered {
             color: self.color.clone(),
             image_gradient: self.image_gradient.clone(),
             gradient_rows: vec![0; ROW_WORDS as usize * rows],
+            states: self.states(),
         }
     }
 
@@ -139,8 +182,8 @@ impl Rendered {
         I: Interface<Constants = BlendBackwardConstants, Push = (), Buffers<Vec<u32>> = BlendBackwardBuffers<Vec<u32>>>,
     {
         let size = gpu.subgroup_size_of(kernel);
-        let constants = BlendBackwardConstants::new(accumulation, stage, size, subtiles);
-        let groups = blend_backward::groups(self.frame.tile_count, size, subtiles) as u32;
+        let constants = BlendBackwardConstants::new(accumulation, stage, size, subtiles, self.segments);
+        let groups = blend_backward::groups(self.frame.tile_count * self.segments.per_list, size, subtiles) as u32;
         let result = KernelCase { kernel, constants, push: (), buffers: self.buffers(accumulation), groups }.run(gpu);
         [result.gpu.gradient_rows, result.twin.gradient_rows]
     }
@@ -196,8 +239,10 @@ impl Rendered {
                     floats(&device)
                 };
                 let truth = truth.get_or_insert_with(|| {
-                    let constants = BlendBackwardConstants::new(Accumulation::CompareAndSwap, Stage::Shuffle, 8, 4);
-                    let buffers = self.buffers(Accumulation::CompareAndSwap);
+                    // Of whole lists.
+                    let (way, stage) = (Accumulation::CompareAndSwap, Stage::Shuffle);
+                    let constants = BlendBackwardConstants::new(way, stage, 8, 4, Segments::WHOLE);
+                    let buffers = BlendBackwardBuffers { states: None, ..self.buffers(way) };
                     floats(&BLEND_BACKWARD.run_twin(8, constants, (), buffers, 1).gradient_rows)
                 });
                 assert_rows_close(&rows[..truth.len()], truth, &context);
@@ -244,6 +289,53 @@ fn layers_and_opaque_splats() {
     }
 }
 
+/// Lists of one tile that end around the ends of segments; opaque ones close pixels in front of the later segments.
+#[test]
+fn segments_add_up_to_the_list() {
+    let gpu = tests_harness::shared_gpu();
+    widths::assert_lanes(&gpu);
+    for (layers, log2_opacity) in
+        [(127, -6.0), (128, -6.0), (129, -6.0), (257, -6.0), (700, -6.5), (400, -1.0), (300, 3.0)]
+    {
+        let scene = Rendered::layers(layers, log2_opacity, [16, 16]).cut(4, 128);
+        assert_eq!(scene.ranges, [0, layers as u32], "every layer reaches the tile");
+        let kept = scene.states().unwrap();
+        let boundaries = (layers - 1) / scene.segments.length(layers);
+        let written = kept.iter().take_while(|w| **w != POISON).count();
+        assert!(written == 4 * 256 * boundaries && kept[written..].iter().all(|w| *w == POISON), "{layers} layers");
+        let closed = kept[..written].chunks_exact(4).filter(|s| f32::from_bits(s[3]) < 0.0).count();
+        assert_eq!(closed > 50, log2_opacity >= -1.0, "{closed} pixels closed in front of a segment");
+        scene.check(&gpu, &format!("{layers} at 2^{log2_opacity} in segments"));
+    }
+    // Several tiles, lists of different lengths, empty ones too.
+    let input = RenderInput::random(3000, 1, 9);
+    Rendered::of_input(&input, [61, 47]).cut(8, 1).check(&gpu, "3000 Gaussians in segments");
+}
+
+#[test]
+fn states_match_the_twin() {
+    let gpu = tests_harness::shared_gpu();
+    let size = gpu.subgroup_size_of(&BLEND_STATES);
+    let random = Rendered::of_input(&RenderInput::random(3000, 1, 9), [61, 47]);
+    for (name, scene) in [("random", random), ("opaque", Rendered::layers(600, 3.0, [33, 17]))] {
+        let scene = scene.cut(4, 128);
+        for stage in [Stage::Shuffle, Stage::Shared, Stage::Reread] {
+            for with_slots in [false, true] {
+                // Each choice is a pipeline, which takes seconds to compile: in small, every choice once.
+                if tests_harness::small() && with_slots != (stage == Stage::Shuffle) {
+                    continue;
+                }
+                let context = format!("{name}, {stage:?}, slots: {with_slots}");
+                let result = scene.states_case(stage, size, with_slots).run(&gpu);
+                result.assert_equal(&context);
+                let kept = result.gpu.states.chunks_exact(4).filter(|s| s[3] != POISON);
+                let rest = kept.map(|s| f32::from_bits(s[3]).abs()).collect::<Vec<_>>();
+                assert!(rest.len() > 100 && rest.iter().all(|t| (MIN_TRANSMITTANCE..=1.0).contains(t)), "{context}");
+            }
+        }
+    }
+}
+
 #[test]
 fn clamped_alpha_has_no_gradient() {
     let gpu = tests_harness::shared_gpu();
@@ -278,9 +370,13 @@ fn poison_gives_finite_gradients() {
         }
         for stage in [Stage::Shuffle, Stage::Shared].into_iter().take(if tests_harness::small() { 1 } else { 2 }) {
             let subtiles = blend_backward::subtiles_of_tile(gpu.subgroup_size_of(&BLEND_BACKWARD));
-            let [device, twin] = scene.rows(&gpu, Accumulation::Instances, stage, subtiles);
-            for (side, words) in [("device", device), ("twin", twin)] {
-                assert!(floats(&words).iter().all(|v| v.is_finite()), "{side}, splats with {poison}");
+            for per_list in [1, 4] {
+                scene.segments = Segments { per_list, least: 1 };
+                let [device, twin] = scene.rows(&gpu, Accumulation::Instances, stage, subtiles);
+                for (side, words) in [("device", device), ("twin", twin)] {
+                    let finite = floats(&words).iter().all(|v| v.is_finite());
+                    assert!(finite, "{side}, splats with {poison}, at most {per_list} segments");
+                }
             }
         }
     }

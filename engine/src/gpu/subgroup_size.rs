@@ -39,6 +39,7 @@ const BLENDING: &[&str] = &[
     "blend_rgba8",
     "blend_rgba16f",
     "blend_rgba32f",
+    "blend_states",
     "blend_backward",
     "blend_backward_native",
 ];

@@ -31,6 +31,8 @@ pub mod blend_rgba16f;
 pub mod blend_rgba32f;
 #[doc(hidden)]
 pub mod blend_rgba8;
+#[doc(hidden)]
+pub mod blend_states;
 pub(crate) mod capacity;
 #[doc(hidden)]
 pub mod copy_rate;
@@ -71,6 +73,8 @@ mod renderer;
 #[doc(hidden)]
 pub mod scan_tiles;
 pub(crate) mod scene_buffers;
+#[doc(hidden)]
+pub mod segments;
 #[doc(hidden)]
 pub mod sh_storage;
 pub mod sort_histogram;

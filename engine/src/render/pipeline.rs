@@ -11,6 +11,7 @@ use super::blend_packed::{BLEND_PACKED, BlendPackedBuffers, BlendPackedConstants
 use super::blend_rgba8::BLEND_RGBA8;
 use super::blend_rgba16f::BLEND_RGBA16F;
 use super::blend_rgba32f::BLEND_RGBA32F;
+use super::blend_states::{BLEND_STATES, BlendStatesBuffers, BlendStatesConstants};
 use super::deform_network::DEFORM_NETWORK;
 use super::deform_project::{
     DEFORM_PROJECT, DEFORM_PROJECT_THREADS, DeformProjectBuffers, DeformProjectConstants, DeformProjectPush,
@@ -24,6 +25,7 @@ use super::pixel_format::PixelFormat;
 use super::quality::Quality;
 use super::scan_tiles::{SCAN_TILES, ScanTilesBuffers, ScanTilesConstants};
 use super::scene_buffers::SceneBuffers;
+use super::segments::States;
 use super::sort_histogram::SORT_HISTOGRAM;
 use super::sort_scatter::SORT_SCATTER;
 use super::sort_spine::SORT_SPINE;
@@ -62,6 +64,8 @@ pub(crate) struct Shape {
     pub(crate) with_depth: bool,
     /// Tile lists of slots, for the backward pass.
     pub(crate) slots: Option<SlotBuffers>,
+    /// Where the states of the tile lists' segments go, for the backward pass; only with floats and without depth.
+    pub(crate) states: Option<States>,
     /// What the counters begin with; zeros without it.
     pub(crate) first_counters: Option<Buffer>,
     /// What may be given up; exact unless said.
@@ -280,10 +284,17 @@ fn blend(gpu: &Gpu, r: &mut Recorder, work: &WorkBuffers, frame: &FrameBuffers, 
                 _ => r.dispatch(&BLEND_RGBA8, constants, push, buffers, groups),
             }
         }
-        None | Some(PixelFormat::Rgba32F) => {
-            let buffers = BlendBuffers { frame, ranges, values, splats, color, depth, gaussian_of_slot };
-            r.dispatch(&BLEND, constants, (), buffers, groups)
-        }
+        None | Some(PixelFormat::Rgba32F) => match &shape.states {
+            None => {
+                let buffers = BlendBuffers { frame, ranges, values, splats, color, depth, gaussian_of_slot };
+                r.dispatch(&BLEND, constants, (), buffers, groups)
+            }
+            Some(States { segments, buffer }) => {
+                let states = buffer.clone();
+                let buffers = BlendStatesBuffers { frame, ranges, values, splats, color, gaussian_of_slot, states };
+                r.dispatch(&BLEND_STATES, BlendStatesConstants::new(constants, *segments), (), buffers, groups)
+            }
+        },
         Some(format) => {
             let buffers = BlendPackedBuffers { frame, ranges, values, splats, pixels: color, depth, gaussian_of_slot };
             r.dispatch(&BLEND_PACKED, BlendPackedConstants::new(constants, format), (), buffers, groups)
@@ -309,6 +320,7 @@ pub static KERNELS: &[&Kernel] = &[
     &BLEND_RGBA8.kernel,
     &BLEND_RGBA16F.kernel,
     &BLEND_RGBA32F.kernel,
+    &BLEND_STATES.kernel,
     &super::display::DISPLAY.kernel,
     &SORT_HISTOGRAM.kernel,
     &SORT_SPINE.kernel,

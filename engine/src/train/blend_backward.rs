@@ -16,6 +16,8 @@
 //! contributions that made the image are seen. With q = g·c + g_A, ∂L/∂αᵢ = Tᵢ qᵢ − Rᵢ/(1 − αᵢ), where R is what the splats
 //! behind and the background contribute: it starts as g·colour of the finished pixel and loses wᵢ qᵢ at each splat (the
 //! recurrence of 3D Gaussian splatting's backward pass, turned around so that nothing is divided by a small T).
+//! Where an image has few tiles, each tile's list is cut into [segments](crate::render::segments) that are replayed side by
+//! side: the forward pass leaves T and the colour so far at the beginning of each, from which R follows.
 //! A gradient or colour that is not finite or absurdly large (≥ 1e12) counts as 0, so that every sum is finite.
 //!
 //! # Why per pixel, and why rows per instance
@@ -57,7 +59,8 @@ use crate::gpu::{Buffer, Gpu, Groups, Recorder, Slice};
 use crate::render::blend::{BLEND_THREADS, Stage, pixels_per_lane, subtile};
 use crate::render::frame::Frame;
 use crate::render::limits::TILE_SIZE;
-use crate::render::pipeline::FrameBuffers;
+use crate::render::pipeline::{FrameBuffers, Shape};
+use crate::render::segments::{Segments, States};
 use crate::render::tiles::SlotBuffers;
 use crate::render::work_buffers::WorkBuffers;
 
@@ -108,6 +111,10 @@ crate::gpu_constants! {
         pixels_per_lane,
         /// Of one subgroup: 1, 2 or 4, at most those of a tile.
         subtiles,
+        /// Most segments of a tile's list; 1: lists are whole.
+        segments,
+        /// Least splats of a segment.
+        least_segment,
     }
 }
 
@@ -129,6 +136,8 @@ crate::gpu_buffers! {
         image_gradient: Read F32,
         /// `float[12·…]`, zero before: by slot for [`Accumulation::Instances`], else by Gaussian.
         gradient_rows: Atomic F32,
+        /// Of `blend_states`; only with segments.
+        states: optional Read F32,
     }
 }
 
@@ -158,12 +167,20 @@ fn blend_backward_bytes(work: &Workload) -> u64 {
 
 impl BlendBackwardConstants {
     /// Constants for a device.
-    pub fn new(accumulation: Accumulation, stage: Stage, subgroup_size: u32, subtiles: u32) -> Self {
+    pub fn new(
+        accumulation: Accumulation,
+        stage: Stage,
+        subgroup_size: u32,
+        subtiles: u32,
+        segments: Segments,
+    ) -> Self {
         Self {
             accumulate: accumulation as u32,
             stage: stage as u32,
             pixels_per_lane: pixels_per_lane(subgroup_size),
             subtiles,
+            segments: segments.per_list,
+            least_segment: segments.least,
         }
     }
 }
@@ -174,9 +191,9 @@ pub fn subtiles_of_tile(subgroup_size: u32) -> u32 {
     (TILE_SIZE / columns) * (TILE_SIZE / rows)
 }
 
-/// Workgroups for `tiles` tiles when a subgroup owns `subtiles` subtiles.
-pub fn groups(tiles: u32, subgroup_size: u32, subtiles: u32) -> u64 {
-    let subgroups = u64::from(tiles) * u64::from(subtiles_of_tile(subgroup_size) / subtiles);
+/// Workgroups for so many segments, those of a list times the tiles, when a subgroup owns `subtiles` subtiles.
+pub fn groups(segments: u32, subgroup_size: u32, subtiles: u32) -> u64 {
+    let subgroups = u64::from(segments) * u64::from(subtiles_of_tile(subgroup_size) / subtiles);
     subgroups.div_ceil(u64::from(BLEND_THREADS / subgroup_size))
 }
 
@@ -203,6 +220,8 @@ pub struct BackwardInput {
     pub gaussians: u32,
     /// Tiles of the image.
     pub tiles: u32,
+    /// Where the forward pass kept the states of the lists' segments.
+    pub states: Option<States>,
 }
 
 /// Where the gradients go, which also says how they are added.
@@ -241,8 +260,9 @@ pub fn record(
     let whole = accumulation == Accumulation::Instances || gpu.info().is_cpu();
     let subtiles = if whole { subtiles_of_tile(size) } else { 1 };
     r.fill(rows, 0)?;
-    let constants = BlendBackwardConstants::new(accumulation, Stage::of_device(gpu), size, subtiles);
-    let groups = Groups::Direct(groups(input.tiles, size, subtiles));
+    let segments = input.states.as_ref().map_or(Segments::WHOLE, |s| s.segments);
+    let constants = BlendBackwardConstants::new(accumulation, Stage::of_device(gpu), size, subtiles, segments);
+    let groups = Groups::Direct(groups(input.tiles * segments.per_list, size, subtiles));
     let buffers = input.buffers(target, rows);
     match target {
         BackwardTarget::NativeAtomics => r.dispatch(&BLEND_BACKWARD_NATIVE, constants, (), buffers, groups)?,
@@ -270,7 +290,7 @@ impl BackwardInput {
         frame: &FrameBuffers,
         image_gradient: &Buffer,
         gaussians: u32,
-        tiles: u32,
+        shape: &Shape,
     ) -> Self {
         Self {
             frame: Slice::from(&frame.frame),
@@ -282,7 +302,8 @@ impl BackwardInput {
             color: Slice::from(&frame.color),
             image_gradient: Slice::from(image_gradient),
             gaussians,
-            tiles,
+            tiles: shape.tiles,
+            states: shape.states.clone(),
         }
     }
 
@@ -300,6 +321,7 @@ impl BackwardInput {
             color: self.color.clone(),
             image_gradient: self.image_gradient.clone(),
             gradient_rows: rows.clone(),
+            states: self.states.as_ref().map(|s| s.buffer.clone()),
         }
     }
 }

@@ -10,6 +10,7 @@ use crate::render::limits::TILE_SIZE;
 use crate::render::pipeline::{FrameBuffers, Shape, record_forward};
 use crate::render::quality::Quality;
 use crate::render::scene_buffers::SceneBuffers;
+use crate::render::segments::States;
 use crate::render::tiles::SlotBuffers;
 use crate::render::work_buffers::{COUNTER_WORDS, WorkBuffers};
 use crate::scene::{Camera, Scene};
@@ -36,6 +37,7 @@ struct Target {
     capacity: u32,
     work: WorkBuffers,
     slots: SlotBuffers,
+    states: Option<States>,
     frame: FrameBuffers,
     image_gradient: Buffer,
     rows: Buffer,
@@ -96,6 +98,7 @@ impl Contributions {
             capacity,
             work: WorkBuffers::new(gpu, n, tiles, capacity)?,
             slots: SlotBuffers::new(gpu, n, capacity)?,
+            states: States::of_device(gpu, size)?,
             frame: FrameBuffers {
                 frame: gpu.buffer("frame", size_of::<Frame>() as u64, Memory::Constants)?,
                 host_pose: host_pose.map(|bytes| gpu.buffer("pose", bytes, Memory::Constants)).transpose()?,
@@ -127,10 +130,10 @@ impl Contributions {
             buffer.write(0, bytemuck::cast_slice(&self.host_pose))?;
         }
         let tiles = t.size[0].div_ceil(TILE_SIZE) * t.size[1].div_ceil(TILE_SIZE);
-        let shape = Shape { tiles, slots: Some(t.slots.clone()), ..Shape::default() };
+        let shape = Shape { tiles, slots: Some(t.slots.clone()), states: t.states.clone(), ..Shape::default() };
         let mut r = gpu.recorder("contributions");
         record_forward(gpu, &mut r, scene, &t.work, &t.frame, &shape)?;
-        let input = BackwardInput::new(&t.work, &t.frame, &t.image_gradient, scene.gaussians, tiles);
+        let input = BackwardInput::new(&t.work, &t.frame, &t.image_gradient, scene.gaussians, &shape);
         let target = BackwardTarget::Instances(t.slots.clone(), Slice::from(&t.rows));
         blend_backward::record(gpu, &mut r, &input, &target, &Slice::from(&t.splat_gradient))?;
         r.copy(&t.work.counters, t.frame.counters.slice(0, t.work.counters.bytes))?;

@@ -15,6 +15,7 @@ use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_
 use crate::render::pipeline::{FrameBuffers, Shape, record_forward};
 use crate::render::quality::Quality;
 use crate::render::scene_buffers::SceneBuffers;
+use crate::render::segments::States;
 use crate::render::tiles::SlotBuffers;
 use crate::render::work_buffers::{COUNTER_WORDS, WorkBuffers};
 use crate::scene::parameter::{Optional, PARAMETERS, first_plane, planes};
@@ -135,7 +136,8 @@ impl Run<'_> {
             depth: None,
             counters: gpu.buffer("counters readback", 4 * COUNTER_WORDS, Memory::Readback)?,
         };
-        let shape = Shape { tiles, slots: Some(slots.clone()), ..Shape::default() };
+        let states = States::of_device(gpu, [width, height])?;
+        let shape = Shape { tiles, slots: Some(slots.clone()), states, ..Shape::default() };
         let rows = device("instance_gradient", u64::from(capacity) * u64::from(ROW_WORDS))?;
         let splat_gradient = device("splat_gradient", n * u64::from(ROW_WORDS))?;
         let planes = planes(scene.sh_degree, scene.present);
@@ -145,7 +147,7 @@ impl Run<'_> {
 
         let mut r = gpu.recorder("scene gradients");
         record_forward(gpu, &mut r, scene, &work, &frame, &shape)?;
-        let input = BackwardInput::new(&work, &frame, &self.image_gradient, scene.gaussians, tiles);
+        let input = BackwardInput::new(&work, &frame, &self.image_gradient, scene.gaussians, &shape);
         let target = BackwardTarget::Instances(slots, Slice::from(&rows));
         blend_backward::record(gpu, &mut r, &input, &target, &Slice::from(&splat_gradient))?;
         let step = gpu.buffer_with("step", bytemuck::bytes_of(&Step::default()))?;

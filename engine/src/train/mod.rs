@@ -9,7 +9,7 @@
 //! nearest_superpoints … property_total   association, property losses, logits' Adam
 //! ssim_forward, image_loss    L1 + D-SSIM and its gradient by the image; with exposures expose before it, and exposure_backward and
 //!                             learn_exposure after it
-//! blend_backward, sum_instance_gradients → splat_gradient
+//! blend_backward, sum_instance_gradients → splat_gradient; of small images after blend_states instead of blend
 //! deform_project_backward     gradients of Gaussians and poses, Adam of the Gaussians, density statistics
 //! superpoint_sum, superpoint_gradient → linear_backward_*, linear_update: network F (or G) and its Adam
 //! superpoint_commit           assignment and centres of the next step; with key poses superpoint_sum and learn_keys alone

@@ -310,7 +310,7 @@ impl<'a> PhotoLoss<'a> {
 
     fn record_backward(&self, r: &mut Recorder, t: &Target) -> Result<()> {
         let frame = &t.frames[0];
-        let input = BackwardInput::new(&t.work, &t.frames[0], &t.image_gradient, self.buffers.gaussians, t.shape.tiles);
+        let input = BackwardInput::new(&t.work, &t.frames[0], &t.image_gradient, self.buffers.gaussians, &t.shape);
         let target = match (&t.shape.slots, &t.instance_gradient) {
             (Some(slots), Some(rows)) => BackwardTarget::Instances(slots.clone(), Slice::from(rows)),
             _ => BackwardTarget::NativeAtomics,

@@ -8,6 +8,7 @@ use crate::gpu::{Buffer, Commands, Gpu, Memory};
 use crate::render::frame::Frame;
 use crate::render::limits::TILE_SIZE;
 use crate::render::pipeline::{FrameBuffers, Shape};
+use crate::render::segments::States;
 use crate::render::tiles::SlotBuffers;
 use crate::render::work_buffers::WorkBuffers;
 
@@ -80,7 +81,13 @@ impl Target {
             work: WorkBuffers::new(gpu, size.gaussians, tiles, size.capacity)?,
             frames: (0..size.steps).map(|_| frame()).collect::<Result<_>>()?,
             instance_gradient: slots.as_ref().map(|_| device("instance_gradient", row_bytes)).transpose()?,
-            shape: Shape { tiles, slots, first_counters: Some(failed.clone()), ..Shape::default() },
+            shape: Shape {
+                tiles,
+                slots,
+                states: States::of_device(gpu, size.image)?,
+                first_counters: Some(failed.clone()),
+                ..Shape::default()
+            },
             image_gradient: device("image_gradient", pixels * 16)?,
             loss: device("loss", LOSS_WORDS as u64 * 4)?,
             image_loss: LossPass::new(gpu, width, height, size.with_ssim)?,

@@ -87,6 +87,7 @@ impl Trainer {
         for t in &self.targets {
             used.gradients += t.instance_gradient.as_ref().map_or(0, Buffer::bytes);
             used.images += t.frames[0].color.bytes() + t.image_gradient.bytes() + t.image_loss.bytes();
+            used.images += t.shape.states.as_ref().map_or(0, |s| s.buffer.bytes);
         }
         used.other = self.gpu.memory_used().0.saturating_sub(used.total());
         used

@@ -4,6 +4,7 @@ use super::super::ellipse::log2_cut;
 use super::super::frame::Frame;
 use super::super::limits::{INSTANCE_GAUSSIAN, INSTANCE_QUADRANT_SHIFT, TILE_SIZE};
 use super::super::pixel_format::PixelFormat;
+use super::super::segments::Segments;
 use super::super::splat::{Splat, unpack_splat};
 use super::super::twin::{set_f32, set_vec4, struct_at};
 use super::{Blend, BlendConstants, MAX_ALPHA, MIN_TRANSMITTANCE, subtile};
@@ -86,7 +87,20 @@ pub(super) fn blend(call: Call<'_, Blend>) {
         splats: b.splats,
         gaussian_of_slot: b.gaussian_of_slot.as_deref(),
     };
-    blend_tiles(&input, b.depth, |at, value| set_vec4(b.color, at, value));
+    blend_tiles(&input, b.depth, None, |at, value| set_vec4(b.color, at, value));
+}
+
+/// Where the states at the beginning of a list's segments go.
+type StatesOut<'a> = (Segments, &'a mut [u32]);
+
+/// Twin of `blend_states`.
+pub(in super::super) fn blend_states_twin(
+    input: &Inputs<'_>,
+    segments: Segments,
+    color: &mut [u32],
+    states: &mut [u32],
+) {
+    blend_tiles(input, None, Some((segments, states)), |at, value| set_vec4(color, at, value));
 }
 
 /// Blends into tightly packed pixels of a format.
@@ -97,7 +111,7 @@ pub(in super::super) fn blend_into(
     depth: Option<&mut [u32]>,
 ) {
     let words = format.bytes() as usize / 4;
-    blend_tiles(input, depth, |at, value| {
+    blend_tiles(input, depth, None, |at, value| {
         pixels[words * at..words * (at + 1)].copy_from_slice(&format.pack(value)[..words]);
     });
 }
@@ -109,7 +123,12 @@ fn quadrants_of_subtile([x, y]: [u32; 2], [columns, rows]: [u32; 2]) -> u32 {
     (if y < 8 { across } else { 0 }) | (if y + rows > 8 { across << 2 } else { 0 })
 }
 
-fn blend_tiles(input: &Inputs<'_>, depth: Option<&mut [u32]>, mut store_pixel: impl FnMut(usize, [f32; 4])) {
+fn blend_tiles(
+    input: &Inputs<'_>,
+    depth: Option<&mut [u32]>,
+    mut states: Option<StatesOut<'_>>,
+    mut store_pixel: impl FnMut(usize, [f32; 4]),
+) {
     let BlendConstants { with_depth, pixels_per_lane, alpha_cut, transmittance_stop, packing, .. } = input.constants;
     let frame: Frame = struct_at(input.frame, 0);
     let mut depth = depth.filter(|_| with_depth == 1);
@@ -128,6 +147,12 @@ fn blend_tiles(input: &Inputs<'_>, depth: Option<&mut [u32]>, mut store_pixel: i
             let mut pixels =
                 vec![Pixel { transmittance: 1.0, colour: [0.0; 3], depth: 0.0 }; (columns * rows) as usize];
             for at in range.clone() {
+                if let Some((segments, states)) = &mut states {
+                    let (done, length) = (at - range.start, segments.length(range.len()));
+                    if done > 0 && done.is_multiple_of(length) {
+                        store_states(&frame, [x0, y0, columns], done / length, &pixels, states);
+                    }
+                }
                 let (gaussian, quadrants) = input.instance(at);
                 if quadrants & own_quadrants != 0 {
                     let splat = unpack_splat(packing, input.splats, gaussian);
@@ -150,6 +175,19 @@ fn blend_tiles(input: &Inputs<'_>, depth: Option<&mut [u32]>, mut store_pixel: i
                     }
                 }
             }
+        }
+    }
+}
+
+/// Stores the pixels of a subtile of so many columns, whose first one is (x, y), at the beginning of a segment.
+fn store_states(frame: &Frame, [x0, y0, columns]: [u32; 3], segment: usize, pixels: &[Pixel], states: &mut [u32]) {
+    let [width, height] = frame.size;
+    for (i, pixel) in (0..).zip(pixels) {
+        let (x, y) = (x0 + i % columns, y0 + i / columns);
+        if x < width && y < height {
+            let at = (segment - 1) * frame.pixels() + (y * width + x) as usize;
+            let [r, g, b] = pixel.colour;
+            set_vec4(states, at, [r, g, b, pixel.transmittance]);
         }
     }
 }

@@ -67,12 +67,18 @@ impl Step {
 
     /// Forward and backward; the splats' gradients and the times.
     fn run(&self, target: &BackwardTarget) -> (Vec<f32>, Commands) {
+        self.run_cut(target, None)
+    }
+
+    /// The same with the lists cut into segments.
+    fn run_cut(&self, target: &BackwardTarget, segments: Option<Segments>) -> (Vec<f32>, Commands) {
+        let pixels = self.buffers.color.bytes() / 16;
+        let states = segments.map(|s| States::new(&self.gpu, s, pixels).unwrap());
         let slots = matches!(target, BackwardTarget::Instances(..)).then(|| self.slots.clone());
-        let shape = Shape { tiles: self.tiles, with_depth: false, slots, ..Shape::default() };
+        let shape = Shape { tiles: self.tiles, with_depth: false, slots, states, ..Shape::default() };
         let mut r = self.gpu.recorder("step").with_timestamps(true);
         record_forward(&self.gpu, &mut r, &self.scene, &self.work, &self.buffers, &shape).unwrap();
-        let input =
-            BackwardInput::new(&self.work, &self.buffers, &self.image_gradient, self.scene.gaussians, self.tiles);
+        let input = BackwardInput::new(&self.work, &self.buffers, &self.image_gradient, self.scene.gaussians, &shape);
         record(&self.gpu, &mut r, &input, target, &Slice::from(&self.splat_gradient)).unwrap();
         let commands = self.gpu.run(r).unwrap();
         let bytes = self.gpu.download(Slice::from(&self.splat_gradient)).unwrap();
@@ -103,9 +109,19 @@ fn all_ways_of_adding_agree_behind_the_forward_pass() {
     if step.gpu.info().capabilities.float_atomics {
         others.push(BackwardTarget::NativeAtomics);
     }
-    for target in others {
-        let distance = relative_l2(&step.run(&target).0, &first);
+    for target in &others {
+        let distance = relative_l2(&step.run(target).0, &first);
         assert!(distance < 1e-5, "{target:?}: {distance:e}");
+    }
+    // Lists of hundreds of splats in several segments: the same sums, and without float atomics the same bits every time.
+    let segments = Some(Segments { per_list: 4, least: 128 });
+    let (cut, _) = step.run_cut(&by_instance, segments);
+    let (again, _) = step.run_cut(&by_instance, segments);
+    assert!(cut.iter().zip(&again).all(|(a, b)| a.to_bits() == b.to_bits()), "segments are not deterministic");
+    assert!(cut != first, "no list was cut");
+    for target in [&by_instance].into_iter().chain(&others) {
+        let distance = relative_l2(&step.run_cut(target, segments).0, &first);
+        assert!(distance < 1e-5, "{target:?} in segments: {distance:e}");
     }
     assert!(step.gpu.take_validation_messages().is_empty());
 }
@@ -212,8 +228,9 @@ fn twin_rows(frame: &Frame, splats: &[Splat], gradient: &[[f32; 4]]) -> Vec<f32>
         color,
         image_gradient: gradient.iter().flatten().map(|g| g.to_bits()).collect(),
         gradient_rows: vec![0; 12 * n as usize],
+        states: None,
     };
-    let constants = BlendBackwardConstants::new(Accumulation::CompareAndSwap, Stage::Shuffle, 8, 4);
+    let constants = BlendBackwardConstants::new(Accumulation::CompareAndSwap, Stage::Shuffle, 8, 4, Segments::WHOLE);
     let rows = BLEND_BACKWARD.run_twin(8, constants, (), buffers, 1).gradient_rows;
     rows.iter().map(|w| f32::from_bits(*w)).collect()
 }

@@ -5,11 +5,15 @@ use crate::render::blend::{MAX_ALPHA, MIN_TRANSMITTANCE, splat_at};
 use crate::render::ellipse::LOG2_255;
 use crate::render::frame::Frame;
 use crate::render::limits::{INSTANCE_GAUSSIAN, TILE_SIZE};
+use crate::render::segments::Segments;
 use crate::render::splat::Splat;
 use crate::render::twin::{f32_at, set_f32, struct_at, vec4_at};
 
 /// Sums of a splat over the pixels of a tile.
 type Sums = [f64; SUMS];
+
+/// Colour so far and transmittance of a pixel in front of all splats.
+const UNTOUCHED: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 
 /// A pixel's state while its splats are replayed.
 struct Pixel {
@@ -19,12 +23,16 @@ struct Pixel {
 }
 
 impl Pixel {
-    fn new(color: [f32; 4], gradient: [f32; 4]) -> Self {
-        let product: f32 = color.iter().zip(gradient).map(|(c, g)| c * g).sum();
-        let usable = gradient.iter().all(|g| g.abs() < FAR_VALUE) && product.abs() < FAR_PRODUCT;
+    /// state: colour so far and transmittance in front of the pixel's splats.
+    fn new(color: [f32; 4], gradient: [f32; 4], [r, g, b, transmittance]: [f32; 4]) -> Self {
+        let past = [r, g, b, 1.0 - transmittance.abs()];
+        let product = |c: [f32; 4]| c.iter().zip(gradient).map(|(c, g)| c * g).sum::<f32>();
+        let usable = gradient.iter().all(|g| g.abs() < FAR_VALUE)
+            && [color, past].into_iter().all(|c| product(c).abs() < FAR_PRODUCT);
         let gradient = if usable { gradient.map(f64::from) } else { [0.0; 4] };
-        let to_come = if usable { color.iter().zip(gradient).map(|(c, g)| f64::from(*c) * g).sum() } else { 0.0 };
-        Self { transmittance: 1.0, to_come, gradient }
+        let left = color.iter().zip(past).map(|(c, past)| f64::from(*c) - f64::from(past));
+        let to_come = if usable { left.zip(gradient).map(|(c, g)| c * g).sum() } else { 0.0 };
+        Self { transmittance, to_come, gradient }
     }
 
     /// Replays one splat at pixel (x, y).
@@ -70,6 +78,12 @@ pub(super) fn blend_backward_twin(constants: BlendBackwardConstants, b: BlendBac
     // Of the slot, or of the Gaussian.
     let row = |value: u32| if gaussian_of_slot.is_some() { value } else { value & INSTANCE_GAUSSIAN };
     let ([width, height], tiles_x) = (frame.size, frame.tiles[0]);
+    let segments = Segments { per_list: constants.segments, least: constants.least_segment };
+    let states = b.states.filter(|_| segments.per_list > 1);
+    let state_of = |segment: usize, at: usize| match &states {
+        Some(states) if segment > 0 => vec4_at(states, (segment - 1) * frame.pixels() + at),
+        _ => UNTOUCHED,
+    };
     let mut target: Vec<f64> = (0..b.gradient_rows.len()).map(|i| f64::from(f32_at(b.gradient_rows, i))).collect();
     for tile in 0..frame.tile_count {
         let [x0, y0] = [tile % tiles_x * TILE_SIZE, tile / tiles_x * TILE_SIZE];
@@ -79,10 +93,13 @@ pub(super) fn blend_backward_twin(constants: BlendBackwardConstants, b: BlendBac
             (y0..height.min(y0 + TILE_SIZE)).flat_map(|y| (x0..width.min(x0 + TILE_SIZE)).map(move |x| (x, y)))
         {
             let at = (y * width + x) as usize;
-            let mut pixel = Pixel::new(vec4_at(b.color, at), vec4_at(b.image_gradient, at));
-            for (value, sums) in b.values[range.clone()].iter().zip(&mut sums) {
-                let splat: Splat = std::array::from_fn(|j| vec4_at(b.splats, 3 * gaussian(*value) + j));
-                pixel.replay(splat, [x, y], sums);
+            let length = segments.length(range.len());
+            for (k, list) in b.values[range.clone()].chunks(length).enumerate() {
+                let mut pixel = Pixel::new(vec4_at(b.color, at), vec4_at(b.image_gradient, at), state_of(k, at));
+                for (value, sums) in list.iter().zip(&mut sums[k * length..]) {
+                    let splat: Splat = std::array::from_fn(|j| vec4_at(b.splats, 3 * gaussian(*value) + j));
+                    pixel.replay(splat, [x, y], sums);
+                }
             }
         }
         for (value, sums) in b.values[range].iter().zip(&sums) {

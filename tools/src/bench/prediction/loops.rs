@@ -130,7 +130,7 @@ impl Body {
     }
 }
 
-const BLEND: &[&str] = &["blend", "blend_packed", "blend_rgba8", "blend_rgba16f", "blend_rgba32f"];
+const BLEND: &[&str] = &["blend", "blend_packed", "blend_rgba8", "blend_rgba16f", "blend_rgba32f", "blend_states"];
 const BLEND_BACKWARD: &[&str] = &["blend_backward", "blend_backward_native"];
 
 fn batches(k: &Known<'_>) -> Trips {

@@ -45,6 +45,8 @@ const ONE_VALUE: &[(&str, &str, &str)] = &[
     ("sort_scatter", "HAS_VALUES", "every sort of the program carries values; sorts without are for tests"),
     ("blend_backward", "ACCUMULATE", "decided by the device's float atomics"),
     ("blend_backward", "SUBTILES", "follows from ACCUMULATE"),
+    ("blend_states", "SEGMENTS", "the recordings' pictures have one size"),
+    ("blend_", "LEAST_SEGMENT", "one number for all devices; others are for tests"),
     ("blend_", "WITH_SLOTS", "slots are for training, which blends into floats"),
     ("deform_network", "LAYERS", "the length of a loop; nothing is sized by it"),
     ("deform_network", "WIDTH", "as LAYERS"),

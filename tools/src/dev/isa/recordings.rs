@@ -2,18 +2,23 @@
 //! specialisations, which cannot fall behind them. Nothing is looked at: a device that computes nothing will do.
 
 use engine::error::Result;
-use engine::gpu::Gpu;
+use engine::gpu::interface::Constants;
+use engine::gpu::{Gpu, Kernel};
 use engine::metrics::Planes;
 use engine::metrics::lpips::{Lpips, Network, Range, Weights};
+use engine::render::blend::{self, BLEND, BlendConstants, Stage};
 use engine::render::display::{DisplayMode, DisplayOptions, Screen};
 use engine::render::quality::KNOBS;
 use engine::render::radix_sort::DeviceSort;
+use engine::render::segments::Segments;
 use engine::render::{
     PixelFormat, Quality, RenderOptions, Renderer, SceneHandle, SceneOptions, View as EmbeddedView, ViewOptions,
 };
 use engine::scene::parameter::{LIFESPAN, PARAMETERS};
 use engine::scene::synthetic::{moving_scene, random_blend, random_optional, random_scene};
 use engine::scene::{Camera, MotionSource, NonrigidNetwork, Scene};
+use engine::train::blend_backward::blend_backward_native::BLEND_BACKWARD_NATIVE;
+use engine::train::blend_backward::{self, Accumulation, BLEND_BACKWARD, BlendBackwardConstants};
 use engine::train::config::{Config, Form, LossConfig};
 use engine::train::density::reset_opacity::RESET_OPACITY;
 use engine::train::gradient::{GradientOptions, scene_gradients};
@@ -47,6 +52,7 @@ pub const RECORDINGS: &[Recording] = &[
     ("frames on the screen", screens),
     ("frames in a host's images", embedded),
     ("training", training),
+    ("training on large pictures", whole_lists),
     ("opacity resets", opacity_resets),
     ("training of network G", nonrigid_training),
     ("gradients of scenes", gradients),
@@ -213,6 +219,24 @@ fn training(gpu: &Gpu) -> Result<()> {
     steps(superpoints, gaussians, variants)?;
     steps(superpoints, MANY, |base| {
         vec![base.clone(), Config { loss: LossConfig { prop_loss: Form::Paper, ..base.loss.clone() }, ..base.clone() }]
+    })
+}
+
+/// Pictures of many tiles, whose lists are not cut.
+fn whole_lists(gpu: &Gpu) -> Result<()> {
+    let stage = Stage::of_device(gpu);
+    let size = gpu.subgroup_size_of(&BLEND);
+    let pixels_per_lane = blend::pixels_per_lane(size);
+    let slots = BlendConstants { stage: stage as u32, pixels_per_lane, with_slots: 1, ..BlendConstants::default() };
+    gpu.compile(&BLEND.kernel, &slots.to_words())?;
+    let mut ways: Vec<(_, &'static Kernel, _)> =
+        vec![(Accumulation::Instances, &BLEND_BACKWARD.kernel, blend_backward::subtiles_of_tile(size))];
+    if gpu.info().capabilities.float_atomics {
+        ways.push((Accumulation::NativeAtomics, &BLEND_BACKWARD_NATIVE.kernel, 1));
+    }
+    ways.into_iter().try_for_each(|(way, kernel, subtiles)| {
+        let constants = BlendBackwardConstants::new(way, stage, size, subtiles, Segments::WHOLE);
+        gpu.compile(kernel, &constants.to_words())
     })
 }
 
