@@ -111,7 +111,7 @@ fn a_scene_at_given_times_shows_what_network_f_shows() {
     assert_eq!(with_table.deformation.key_times(), [0.25, 0.75]);
     let alone = run.scene_at([0.25]).unwrap();
     let camera = &data.views[0].camera;
-    let mut image =
+    let image =
         |scene, time| Renderer::new(&gpu, scene, &RenderOptions::default()).unwrap().render(camera, time).unwrap().rgba;
     for time in times {
         let (expected, found) = (image(&with_network, time), image(&with_table, time));
