@@ -14,7 +14,7 @@ use engine::train::usage::TrainingMemory;
 use serde::Serialize;
 
 use crate::bench::prediction::{Kind, Predicted, Subtiles, predict};
-use crate::report::measure::{OperationRow, Quantiles, operation_rows, recorded, with_push};
+use crate::report::measure::{OperationRow, Quantiles, operation_rows, raise_clocks, recorded, with_push};
 use crate::report::processor::processor_seconds;
 
 /// How much to measure.
@@ -75,9 +75,9 @@ pub(super) fn measure(
 ) -> Result<TrainMeasurement> {
     let trainer = || Trainer::new(gpu, config, data, first);
     // Timestamps between operations cost a little, so step times come from a run without them.
-    let (kernels, device_ms) = profile(trainer()?.with_profile(Profile::All), plan, copy_gb_per_s, tick)?;
+    let (kernels, device_ms) = profile(gpu, trainer()?.with_profile(Profile::All), plan, copy_gb_per_s, tick)?;
     let mut trainer = trainer()?;
-    let first_step = warm_up(&mut trainer, plan, tick)?;
+    let first_step = warm_up(gpu, &mut trainer, plan, tick)?;
     let (mut step_ms, mut last_step) = (Vec::with_capacity(plan.steps as usize), first_step);
     let busy = processor_seconds();
     for _ in 0..plan.steps {
@@ -132,12 +132,13 @@ pub(crate) fn predicted(
 }
 
 /// The first step and those of the warm-up, in which buffers grow and photos are decoded; returns the first.
-fn warm_up(trainer: &mut Trainer, plan: Plan, tick: &dyn Fn()) -> Result<StepReport> {
+fn warm_up(gpu: &Gpu, trainer: &mut Trainer, plan: Plan, tick: &dyn Fn()) -> Result<StepReport> {
     let first = trainer.step()?;
     for _ in 0..plan.warmup {
         trainer.step()?;
         tick();
     }
+    raise_clocks(gpu, || trainer.step().map(|_| ()))?;
     Ok(first)
 }
 
@@ -154,12 +155,13 @@ fn in_flight(trainer: &mut Trainer, plan: Plan, tick: &dyn Fn()) -> Result<f64> 
 }
 
 fn profile(
+    gpu: &Gpu,
     mut trainer: Trainer,
     plan: Plan,
     copy_gb_per_s: f64,
     tick: &dyn Fn(),
 ) -> Result<(Vec<OperationRow>, Option<Quantiles>)> {
-    let mut step = warm_up(&mut trainer, plan, tick)?;
+    let mut step = warm_up(gpu, &mut trainer, plan, tick)?;
     let (mut samples, mut labels, mut totals): (Vec<Vec<f64>>, Vec<String>, Vec<f64>) = Default::default();
     for _ in 0..plan.steps {
         step = trainer.step()?;
