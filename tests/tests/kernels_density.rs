@@ -43,7 +43,7 @@ fn random_rows(n: usize, seed: u64) -> Vec<Row> {
             rotation: [0, 1, 2, 3].map(|_| 2.0 * random.normal() as f32),
             opacity_logit: random.range(-6.5, 4.0) as f32,
             // The quotient is a key, and a GPU may round a division down or up: by these views it is exact.
-            gradient: [random.range(0.0, 2e-2) as f32, [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0][random.below(7) as usize]],
+            gradient: [random.range(0.0, 2e-2) as f32, [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0][random.below(7)]],
             radius: random.range(0.0, 25.0) as f32,
             moments: [random.normal() as f32, random.uniform() as f32],
             superpoint: random.below(30) as u32,
