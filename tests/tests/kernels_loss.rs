@@ -74,11 +74,11 @@ fn chain(gpu: &Gpu, size: [u32; 2], lambda: f32, color: &[u32], target: &[u32], 
     chain_of(gpu, own, size, lambda, [color, target], kind)
 }
 
-/// How far the SSIM maps may be from the twin's, relative L2. Where nearly all of a variance cancels (spread below 0.01), kernel and
-/// twin are both some 2e-4 from f64, each by its own way of rounding: there it is the bound of the gradient against f64.
+/// How far the SSIM maps may be from the twin's, relative L2. Where nearly all of a variance cancels (values within 0.01), a compiler
+/// that fuses products into sums rounds it otherwise: 2.4e-4 on an H200. The gradient is held against f64 everywhere.
 fn maps_bound(color: &[u32]) -> f64 {
     let (low, high) = words_to_floats(color).iter().fold((f32::MAX, f32::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
-    if high - low < 0.011 { 5e-4 } else { 2e-4 }
+    if high - low < 0.011 { 3e-4 } else { 2e-4 }
 }
 
 fn chain_of(

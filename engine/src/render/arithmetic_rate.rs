@@ -1,7 +1,8 @@
 //! The device's f32 rate, measured: the other half of a roofline beside the copy bandwidth.
 
-use std::time::Instant;
+use std::time::Duration;
 
+use super::device_time::best_us;
 use crate::error::Result;
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
@@ -97,15 +98,5 @@ fn timed(gpu: &Gpu, groups: u32) -> Result<f64> {
     let mut r = gpu.recorder("arithmetic rate").with_timestamps(true);
     let groups = Groups::Direct(groups.into());
     r.dispatch(&ARITHMETIC_RATE, (), push, ArithmeticRateBuffers { sums: sums.whole() }, groups)?;
-    let mut commands = r.finish()?;
-    let mut best = f64::INFINITY;
-    for _ in 0..RUNS {
-        let start = Instant::now();
-        let submission = gpu.submit(&mut commands)?;
-        gpu.wait(submission)?;
-        let host_us = start.elapsed().as_secs_f64() * 1e6;
-        let us = commands.timings()?.last().map_or(host_us, |t| t.us);
-        best = best.min(if us > 0.0 { us } else { host_us });
-    }
-    Ok(best)
+    best_us(gpu, r.finish()?, RUNS, Duration::ZERO)
 }

@@ -1,7 +1,8 @@
 //! The rate at which the device copies memory, measured: by its copy command and by a kernel, since either may be far the faster.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use super::device_time::best_us;
 use crate::error::Result;
 use crate::gpu::interface::Call;
 use crate::gpu::kernel::Tolerance;
@@ -73,7 +74,7 @@ pub fn copy_rate(gpu: &Gpu) -> Result<f64> {
     let destination = gpu.buffer("copy destination", bytes, Memory::Device)?;
     let mut best = f64::INFINITY;
     for by_kernel in [false, true] {
-        best = best.min(best_us(gpu, record(gpu, &source, &destination, by_kernel)?)?);
+        best = best.min(best_us(gpu, record(gpu, &source, &destination, by_kernel)?, RUNS, AT_LEAST)?);
     }
     Ok(2.0 * bytes as f64 / best / 1e3)
 }
@@ -91,19 +92,4 @@ fn record(gpu: &Gpu, source: &Buffer, destination: &Buffer, by_kernel: bool) -> 
         r.copy(source, destination)?;
     }
     r.finish()
-}
-
-/// Device time of the last operation, or the host's of all where there are no timestamps, microseconds.
-fn best_us(gpu: &Gpu, mut commands: Commands) -> Result<f64> {
-    let (mut best, mut runs, begin) = (f64::INFINITY, 0, Instant::now());
-    while runs < RUNS || begin.elapsed() < AT_LEAST {
-        let start = Instant::now();
-        let submission = gpu.submit(&mut commands)?;
-        gpu.wait(submission)?;
-        let host_us = start.elapsed().as_secs_f64() * 1e6;
-        let us = commands.timings()?.last().map_or(host_us, |t| t.us);
-        best = best.min(if us > 0.0 { us } else { host_us });
-        runs += 1;
-    }
-    Ok(best)
 }

@@ -41,6 +41,7 @@ pub mod deform_network;
 #[doc(hidden)]
 pub mod deform_project;
 pub(crate) mod deformation;
+mod device_time;
 pub mod display;
 #[doc(hidden)]
 pub mod ellipse;

@@ -210,8 +210,8 @@ fn warm_up(gpu: &Gpu, renderer: &mut Renderer, plan: &Plan) -> Result<FrameStati
     Ok(statistics)
 }
 
-/// Works until a GPU that idled has raised its clocks: an H200 that had waited for the host measured up to five times as long. A CPU
-/// device does nothing.
+/// Works for a while, so that a GPU that idled raises its clocks: on an H200 that had waited seconds for the host kernels took three to
+/// six times as long. A CPU device does nothing.
 pub fn raise_clocks(gpu: &Gpu, mut work: impl FnMut() -> Result<()>) -> Result<()> {
     let start = Instant::now();
     while !gpu.info().is_cpu() && start.elapsed() < CLOCKS {

@@ -6,7 +6,7 @@ use crate::gpu::schedule::Cost;
 /// Of kernels that are not named.
 const OTHER: [u32; 2] = [10, 50];
 
-/// Microseconds on one large GPU (H200, 120,000 Gaussians, 800×800 pixels, 512 superpoints), and about how much of it is busy,
+/// Microseconds on one large GPU (H200, 120,000 Gaussians, 800×800 pixels, 512 superpoints), and a guess at how much of it is busy,
 /// percent. Other sizes and devices have other times; the results of a step do not depend on them, and all devices have the same
 /// order.
 const MEASURED: &[(&str, [u32; 2])] = &[
