@@ -9,7 +9,8 @@
 
 // One stable pass of a least-significant-digit radix sort: 256 threads scatter the keys of a partition (and their values) to
 // their places and count the next pass's digits. Needs the histogram of this digit for each partition; no workgroup waits for
-// another. A small sort has small partitions, so that more processors have a part of it and each is done sooner.
+// another. A small sort has small partitions, so that more processors have a part of it and each is done sooner. A large one is bound by
+// memory: its partitions are put in order in shared memory first, so that they are written in runs and not key by key.
 
 #include "lib/limits.glsl"
 #include "lib/dispatch.glsl"
@@ -19,6 +20,7 @@ layout(constant_id = 1) const uint HAS_VALUES = 1u;
 layout(constant_id = 2) const uint HAS_NEXT = 1u;   // count the next digit
 layout(constant_id = 3) const uint RANK_BY_BALLOT = 1u; // else by comparing with each lane: at most 16 lanes
 layout(constant_id = 4) const uint ROUNDS = 16u;     // keys per thread, a power of two: at most SORT_ROUNDS
+layout(constant_id = 5) const uint STAGED = 0u;      // put in order in shared memory first, then written in runs
 
 layout(local_size_x = 256) in;
 
@@ -45,7 +47,8 @@ const uint NOT_PRESCANNED = 0xffffffffu;
 const uint QUADS = SORT_DIGITS / 4u;
 const uint ROWS_AT_ONCE = 8u; // that a thread reads before it waits for the first
 const uint MAX_ROWS = 16u; // 16 KiB of counters: subgroups of fewer than 16 lanes share a row, taking turns
-shared uint rank_rows[MAX_ROWS * SORT_DIGITS];
+shared uint rank_rows[MAX_ROWS * SORT_DIGITS]; // as many words as the largest partition has keys: STAGED puts them here
+shared uint run_start[SORT_DIGITS]; // STAGED: what is added to a key's place in the ordered partition to have its place among all
 
 // A digit that no key has, for lanes without a key.
 const uint NO_DIGIT = 0xffffffffu;
@@ -193,10 +196,22 @@ void main() {
     }
 
     barrier();
+    // Where each digit's keys begin: among all, or in the ordered partition.
+    uint begin = base;
+    uint staged = STAGED;
+    if (staged != 0u) {
+        uint own = 0u;
+        for (uint i = 0u; i < rows; i++) {
+            own += rank_rows[i * SORT_DIGITS + d];
+        }
+        uint all;
+        begin = workgroup_exclusive_add(own, all);
+        run_start[d] = base - begin; // modulo 2^32
+    }
     for (uint i = 0u; i < rows; i++) {
         uint n = rank_rows[i * SORT_DIGITS + d];
-        rank_rows[i * SORT_DIGITS + d] = base;
-        base += n;
+        rank_rows[i * SORT_DIGITS + d] = begin;
+        begin += n;
     }
     barrier();
 
@@ -206,16 +221,58 @@ void main() {
         value[r] = has_values != 0u && first + r * size < present ? values_in[start + r * size] : 0u;
     }
     [[unroll]] for (uint r = 0u; r < ROUNDS; r++) {
-        uint to = rank_rows[row + ((key[r] >> push.shift) & mask)] + rank[r];
-        bool valid = first + r * size < present && to < count;
-        if (valid) {
-            keys_out[to] = key[r];
-            if (has_values != 0u) {
-                values_out[to] = value[r];
+        rank[r] += rank_rows[row + ((key[r] >> push.shift) & mask)];
+    }
+    if (staged == 0u) {
+        [[unroll]] for (uint r = 0u; r < ROUNDS; r++) {
+            uint to = rank[r];
+            bool valid = first + r * size < present && to < count;
+            if (valid) {
+                keys_out[to] = key[r];
+                if (has_values != 0u) {
+                    values_out[to] = value[r];
+                }
+            }
+            if (has_next != 0u) {
+                count_digit(to, (key[r] >> push.next_shift) & next_mask, valid, partition_shift);
             }
         }
-        if (has_next != 0u) {
-            count_digit(to, (key[r] >> push.next_shift) & next_mask, valid, partition_shift);
+    } else {
+        // Thread t takes the keys t, t + 256, ... of the ordered partition: neighbours have the same digit, mostly, and write side by side.
+        barrier(); // ranks were read
+        [[unroll]] for (uint r = 0u; r < ROUNDS; r++) {
+            if (first + r * size < present) {
+                rank_rows[rank[r]] = key[r];
+            }
+        }
+        barrier();
+        uint to[SORT_ROUNDS];
+        [[unroll]] for (uint r = 0u; r < ROUNDS; r++) {
+            uint at = r * SORT_THREADS + d;
+            uint ordered = at < present ? rank_rows[at] : 0u;
+            to[r] = run_start[(ordered >> push.shift) & mask] + at;
+            bool valid = at < present && to[r] < count;
+            if (valid) {
+                keys_out[to[r]] = ordered;
+            }
+            if (has_next != 0u) {
+                count_digit(to[r], (ordered >> push.next_shift) & next_mask, valid, partition_shift);
+            }
+        }
+        if (has_values != 0u) {
+            barrier();
+            [[unroll]] for (uint r = 0u; r < ROUNDS; r++) {
+                if (first + r * size < present) {
+                    rank_rows[rank[r]] = value[r];
+                }
+            }
+            barrier();
+            [[unroll]] for (uint r = 0u; r < ROUNDS; r++) {
+                uint at = r * SORT_THREADS + d;
+                if (at < present && to[r] < count) {
+                    values_out[to[r]] = rank_rows[at];
+                }
+            }
         }
     }
 }

@@ -22,24 +22,21 @@ impl Rng {
 fn sort_and_check(gpu: &TestGpu, keys: &[u32], key_bits: u32, has_values: bool, prescanned: bool, context: &str) {
     // Both ways of ranking must give the same bits wherever both work.
     let fewest_lanes = rank_by_ballot(gpu.subgroup_size_of(&SORT_SCATTER));
-    for (by_ballot, rounds) in [(true, 16), (fewest_lanes, 16), (fewest_lanes, 4), (true, 8)] {
-        sort_and_check_by(gpu, keys, key_bits, has_values, (prescanned, by_ballot, rounds), context);
+    for (by_ballot, rounds, staged) in [
+        (true, 16, false),
+        (fewest_lanes, 16, false),
+        (fewest_lanes, 4, false),
+        (true, 8, true),
+        (fewest_lanes, 16, true),
+    ] {
+        let plan = SortPlan::with_rounds(keys.len().max(1) as u32, key_bits, rounds).unwrap();
+        sort_and_check_by(gpu, keys, &SortPlan { prescanned, staged, ..plan }, has_values, by_ballot, context);
     }
 }
 
-fn sort_and_check_by(
-    gpu: &TestGpu,
-    keys: &[u32],
-    key_bits: u32,
-    has_values: bool,
-    (prescanned, by_ballot, rounds): (bool, bool, u32),
-    context: &str,
-) {
+fn sort_and_check_by(gpu: &TestGpu, keys: &[u32], plan: &SortPlan, has_values: bool, by_ballot: bool, context: &str) {
     let n = keys.len() as u32;
-    let how = format!("values={has_values} prescanned={prescanned} ballot={by_ballot} rounds={rounds}");
-    let context = format!("n={n} bits={key_bits} {how} {context}");
-    let mut plan = SortPlan::with_rounds(n.max(1), key_bits, rounds).unwrap();
-    plan.prescanned = prescanned;
+    let context = format!("{context}, n={n} values={has_values} ballot={by_ballot} {plan:?}");
     let rows = plan.histogram_rows() as usize * 256;
     let counters = vec![0, 0, n, 0, 0, 0, 0, 0];
     let buffers = SortHistogramBuffers { counters: counters.clone(), keys: keys.to_vec(), histogram: vec![0; rows] };
@@ -52,7 +49,7 @@ fn sort_and_check_by(
     sorted.sort_by_key(|(k, _)| *k);
     let mut keys = keys.to_vec();
     for pass in 0..plan.digits.len() {
-        if prescanned {
+        if plan.prescanned {
             let buffers = SortSpineBuffers { counters: counters.clone(), histogram };
             let push = plan.spine_push(2);
             let case = KernelCase { kernel: &SORT_SPINE, constants: (), push, buffers, groups: SPINE_GROUPS };
@@ -138,7 +135,8 @@ fn spine_over_many_partitions() {
     sort_and_check(&gpu, &keys, 12, true, true, "many partitions");
 }
 
-/// Sorts with few partitions and with many; digits counted by the pass before or apart, as a GPU has them in large sorts.
+/// Sorts with few partitions and with many; digits counted by the pass before or apart and partitions put in order before they are
+/// written, as a GPU has them in large sorts.
 #[test]
 fn device_sorts_are_stable_whoever_counts_the_digits() {
     let gpu = tests_harness::shared_gpu();
@@ -147,8 +145,8 @@ fn device_sorts_are_stable_whoever_counts_the_digits() {
         let keys: Vec<u32> = (0..count).map(|_| random.next() & 0x000f_ffff).collect();
         let mut expected: Vec<(u32, u32)> = keys.iter().copied().zip(0..).collect();
         expected.sort_by_key(|(key, _)| *key);
-        for counted_apart in [false, true] {
-            let plan = SortPlan { counted_apart, ..SortPlan::with_rounds(count, 20, rounds).unwrap() };
+        for (counted_apart, staged) in [(false, false), (true, false), (false, true), (true, true)] {
+            let plan = SortPlan { counted_apart, staged, ..SortPlan::with_rounds(count, 20, rounds).unwrap() };
             let mut sort = DeviceSort::with_plan(&gpu, &keys, &plan).unwrap();
             for _ in 0..2 {
                 sort.run().unwrap();
@@ -156,7 +154,7 @@ fn device_sorts_are_stable_whoever_counts_the_digits() {
             let [sorted, values] = sort.download().unwrap();
             let found: Vec<(u32, u32)> = sorted.into_iter().zip(values).collect();
             let first = found.iter().zip(&expected).position(|(f, e)| f != e).map(|i| (i, found[i], expected[i]));
-            assert!(first.is_none(), "{count} keys, {rounds} rounds, counted apart: {counted_apart}: {first:?}");
+            assert!(first.is_none(), "{plan:?}: {first:?}");
         }
     }
     let plan = SortPlan::with_rounds(8, 20, 4).unwrap();

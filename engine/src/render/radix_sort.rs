@@ -63,6 +63,8 @@ pub struct SortPlan {
     /// `sort_histogram` counts the digits of every pass, not of the first alone: `sort_scatter` would count those of the next by an
     /// atomic per key.
     pub counted_apart: bool,
+    /// `sort_scatter` orders a partition in shared memory and writes it in runs: a GPU's memory takes 32 bytes and more at once.
+    pub staged: bool,
 }
 
 impl SortPlan {
@@ -82,7 +84,8 @@ impl SortPlan {
         let is_cpu = gpu.info().is_cpu();
         let plan = Self::with_rounds(capacity, key_bits, rounds_of(capacity, is_cpu))?;
         // Reading the keys once more takes a GPU a tenth of so many atomics.
-        Ok(Self { counted_apart: plan.prescanned && !is_cpu, ..plan })
+        let large = plan.prescanned && !is_cpu;
+        Ok(Self { counted_apart: large, staged: large, ..plan })
     }
 
     /// The same with `rounds` keys per thread of a partition: a power of two, at most 16.
@@ -107,7 +110,7 @@ impl SortPlan {
             .collect();
         let partitions = capacity.div_ceil(rounds * SORT_THREADS).max(1);
         let prescanned = partitions > SPINE_PARTITIONS;
-        Ok(Self { capacity, digits, partitions, rounds, prescanned, counted_apart: false })
+        Ok(Self { capacity, digits, partitions, rounds, prescanned, counted_apart: false, staged: false })
     }
 
     /// log2 of the keys of a partition.
@@ -137,6 +140,7 @@ impl SortPlan {
             has_next: (!self.counted_apart && pass + 1 < self.digits.len()).into(),
             rank_by_ballot: by_ballot.into(),
             rounds: self.rounds,
+            staged: self.staged.into(),
         }
     }
 

@@ -36,6 +36,8 @@ crate::gpu_constants! {
         rank_by_ballot,
         /// Keys per thread of a partition: a power of two, at most [`SORT_ROUNDS`](super::limits::SORT_ROUNDS).
         rounds,
+        /// 1: a partition is put in order in shared memory first, so that it is written in runs.
+        staged,
     }
 }
 
