@@ -113,3 +113,48 @@ fn trained_models() {
         compare(&gpu, &loaded.scene, &view, 0.0, MotionSource::Auto).assert_within_bounds(name);
     }
 }
+
+#[test]
+fn frames_of_a_pair_are_those_drawn_alone() {
+    let gpu = tests_harness::shared_gpu();
+    let (left, right) = (camera(160, 120), Camera { position: DVec3::new(0.4, -1.0, -4.5), ..camera(160, 120) });
+    let cases = [
+        ("static", random_scene(3000, 5, 1), MotionSource::Auto),
+        ("table", moving_scene(3000, 40, 6, 5, true), MotionSource::Table),
+        ("network", moving_scene(300, 40, 6, 5, true), MotionSource::Network),
+    ];
+    for (name, scene, motion) in cases {
+        let options = RenderOptions { depth: true, motion, ..RenderOptions::default() };
+        let mut renderer = Renderer::new(&gpu, &scene, &options).unwrap();
+        let alone = [(&left, 0.2), (&right, 0.9)].map(|(c, t)| renderer.render(c, t).unwrap());
+        assert!(alone[0] != alone[1]);
+        // Two pairs in flight, then a frame alone: whose buffers are whose.
+        let first = renderer.submit_pair([(&left, 0.2), (&right, 0.9)]).unwrap();
+        let second = renderer.submit_pair([(&right, 0.9), (&left, 0.2)]).unwrap();
+        for (frames, expected) in [(first, [0, 1]), (second, [1, 0])] {
+            for (frame, k) in frames.into_iter().zip(expected) {
+                assert!(renderer.finish(frame).unwrap().is_some(), "{name}");
+                assert!(renderer.read(frame).unwrap() == alone[k], "{name}: {frame:?} is not image {k}");
+            }
+        }
+        assert!(renderer.render(&right, 0.9).unwrap() == alone[1], "{name}: after pairs");
+    }
+}
+
+#[test]
+fn a_pair_needs_one_size_and_grows_as_a_frame_does() {
+    let gpu = tests_harness::shared_gpu();
+    let mut scene = random_scene(2000, 5, 1);
+    scene.gaussians.log_scale.iter_mut().flatten().for_each(|s| *s += 1.5);
+    let (small, large) = (camera(64, 64), camera(160, 160));
+    let mut renderer = Renderer::new(&gpu, &scene, &RenderOptions::default()).unwrap();
+    let error = renderer.submit_pair([(&small, 0.0), (&large, 0.0)]).unwrap_err().to_string();
+    assert!(error.contains("size of the second image"), "{error}");
+    let frames = renderer.submit_pair([(&large, 0.0); 2]).unwrap();
+    assert!(frames.iter().all(|frame| renderer.finish(*frame).unwrap().is_none()), "there was room for all");
+    let expected = renderer.render(&large, 0.0).unwrap();
+    let [_, frame] = renderer.submit_pair([(&large, 0.0); 2]).unwrap();
+    assert!(renderer.finish(frame).unwrap().is_some());
+    assert!(renderer.read(frame).unwrap() == expected);
+    assert!(renderer.finish(frames[0]).is_err(), "its buffers are gone");
+}

@@ -2,6 +2,7 @@
 
 use crate::error::Result;
 use crate::gpu::kernel::Kernel;
+use crate::gpu::schedule::Cost;
 use crate::gpu::{Buffer, Commands, Gpu, Groups, Recorder, SLICE_ALIGNMENT, Slice};
 use crate::scene::parameter::{LOG_SCALE, MEAN, OPACITY_LOGIT, ROTATION, SH_0};
 
@@ -76,19 +77,21 @@ pub(crate) struct Shape {
     pub(crate) to_image: bool,
 }
 
-/// Records a frame that the host looks at.
+/// Records frames that the host looks at, each with buffers of its own. Several are drawn side by side: kernels of one stand beside
+/// those of another between the same barriers.
 pub(super) fn record(
     gpu: &Gpu,
     scene: &SceneBuffers,
-    work: &WorkBuffers,
-    frame: &FrameBuffers,
+    frames: &[(&WorkBuffers, &FrameBuffers)],
     shape: &Shape,
     profile: bool,
 ) -> Result<Commands> {
-    let mut r = gpu.recorder("frame").with_timestamps(profile);
-    record_forward(gpu, &mut r, scene, work, frame, shape)?;
-    r.copy(&work.counters, frame.counters.slice(0, work.counters.bytes))?;
-    r.host_read(&frame.counters);
+    let mut r = gpu.recorder("frame").with_timestamps(profile).with_overlap(|_| Cost { time: 1, share: 100 });
+    for (work, frame) in frames {
+        record_forward(gpu, &mut r, scene, work, frame, shape)?;
+        r.copy(&work.counters, frame.counters.slice(0, work.counters.bytes))?;
+    }
+    frames.iter().for_each(|(_, frame)| r.host_read(&frame.counters));
     r.finish()
 }
 

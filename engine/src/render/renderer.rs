@@ -23,8 +23,10 @@ use super::work_buffers::{COUNTER_WORDS, WorkBuffers};
 
 pub use live::Picked;
 
-/// Frames of one renderer that may be in flight.
+/// Submissions of one renderer that may be in flight.
 const FRAMES_IN_FLIGHT: usize = 2;
+/// Frames that one submission draws, at most.
+const MOST_BESIDE: usize = 2;
 /// Number of the next targets that any renderer makes; 0 is for none.
 static NEXT_GENERATION: AtomicU64 = AtomicU64::new(1);
 
@@ -91,10 +93,16 @@ pub struct MemoryUse {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameId(u64);
 
+/// Frames that one submission draws side by side.
+#[derive(Debug)]
+struct Batch {
+    commands: Commands,
+    slots: Vec<Slot>,
+}
+
 #[derive(Debug)]
 struct Slot {
     buffers: FrameBuffers,
-    commands: Commands,
     frame: u64,
     /// Size that the caller asked for.
     asked: [u32; 2],
@@ -113,9 +121,19 @@ struct Targets {
     /// Size of the latest frame.
     size: [u32; 2],
     capacity: u32,
-    work: WorkBuffers,
-    slots: Vec<Slot>,
+    /// Of the frames of a batch; the second where pairs were drawn.
+    work: Vec<WorkBuffers>,
+    /// Batches of one frame, and of two where there were some.
+    batches: [Vec<Batch>; MOST_BESIDE],
+    /// Which of `work` the latest frame used.
+    latest: usize,
     readback: Option<Buffer>,
+}
+
+impl Targets {
+    fn slots(&self) -> impl Iterator<Item = &Slot> {
+        self.batches.iter().flatten().flat_map(|batch| &batch.slots)
+    }
 }
 
 /// Renders one scene.
@@ -127,6 +145,7 @@ pub struct Renderer {
     targets: Option<Targets>,
     capacity: u64,
     frames: u64,
+    submissions: u64,
     /// Number of the targets among those of all renderers.
     generation: u64,
     /// Poses of the latest frame, when the host makes them.
@@ -149,7 +168,18 @@ impl Renderer {
         let capacity = capacity::first(scene.gaussians).min(capacity::limit(gpu, options.max_instances));
         let gpu = gpu.clone();
         let host_pose = Vec::new();
-        Ok(Self { gpu, options, scene, targets: None, capacity, frames: 0, host_pose, generation: 0, warned: false })
+        Ok(Self {
+            gpu,
+            options,
+            scene,
+            targets: None,
+            capacity,
+            frames: 0,
+            submissions: 0,
+            host_pose,
+            generation: 0,
+            warned: false,
+        })
     }
 
     /// The knobs in use: those asked for, as the scene bears them ([`Quality::for_scene`]).
@@ -184,34 +214,63 @@ impl Renderer {
 
     /// Starts a frame without waiting for it, unless [`Renderer::frames_in_flight`] are running already.
     pub fn submit(&mut self, camera: &Camera, time: f64) -> Result<FrameId> {
-        let asked = [camera.width, camera.height];
-        let camera = &*self.drawn(camera);
-        let mut frame = self.frame(camera, time)?;
-        let size = [camera.width, camera.height];
-        let slot = self.prepare(size, asked)?;
-        self.scene.deformation.poses.write(time, self.scene.origin, &mut self.host_pose);
+        self.submit_batch([(camera, time)]).map(|[frame]| frame)
+    }
+
+    /// Starts two frames of one size that the device draws side by side: what one leaves idle the other uses, and both wait for each
+    /// stage once. For the two eyes of a stereo image, or for frames one after the other; the images are those of
+    /// [`Renderer::submit`]. Needs two sets of work buffers. A pair counts as one of [`Renderer::frames_in_flight`].
+    ///
+    /// # Errors
+    /// As [`Renderer::submit`]; `Usage` for images of two sizes.
+    pub fn submit_pair(&mut self, views: [(&Camera, f64); 2]) -> Result<[FrameId; 2]> {
+        let [one, two] = views.map(|(camera, _)| [camera.width, camera.height]);
+        if one != two {
+            return Err(Error::usage("size of the second image", format!("{two:?}"), format!("{one:?} as the first")));
+        }
+        self.submit_batch(views)
+    }
+
+    fn submit_batch<const K: usize>(&mut self, views: [(&Camera, f64); K]) -> Result<[FrameId; K]> {
+        let mut ids = [FrameId(0); K];
+        let mut frames = [Frame::default(); K];
+        let (mut asked, mut size) = ([0; 2], [0; 2]);
+        for (frame, (camera, time)) in frames.iter_mut().zip(views) {
+            asked = [camera.width, camera.height];
+            let camera = &*self.drawn(camera);
+            size = [camera.width, camera.height];
+            *frame = self.frame(camera, time)?;
+        }
+        self.prepare(size, asked, K)?;
         let Some(targets) = &mut self.targets else {
             return Err(Error::usage("renderer", "no targets", "targets after prepare"));
         };
-        frame.instance_capacity = targets.capacity;
-        let slot = &mut targets.slots[slot];
-        self.gpu.wait_for(&slot.commands)?;
-        slot.buffers.frame.write(0, bytemuck::bytes_of(&frame))?;
-        if let Some(buffer) = &slot.buffers.host_pose {
-            buffer.write(0, bytemuck::cast_slice(&self.host_pose))?;
+        let batch = &mut targets.batches[K - 1][self.submissions as usize % FRAMES_IN_FLIGHT];
+        self.gpu.wait_for(&batch.commands)?;
+        for ((slot, frame), (_, time)) in batch.slots.iter().zip(&mut frames).zip(views) {
+            frame.instance_capacity = targets.capacity;
+            slot.buffers.frame.write(0, bytemuck::bytes_of(frame))?;
+            if let Some(buffer) = &slot.buffers.host_pose {
+                self.scene.deformation.poses.write(time, self.scene.origin, &mut self.host_pose);
+                buffer.write(0, bytemuck::cast_slice(&self.host_pose))?;
+            }
         }
-        self.gpu.submit(&mut slot.commands)?;
-        self.frames += 1;
-        slot.frame = self.frames;
-        (slot.asked, slot.size) = (asked, size);
-        Ok(FrameId(self.frames))
+        self.gpu.submit(&mut batch.commands)?;
+        self.submissions += 1;
+        for (slot, id) in batch.slots.iter_mut().zip(&mut ids) {
+            self.frames += 1;
+            *id = FrameId(self.frames);
+            (slot.frame, slot.asked, slot.size) = (self.frames, asked, size);
+        }
+        targets.latest = K - 1;
+        Ok(ids)
     }
 
     /// Waits for a frame. `None`: it needed more tile instances than there was room for; its image is invalid, the
     /// buffers are grown for the next try.
     pub fn finish(&mut self, frame: FrameId) -> Result<Option<FrameStatistics>> {
-        let slot = self.slot(frame)?;
-        self.gpu.wait_for(&slot.commands)?;
+        let (batch, slot) = self.slot(frame)?;
+        self.gpu.wait_for(&batch.commands)?;
         let mut bytes = [0_u8; COUNTER_WORDS as usize * 4];
         slot.buffers.counters.read(0, &mut bytes)?;
         let counted = capacity::counted(&bytes);
@@ -231,7 +290,7 @@ impl Renderer {
     /// Reads the image of a finished frame, in the size that was asked for: one that was rendered smaller (see
     /// [`Quality::resolution`]) is enlarged bilinearly.
     pub fn read(&mut self, frame: FrameId) -> Result<Image> {
-        let slot = self.slot(frame)?;
+        let (_, slot) = self.slot(frame)?;
         let (color, depth) = (slot.buffers.color.clone(), slot.buffers.depth.clone());
         let (asked, size) = (slot.asked, slot.size);
         let Some(targets) = &mut self.targets else {
@@ -262,24 +321,29 @@ impl Renderer {
         Ok(if asked == [width, height] { image } else { image.enlarged(asked) })
     }
 
-    /// How many frames may be in flight.
+    /// How many submissions may be in flight.
     pub fn frames_in_flight(&self) -> usize {
         FRAMES_IN_FLIGHT
     }
 
     /// Device times of a finished frame's operations; empty unless [`RenderOptions::profile`].
     pub fn timings(&self, frame: FrameId) -> Result<Vec<Timing>> {
-        self.slot(frame)?.commands.timings()
+        self.slot(frame)?.0.commands.timings()
     }
 
     /// [`Renderer::timings`] one by one: label and microseconds. Allocates nothing.
     pub fn each_timing(&self, frame: FrameId, each: impl FnMut(&str, f64)) -> Result<()> {
-        self.slot(frame)?.commands.each_timing(each)
+        self.slot(frame)?.0.commands.each_timing(each)
+    }
+
+    /// The recorded commands of a frame, which are those of both frames of a pair.
+    pub fn commands_of(&self, frame: FrameId) -> Result<&Commands> {
+        Ok(&self.slot(frame)?.0.commands)
     }
 
     /// The recorded commands of the current image size, for plans and counts; `None` before the first frame.
     pub fn commands(&self) -> Option<&Commands> {
-        self.targets.as_ref().and_then(|t| t.slots.first()).map(|s| &s.commands)
+        self.targets.as_ref().and_then(|t| t.batches[0].first()).map(|batch| &batch.commands)
     }
 
     /// Amounts of work of a frame, from which kernels derive the bytes that they move.
@@ -313,8 +377,11 @@ impl Renderer {
     pub fn memory(&self) -> MemoryUse {
         let mut used = MemoryUse { scene: self.scene.bytes(), ..MemoryUse::default() };
         if let Some(targets) = &self.targets {
-            (used.per_gaussian, used.per_instance) = targets.work.bytes();
-            used.images = targets.slots.iter().map(|s| s.buffers.image_bytes()).sum();
+            for (gaussians, instances) in targets.work.iter().map(WorkBuffers::bytes) {
+                used.per_gaussian += gaussians;
+                used.per_instance += instances;
+            }
+            used.images = targets.slots().map(|s| s.buffers.image_bytes()).sum();
             used.instance_capacity = targets.capacity.into();
         }
         used
@@ -334,10 +401,11 @@ impl Renderer {
         Cow::Owned(camera.resized(side(camera.width), side(camera.height)))
     }
 
-    fn slot(&self, frame: FrameId) -> Result<&Slot> {
-        let slots = self.targets.iter().flat_map(|t| &t.slots);
-        slots.into_iter().find(|s| s.frame == frame.0 && frame.0 != 0).ok_or_else(|| {
-            Error::usage("frame", format!("{}", frame.0), format!("one of the last {FRAMES_IN_FLIGHT} frames"))
+    fn slot(&self, frame: FrameId) -> Result<(&Batch, &Slot)> {
+        let batches = self.targets.iter().flat_map(|t| t.batches.iter().flatten());
+        let mut slots = batches.flat_map(|batch| batch.slots.iter().map(move |slot| (batch, slot)));
+        slots.find(|(_, slot)| slot.frame == frame.0 && frame.0 != 0).ok_or_else(|| {
+            Error::usage("frame", format!("{}", frame.0), format!("one of the last {FRAMES_IN_FLIGHT} submissions"))
         })
     }
 
@@ -351,36 +419,47 @@ impl Renderer {
         self.scene.frame(camera, options)
     }
 
-    /// Makes targets with room for this size and capacity when there are none; returns the slot for the next frame.
-    fn prepare(&mut self, size: [u32; 2], asked: [u32; 2]) -> Result<usize> {
+    /// Makes targets with room for this size and capacity, and batches of so many frames, where there are none.
+    fn prepare(&mut self, size: [u32; 2], asked: [u32; 2], beside: usize) -> Result<()> {
         let capacity = self.capacity as u32;
-        let has_room = |t: &Targets| t.asked == asked && (0..2).all(|k| size[k] <= t.room[k]);
-        match &mut self.targets {
-            Some(targets) if targets.capacity == capacity && has_room(targets) => targets.size = size,
-            _ => {
-                // Old buffers go before new ones come: the peak is the larger of the two, not the sum.
-                self.targets = None;
+        let has_room = |t: &Targets| t.capacity == capacity && t.asked == asked && (0..2).all(|k| size[k] <= t.room[k]);
+        let mut targets = match self.targets.take() {
+            Some(targets) if has_room(&targets) => Targets { size, ..targets },
+            // Old buffers go before new ones come: the peak is the larger of the two, not the sum.
+            old => {
+                drop(old);
                 self.generation = NEXT_GENERATION.fetch_add(1, Ordering::Relaxed);
-                self.targets = Some(self.make_targets(size, asked, capacity)?);
+                let (work, batches) = (Vec::new(), [const { Vec::new() }; MOST_BESIDE]);
+                let mut fresh = Targets { asked, room: size, size, capacity, work, batches, latest: 0, readback: None };
+                // The buffers of single frames are what windows know of.
+                self.add_batches(&mut fresh, 1)?;
+                fresh
             }
-        }
-        Ok(self.frames as usize % FRAMES_IN_FLIGHT)
+        };
+        let is_new = targets.batches[beside - 1].is_empty();
+        let added = if is_new { self.add_batches(&mut targets, beside) } else { Ok(()) };
+        self.targets = Some(targets);
+        added
     }
 
-    fn make_targets(&self, size: [u32; 2], asked: [u32; 2], capacity: u32) -> Result<Targets> {
-        let tiles = size[0].div_ceil(TILE_SIZE) * size[1].div_ceil(TILE_SIZE);
+    fn add_batches(&self, targets: &mut Targets, beside: usize) -> Result<()> {
+        let [width, height] = targets.room;
+        let tiles = width.div_ceil(TILE_SIZE) * height.div_ceil(TILE_SIZE);
         let quality = self.options.quality;
-        let n = self.scene.gaussians;
-        let work = WorkBuffers::new(&self.gpu, n, tiles, capacity)?;
+        while targets.work.len() < beside {
+            targets.work.push(WorkBuffers::new(&self.gpu, self.scene.gaussians, tiles, targets.capacity)?);
+        }
         let shape = Shape { tiles, with_depth: self.options.depth, quality, ..Shape::default() };
-        let slots = (0..FRAMES_IN_FLIGHT)
-            .map(|_| {
-                let buffers = self.frame_buffers(size)?;
-                let commands = pipeline::record(&self.gpu, &self.scene, &work, &buffers, &shape, self.options.profile)?;
-                Ok(Slot { buffers, commands, frame: 0, asked, size })
-            })
-            .collect::<Result<_>>()?;
-        Ok(Targets { asked, room: size, size, capacity, work, slots, readback: None })
+        let (room, asked) = (targets.room, targets.asked);
+        let slot = |_| Ok(Slot { buffers: self.frame_buffers(room)?, frame: 0, asked, size: room });
+        let batch = |_| {
+            let slots = (0..beside).map(slot).collect::<Result<Vec<Slot>>>()?;
+            let frames: Vec<_> = targets.work.iter().zip(slots.iter().map(|s| &s.buffers)).collect();
+            let commands = pipeline::record(&self.gpu, &self.scene, &frames, &shape, self.options.profile)?;
+            Ok(Batch { commands, slots })
+        };
+        targets.batches[beside - 1] = (0..FRAMES_IN_FLIGHT).map(batch).collect::<Result<_>>()?;
+        Ok(())
     }
 
     fn frame_buffers(&self, size: [u32; 2]) -> Result<FrameBuffers> {

@@ -12,7 +12,7 @@ use super::prediction::{self, Kind, Predicted, Subtiles, predict};
 use super::scene::{self, DEFAULT_SIZE};
 use crate::cli::args::{FrameArgs, Global};
 use crate::cli::{camera, gpu_session, model, output, progress};
-use crate::report::measure::{self, Measurement, PAPER_FRAMES, Plan};
+use crate::report::measure::{self, Measurement, Plan};
 use crate::report::page::field;
 use crate::report::{provenance, summary};
 
@@ -78,8 +78,7 @@ pub fn run(args: &FrameArgs, global: &Global) -> Result<()> {
     };
     let (frames, warmup) = (args.frames, args.warmup);
     let plan = Plan { camera: view, times, frames, warmup, paper_protocol: args.paper_protocol };
-    let total = 3 * u64::from(frames) + if args.paper_protocol { u64::from(PAPER_FRAMES) } else { 0 };
-    let bar = progress::bar(total, global.quiet);
+    let bar = progress::bar(plan.ticks(), global.quiet);
     let mut found = measure_scene(&gpu, (&scene, &name), &options, &plan, &|| bar.inc(1))?;
     bar.finish_and_clear();
     let error = if args.check { Some(check(&gpu, &scene, &options, &plan)?) } else { None };

@@ -40,7 +40,7 @@ pub fn run(args: &DemoArgs, global: &Global) -> Result<()> {
     let frames = FRAMES[usize::from(gpu.info().is_cpu())];
     let camera = demo_camera(0.0, WIDTH, HEIGHT);
     let plan = Plan { camera, times: [0.0, 1.0], frames, warmup: 3, paper_protocol: false };
-    let bar = progress::bar(3 * u64::from(frames), global.quiet);
+    let bar = progress::bar(plan.ticks(), global.quiet);
     let measured = measure::measure(&gpu, &scene, &options, &plan, &|| bar.inc(1))?;
     bar.finish_and_clear();
     gpu_session::report_validation(&gpu);

@@ -33,6 +33,12 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// How often [`measure`] calls its `tick`.
+    pub fn ticks(&self) -> u64 {
+        let pairs = 2 * u64::from(self.frames.div_ceil(2));
+        3 * u64::from(self.frames) + pairs + if self.paper_protocol { u64::from(PAPER_FRAMES) } else { 0 }
+    }
+
     /// Time of frame `i` of `n`.
     pub fn time(&self, i: u32, n: u32) -> f64 {
         let weight = f64::from(i) / f64::from(n.max(2) - 1);
@@ -123,6 +129,8 @@ pub struct Measurement {
     pub fps: f64,
     /// Frames per second with several frames in flight.
     pub fps_pipelined: f64,
+    /// Frames per second in pairs drawn side by side, as many pairs in flight.
+    pub fps_side_by_side: f64,
     /// Frames per second by the paper's protocol: this view, 1000 frames, t from 0 to 1, frames in flight.
     pub fps_paper_protocol: Option<f64>,
     /// Frames in flight.
@@ -170,6 +178,7 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
         tick();
     }
     let fps_pipelined = pipelined_fps(&mut renderer, plan, plan.times, plan.frames, tick)?;
+    let fps_side_by_side = side_by_side_fps(&mut renderer, plan, tick)?;
     let fps_paper_protocol = if plan.paper_protocol {
         Some(pipelined_fps(&mut renderer, plan, [0.0, 1.0], PAPER_FRAMES, tick)?)
     } else {
@@ -185,6 +194,7 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
         device_ms,
         fps: 1e3 / frame_ms.median,
         fps_pipelined,
+        fps_side_by_side,
         fps_paper_protocol,
         frames_in_flight: renderer.frames_in_flight(),
         operations,
@@ -238,6 +248,40 @@ fn pipelined_fps(renderer: &mut Renderer, plan: &Plan, times: [f64; 2], frames: 
         complete(renderer, &plan, frame, time, tick)?;
     }
     Ok(f64::from(frames) / start.elapsed().as_secs_f64())
+}
+
+/// Rate of frames drawn in pairs.
+fn side_by_side_fps(renderer: &mut Renderer, plan: &Plan, tick: &dyn Fn()) -> Result<f64> {
+    let pairs = plan.frames.div_ceil(2);
+    let at = |i: u32| plan.time(i, 2 * pairs);
+    // The first makes the buffers.
+    let frames = renderer.submit_pair([(&plan.camera, at(0)), (&plan.camera, at(1))])?;
+    for frame in frames {
+        renderer.finish(frame)?;
+    }
+    let mut pending = std::collections::VecDeque::new();
+    let start = Instant::now();
+    for i in 0..pairs {
+        if pending.len() == renderer.frames_in_flight()
+            && let Some(frames) = pending.pop_front()
+        {
+            finish_pair(renderer, frames, tick)?;
+        }
+        pending.push_back(renderer.submit_pair([(&plan.camera, at(2 * i)), (&plan.camera, at(2 * i + 1))])?);
+    }
+    for frames in pending {
+        finish_pair(renderer, frames, tick)?;
+    }
+    Ok(f64::from(2 * pairs) / start.elapsed().as_secs_f64())
+}
+
+/// Waits for both; all buffers have room since the frames that were drawn alone.
+fn finish_pair(renderer: &mut Renderer, frames: [engine::render::FrameId; 2], tick: &dyn Fn()) -> Result<()> {
+    for frame in frames {
+        renderer.finish(frame)?;
+        tick();
+    }
+    Ok(())
 }
 
 /// Waits for a frame; one that outgrew its buffers is drawn again.

@@ -15,8 +15,7 @@ pub fn text(m: &Measurement) -> String {
     if let Some(d) = m.device_ms {
         let _ = writeln!(t, "device  {:.3} ms median, {:.3} p5, {:.3} p95", d.median, d.p5, d.p95);
     }
-    let _ =
-        writeln!(t, "FPS     {:.1} one at a time, {:.1} with {} in flight", m.fps, m.fps_pipelined, m.frames_in_flight);
+    let _ = writeln!(t, "FPS     {}", rates(m));
     if let Some(fps) = m.fps_paper_protocol {
         let _ = writeln!(t, "FPS     {fps:.1} by the paper's protocol (one view, 1000 frames, t from 0 to 1)");
     }
@@ -49,6 +48,14 @@ pub fn text(m: &Measurement) -> String {
     t
 }
 
+fn rates(m: &Measurement) -> String {
+    let (one, several, pairs) = (m.fps, m.fps_pipelined, m.fps_side_by_side);
+    format!(
+        "{one:.1} one at a time, {several:.1} with {} in flight, {pairs:.1} in pairs side by side",
+        m.frames_in_flight
+    )
+}
+
 /// Bytes of a MiB.
 pub(crate) const MIB: f64 = 1_048_576.0;
 
@@ -65,7 +72,7 @@ pub fn begin_page(record: &Value, m: &Measurement) -> Page {
     let mut page = Page::new(&format!("spgs bench: {}", field("/device/name")));
     page.provenance(record);
     let f = m.frame_ms;
-    let mut fps = format!("{:.1} one at a time, {:.1} with {} in flight", m.fps, m.fps_pipelined, m.frames_in_flight);
+    let mut fps = rates(m);
     if let Some(paper) = m.fps_paper_protocol {
         let _ = write!(fps, ", {paper:.1} by the paper's protocol");
     }

@@ -1,7 +1,7 @@
 //! What an interactive program asks of a renderer: options that change between frames, the frame's buffers for a kernel that
 //! goes on with them, and what lies under a pixel.
 
-use super::{FrameId, Renderer};
+use super::{FrameId, Renderer, Targets};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Slice};
 use crate::render::blend::{MAX_ALPHA, MIN_TRANSMITTANCE};
@@ -103,19 +103,20 @@ impl Renderer {
     /// Which of [`Renderer::outputs`] a frame uses.
     pub(crate) fn slot_index(&self, frame: FrameId) -> Result<usize> {
         self.slot(frame)?;
-        let slots = self.targets.iter().flat_map(|t| &t.slots);
+        let slots = self.targets.iter().flat_map(Targets::slots);
         Ok(slots.into_iter().position(|s| s.frame == frame.0).unwrap_or(0))
     }
 
-    /// What each frame in flight leaves.
+    /// What each frame in flight leaves, but for pairs.
     pub(crate) fn outputs(&self) -> impl Iterator<Item = Output> {
         let targets = self.targets.iter();
         targets.flat_map(|t| {
-            t.slots.iter().map(|s| Output {
+            let work = &t.work[0];
+            t.batches[0].iter().flat_map(|batch| &batch.slots).map(move |s| Output {
                 color: s.buffers.color.whole(),
                 depth: s.buffers.depth.as_ref().map(Buffer::whole),
-                ranges: t.work.ranges.whole(),
-                counters: t.work.counters.clone(),
+                ranges: work.ranges.whole(),
+                counters: work.counters.clone(),
             })
         })
     }
@@ -127,15 +128,16 @@ impl Renderer {
             return Ok(None);
         };
         let tile = u64::from(y / TILE_SIZE * targets.size[0].div_ceil(TILE_SIZE) + x / TILE_SIZE);
-        let ranges = &targets.work.ranges;
+        let work = &targets.work[targets.latest];
+        let ranges = &work.ranges;
         let words = |slice: Slice| -> Result<Vec<u32>> { Ok(bytemuck::pod_collect_to_vec(&self.gpu.download(slice)?)) };
         let range = words(ranges.slice(tile * 8, 8))?;
         let (first, count) = (u64::from(range[0]), u64::from(range[1].saturating_sub(range[0])));
         if count == 0 {
             return Ok(None);
         }
-        let values = words(targets.work.values.slice(first * 4, count * 4))?;
-        let splats = words(Slice::from(&targets.work.splats))?;
+        let values = words(work.values.slice(first * 4, count * 4))?;
+        let splats = words(Slice::from(&work.splats))?;
         let quality = &self.options.quality;
         let packing = quality.packing_constant();
         let known = splats.len() / splat_words(packing);
