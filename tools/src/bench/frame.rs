@@ -39,7 +39,10 @@ pub(super) fn measure_scene(
     // Where the reference rejects what the renderer only leaves out, every subtile counts.
     let counted = Subtiles::count(scene, &plan.camera, plan.times[1], options);
     let counted = counted.inspect_err(|e| log::warn!("prediction without subtiles: {e}")).unwrap_or(Subtiles::ALL);
-    let predicted = predict(Kind::Frame, &measured.recorded, counted);
+    let mut predicted = predict(Kind::Frame, &measured.recorded, counted);
+    if let Some(predicted) = &mut predicted {
+        predicted.add_pairs(&measured.recorded_pair);
+    }
     let (width, height) = (plan.camera.width, plan.camera.height);
     let numbers = json!({
         "scene": provenance::scene(name, scene),

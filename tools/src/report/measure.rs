@@ -7,7 +7,7 @@ use engine::error::Result;
 use engine::gpu::kernel::{Kernel, Workload};
 use engine::gpu::{Commands, Gpu, RecordedOperation, RecordedTask, Timing};
 use engine::render::copy_rate::copy_rate;
-use engine::render::{FrameStatistics, MemoryUse, RenderOptions, Renderer};
+use engine::render::{FrameId, FrameStatistics, MemoryUse, RenderOptions, Renderer};
 use engine::scene::{Camera, Scene};
 use serde::Serialize;
 
@@ -150,6 +150,9 @@ pub struct Measurement {
     /// What was recorded for a frame, for predictions.
     #[serde(skip)]
     pub recorded: Vec<Recorded>,
+    /// The same of a pair.
+    #[serde(skip)]
+    pub recorded_pair: Vec<Recorded>,
     /// Device memory, bytes.
     pub memory: MemoryUse,
     /// Model and buffers that grow with the Gaussians, per Gaussian.
@@ -178,7 +181,7 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
         tick();
     }
     let fps_pipelined = pipelined_fps(&mut renderer, plan, plan.times, plan.frames, tick)?;
-    let fps_side_by_side = side_by_side_fps(&mut renderer, plan, tick)?;
+    let (fps_side_by_side, pair) = side_by_side_fps(&mut renderer, plan, tick)?;
     let fps_paper_protocol = if plan.paper_protocol {
         Some(pipelined_fps(&mut renderer, plan, [0.0, 1.0], PAPER_FRAMES, tick)?)
     } else {
@@ -201,6 +204,9 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
         dispatches: commands.map_or(0, Commands::dispatches),
         barriers: commands.map_or(0, Commands::barriers),
         copy_gb_per_s,
+        recorded_pair: recorded(renderer.commands_of(pair).ok(), &workload, &|kernel, push| {
+            with_push(&workload, kernel, push)
+        }),
         recorded: recorded(commands, &workload, &|kernel, push| with_push(&workload, kernel, push)),
         workload: workload.0,
         statistics,
@@ -250,15 +256,14 @@ fn pipelined_fps(renderer: &mut Renderer, plan: &Plan, times: [f64; 2], frames: 
     Ok(f64::from(frames) / start.elapsed().as_secs_f64())
 }
 
-/// Rate of frames drawn in pairs.
-fn side_by_side_fps(renderer: &mut Renderer, plan: &Plan, tick: &dyn Fn()) -> Result<f64> {
+/// Rate of frames drawn in pairs, and one of them, the last submitted.
+fn side_by_side_fps(renderer: &mut Renderer, plan: &Plan, tick: &dyn Fn()) -> Result<(f64, FrameId)> {
     let pairs = plan.frames.div_ceil(2);
     let at = |i: u32| plan.time(i, 2 * pairs);
     // The first makes the buffers.
     let frames = renderer.submit_pair([(&plan.camera, at(0)), (&plan.camera, at(1))])?;
-    for frame in frames {
-        renderer.finish(frame)?;
-    }
+    finish_pair(renderer, frames, &|| ())?;
+    let mut last = frames[1];
     let mut pending = std::collections::VecDeque::new();
     let start = Instant::now();
     for i in 0..pairs {
@@ -267,16 +272,18 @@ fn side_by_side_fps(renderer: &mut Renderer, plan: &Plan, tick: &dyn Fn()) -> Re
         {
             finish_pair(renderer, frames, tick)?;
         }
-        pending.push_back(renderer.submit_pair([(&plan.camera, at(2 * i)), (&plan.camera, at(2 * i + 1))])?);
+        let frames = renderer.submit_pair([(&plan.camera, at(2 * i)), (&plan.camera, at(2 * i + 1))])?;
+        last = frames[1];
+        pending.push_back(frames);
     }
     for frames in pending {
         finish_pair(renderer, frames, tick)?;
     }
-    Ok(f64::from(2 * pairs) / start.elapsed().as_secs_f64())
+    Ok((f64::from(2 * pairs) / start.elapsed().as_secs_f64(), last))
 }
 
 /// Waits for both; all buffers have room since the frames that were drawn alone.
-fn finish_pair(renderer: &mut Renderer, frames: [engine::render::FrameId; 2], tick: &dyn Fn()) -> Result<()> {
+fn finish_pair(renderer: &mut Renderer, frames: [FrameId; 2], tick: &dyn Fn()) -> Result<()> {
     for frame in frames {
         renderer.finish(frame)?;
         tick();
@@ -285,13 +292,7 @@ fn finish_pair(renderer: &mut Renderer, frames: [engine::render::FrameId; 2], ti
 }
 
 /// Waits for a frame; one that outgrew its buffers is drawn again.
-fn complete(
-    renderer: &mut Renderer,
-    plan: &Plan,
-    frame: engine::render::FrameId,
-    time: f64,
-    tick: &dyn Fn(),
-) -> Result<()> {
+fn complete(renderer: &mut Renderer, plan: &Plan, frame: FrameId, time: f64, tick: &dyn Fn()) -> Result<()> {
     if renderer.finish(frame)?.is_none() {
         renderer.draw(&plan.camera, time)?;
     }

@@ -56,6 +56,8 @@ pub(crate) struct OnGpu {
     pub(crate) one_at_a_time_ms: f64,
     /// Of frames or steps in flight, per second.
     pub(crate) per_second: f64,
+    /// Of frames drawn in pairs side by side, per second, where a pair was recorded.
+    pub(crate) side_by_side_per_second: Option<f64>,
     /// The goal, if there is one for it.
     pub(crate) goal: Option<Goal>,
     /// Dispatches and transfers in order.
@@ -96,6 +98,15 @@ impl Predicted {
     pub(crate) fn beside(&self, device: &str) -> Option<(&OnGpu, bool)> {
         let own = Profile::of_device(device).and_then(|p| self.gpus.iter().find(|g| g.gpu == p.name));
         own.map(|gpu| (gpu, true)).or_else(|| Some((self.gpus.first()?, false)))
+    }
+
+    /// Adds what this recording of two frames would take.
+    pub(crate) fn add_pairs(&mut self, recorded: &[Recorded]) {
+        for gpu in self.gpus.iter_mut().filter(|_| !recorded.is_empty()) {
+            let profile = PROFILES.iter().find(|p| p.name == gpu.gpu);
+            let pair = profile.map(|p| on_gpu(self.of, p, recorded, self.subtiles, false));
+            gpu.side_by_side_per_second = pair.map(|pair| 2.0 * pair.per_second);
+        }
     }
 }
 
@@ -146,6 +157,7 @@ fn on_gpu(of: Kind, profile: &'static Profile, recorded: &[Recorded], subtiles: 
         device_ms: device_us / 1e3,
         one_at_a_time_ms: one_at_a_time_us / 1e3,
         per_second,
+        side_by_side_per_second: None,
         goal,
         operations: demands.into_iter().zip(costs).map(|(demand, cost)| Operation { demand, cost }).collect(),
         data_sheet: profile.sheet,
