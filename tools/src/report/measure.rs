@@ -181,6 +181,8 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
         tick();
     }
     let fps_pipelined = pipelined_fps(&mut renderer, plan, plan.times, plan.frames, tick)?;
+    // Of frames alone: pairs need more.
+    let memory = renderer.memory();
     let (fps_side_by_side, pair) = side_by_side_fps(&mut renderer, plan, tick)?;
     let fps_paper_protocol = if plan.paper_protocol {
         Some(pipelined_fps(&mut renderer, plan, [0.0, 1.0], PAPER_FRAMES, tick)?)
@@ -188,7 +190,6 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
         None
     };
     let frame_ms = Quantiles::of(frame_ms);
-    let memory = renderer.memory();
     let count = scene.gaussians.len().max(1) as f64;
     let (commands, workload) = (renderer.commands(), renderer.workload(&statistics));
     Ok(Measurement {
