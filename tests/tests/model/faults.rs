@@ -47,7 +47,8 @@ fn without_each_barrier(case: &proof::KernelCase, lanes: u32) -> Vec<Option<Stri
 fn sort_case() -> proof::KernelCase {
     let n = 5000_u32;
     let keys: Vec<u32> = (0..n).map(|i| i.wrapping_mul(2_654_435_761) >> 3).collect();
-    let plan = SortPlan::new(n, 32).unwrap();
+    // Staged, so that it comes by all of its barriers.
+    let plan = SortPlan { staged: true, ..SortPlan::new(n, 32).unwrap() };
     let counters = vec![0, 0, n, 0, 0, 0, 0, 0];
     let rows = plan.histogram_rows() as usize * 256;
     let buffers = SortHistogramBuffers { counters: counters.clone(), keys: keys.clone(), histogram: vec![0; rows] };
@@ -80,9 +81,9 @@ fn a_barrier_that_the_sort_lacks_is_found() {
     for lanes in [32, 64, 128] {
         let found = without_each_barrier(&sort_case(), lanes);
         println!("{lanes} lanes: {found:#?}");
-        // The first of workgroup_exclusive_add only matters for a second call, of which there is none.
+        // The first of workgroup_exclusive_add matters where nothing else stands between two calls; there are two calls, far apart.
         let missed: Vec<usize> = (0..found.len()).filter(|&i| found[i].is_none()).collect();
-        assert!(found.len() >= 5 && missed.len() <= 1, "{lanes} lanes: barriers {missed:?} are not missed");
+        assert!(found.len() >= 14 && missed.len() <= 2, "{lanes} lanes: barriers {missed:?} are not missed");
         assert!(found.iter().flatten().any(|e| e.contains("race on `rank_rows`")));
         assert!(found.iter().flatten().any(|e| e.contains("`scan_totals`")));
     }
