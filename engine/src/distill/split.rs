@@ -56,7 +56,7 @@ fn halves(tracks: &Tracks, part: &Part) -> [Part; 2] {
     for _ in 0..ROUNDS {
         let mut better = |i: usize| {
             let (_, a) = tracks.in_frame(i, &pair[0].frames, f64::INFINITY, &mut work);
-            let (_, b) = tracks.in_frame(i, &pair[1].frames, a, &mut work);
+            let (_, b) = tracks.in_frame(i, &pair[1].frames, f64::INFINITY, &mut work);
             a <= b
         };
         let nearer: Vec<bool> = part.members.iter().map(|&i| better(i)).collect();

@@ -5,9 +5,6 @@ use rayon::prelude::*;
 
 use super::rigid::Frame;
 
-/// Times that are looked at first.
-const FEW_TIMES: usize = 6;
-
 /// A Gaussian's probes at a time: its centre, and two standard deviations along its two longest axes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Point {
@@ -71,57 +68,27 @@ impl Tracks {
     /// pixels; infinite as soon as that is known to be above `enough`.
     pub(super) fn in_frame(&self, i: usize, frames: &[Frame], enough: f64, work: &mut Vec<Rest>) -> (Rest, f64) {
         let points = self.of(i);
-        // A few of the times tell mostly.
-        let mut few = Range::EMPTY;
-        for (p, frame) in points.iter().zip(frames).step_by(self.times.div_ceil(FEW_TIMES).max(1)) {
-            few.add(frame.back(p.center.as_dvec3()), p.reach);
-        }
-        if few.least_distance() > enough {
-            return (Rest::default(), f64::INFINITY);
-        }
         work.clear();
-        let mut range = Range::EMPTY;
+        let (mut low, mut high, mut least) = (DVec3::INFINITY, DVec3::NEG_INFINITY, f64::INFINITY);
         for (p, frame) in points.iter().zip(frames) {
+            let center = frame.back(p.center.as_dvec3());
             let back = frame.turn.transpose();
-            let center = back * (p.center.as_dvec3() - frame.shift);
-            let [a, b] = p.axes;
-            work.push(Rest { center, axes: [back * a.as_dvec3(), back * b.as_dvec3()] });
-            range.add(center, p.reach);
-        }
-        if range.least_distance() > enough {
-            return (Rest::default(), f64::INFINITY);
+            work.push(Rest { center, axes: p.axes.map(|a| back * a.as_dvec3()) });
+            (low, high, least) = (low.min(center), high.max(center), least.min(f64::from(p.reach)));
+            if 0.5 * (high - low).max_element() * least > enough {
+                return (Rest::default(), f64::INFINITY);
+            }
         }
         // The middle of its range is nearly the point with the smallest largest distance.
-        let rest = Rest { center: 0.5 * (range.low + range.high), axes: mean_axes(work) };
+        let rest = Rest { center: 0.5 * (low + high), axes: mean_axes(work) };
         let mut worst: f64 = 0.0;
         for (now, p) in work.iter().zip(points) {
             let off = now.center - rest.center;
-            let [a, b] = [0, 1].map(|k| (off + now.axes[k] - rest.axes[k]).length_squared());
-            let reach = f64::from(p.reach);
-            worst = worst.max(off.length_squared().max(a).max(b) * (reach * reach));
+            let ends = now.axes.iter().zip(&rest.axes).map(|(now, rest)| (off + *now - *rest).length_squared());
+            let largest = ends.fold(off.length_squared(), f64::max);
+            worst = worst.max(largest.sqrt() * f64::from(p.reach));
         }
-        (rest, worst.sqrt())
-    }
-}
-
-/// What the centres of a Gaussian in a frame lie within.
-struct Range {
-    low: DVec3,
-    high: DVec3,
-    /// Fewest pixels per world unit.
-    reach: f32,
-}
-
-impl Range {
-    const EMPTY: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY, reach: f32::INFINITY };
-
-    fn add(&mut self, center: DVec3, reach: f32) {
-        (self.low, self.high, self.reach) = (self.low.min(center), self.high.max(center), self.reach.min(reach));
-    }
-
-    /// How far one of them is, at least, from wherever the Gaussian rests, pixels: two are a range apart.
-    fn least_distance(&self) -> f64 {
-        0.5 * (self.high - self.low).max_element() * f64::from(self.reach)
+        (rest, worst)
     }
 }
 

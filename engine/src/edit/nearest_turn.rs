@@ -42,8 +42,8 @@ fn largest_eigenvector(mut a: [[f64; 4]; 4]) -> [f64; 4] {
                     continue;
                 }
                 let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
-                let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
-                let cosine = (t * t + 1.0).sqrt().recip();
+                let t = theta.signum() / (theta.abs() + theta.hypot(1.0));
+                let cosine = t.hypot(1.0).recip();
                 turn(&mut a, &mut v, [p, q], cosine, t * cosine);
             }
         }

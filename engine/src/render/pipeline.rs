@@ -86,6 +86,7 @@ pub(super) fn record(
     shape: &Shape,
     profile: bool,
 ) -> Result<Commands> {
+    // No kernel has a choice of level, so that their costs decide nothing.
     let mut r = gpu.recorder("frame").with_timestamps(profile).with_overlap(|_| Cost { time: 1, share: 100 });
     for (work, frame) in frames {
         record_forward(gpu, &mut r, scene, work, frame, shape)?;

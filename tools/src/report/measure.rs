@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use engine::error::Result;
+use engine::error::{Error, Result};
 use engine::gpu::kernel::{Kernel, Workload};
 use engine::gpu::{Commands, Gpu, RecordedOperation, RecordedTask, Timing};
 use engine::render::copy_rate::copy_rate;
@@ -129,8 +129,8 @@ pub struct Measurement {
     pub fps: f64,
     /// Frames per second with several frames in flight.
     pub fps_pipelined: f64,
-    /// Frames per second in pairs drawn side by side, as many pairs in flight.
-    pub fps_side_by_side: f64,
+    /// Frames per second in pairs drawn side by side, as many pairs in flight; absent where their buffers do not fit.
+    pub fps_side_by_side: Option<f64>,
     /// Frames per second by the paper's protocol: this view, 1000 frames, t from 0 to 1, frames in flight.
     pub fps_paper_protocol: Option<f64>,
     /// Frames in flight.
@@ -183,7 +183,10 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
     let fps_pipelined = pipelined_fps(&mut renderer, plan, plan.times, plan.frames, tick)?;
     // Of frames alone: pairs need more.
     let memory = renderer.memory();
-    let (fps_side_by_side, pair) = side_by_side_fps(&mut renderer, plan, tick)?;
+    let (fps_side_by_side, pair) = match side_by_side_fps(&mut renderer, plan, tick) {
+        Err(Error::OutOfMemory { .. } | Error::Limit { .. }) => (None, None),
+        found => found.map(|(fps, pair)| (Some(fps), Some(pair)))?,
+    };
     let fps_paper_protocol = if plan.paper_protocol {
         Some(pipelined_fps(&mut renderer, plan, [0.0, 1.0], PAPER_FRAMES, tick)?)
     } else {
@@ -205,7 +208,7 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
         dispatches: commands.map_or(0, Commands::dispatches),
         barriers: commands.map_or(0, Commands::barriers),
         copy_gb_per_s,
-        recorded_pair: recorded(renderer.commands_of(pair).ok(), &workload, &|kernel, push| {
+        recorded_pair: recorded(pair.and_then(|pair| renderer.commands_of(pair).ok()), &workload, &|kernel, push| {
             with_push(&workload, kernel, push)
         }),
         recorded: recorded(commands, &workload, &|kernel, push| with_push(&workload, kernel, push)),
@@ -260,7 +263,8 @@ fn pipelined_fps(renderer: &mut Renderer, plan: &Plan, times: [f64; 2], frames: 
 /// Rate of frames drawn in pairs, and one of them, the last submitted.
 fn side_by_side_fps(renderer: &mut Renderer, plan: &Plan, tick: &dyn Fn()) -> Result<(f64, FrameId)> {
     let pairs = plan.frames.div_ceil(2);
-    let at = |i: u32| plan.time(i, 2 * pairs);
+    // The times of the frames that were drawn alone: there is room for them.
+    let at = |i: u32| plan.time(i.min(plan.frames.saturating_sub(1)), plan.frames);
     // The first makes the buffers.
     let frames = renderer.submit_pair([(&plan.camera, at(0)), (&plan.camera, at(1))])?;
     finish_pair(renderer, frames, &|| ())?;
@@ -283,7 +287,7 @@ fn side_by_side_fps(renderer: &mut Renderer, plan: &Plan, tick: &dyn Fn()) -> Re
     Ok((f64::from(2 * pairs) / start.elapsed().as_secs_f64(), last))
 }
 
-/// Waits for both; all buffers have room since the frames that were drawn alone.
+/// Waits for both.
 fn finish_pair(renderer: &mut Renderer, frames: [FrameId; 2], tick: &dyn Fn()) -> Result<()> {
     for frame in frames {
         renderer.finish(frame)?;

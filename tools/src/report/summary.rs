@@ -49,11 +49,8 @@ pub fn text(m: &Measurement) -> String {
 }
 
 fn rates(m: &Measurement) -> String {
-    let (one, several, pairs) = (m.fps, m.fps_pipelined, m.fps_side_by_side);
-    format!(
-        "{one:.1} one at a time, {several:.1} with {} in flight, {pairs:.1} in pairs side by side",
-        m.frames_in_flight
-    )
+    let pairs = m.fps_side_by_side.map_or(String::new(), |fps| format!(", {fps:.1} in pairs side by side"));
+    format!("{:.1} one at a time, {:.1} with {} in flight{pairs}", m.fps, m.fps_pipelined, m.frames_in_flight)
 }
 
 /// Bytes of a MiB.

@@ -117,10 +117,10 @@ fn outcome(gpu: &Gpu, mut found: Found, reduced: Vec<String>) -> Outcome {
     };
     let device = gpu.info().name.clone();
     let mut figures = figures(found.predicted.as_ref(), Kind::Frame, &device, measured);
-    if let Some(in_flight) = figures.first().cloned() {
+    if let Some((fps, in_flight)) = m.fps_side_by_side.zip(figures.first().cloned()) {
         let what = "frames in pairs side by side".into();
         let predicted = found.predicted.as_ref().and_then(|p| p.beside(&device)?.0.side_by_side_per_second);
-        figures.push(Figure { what, measured: Some(m.fps_side_by_side), predicted, ..in_flight });
+        figures.push(Figure { what, measured: Some(fps), predicted, ..in_flight });
     }
     if let Some((fps, in_flight)) = m.fps_paper_protocol.zip(figures.first().cloned()) {
         let what = "frames in flight, the paper's protocol".into();
