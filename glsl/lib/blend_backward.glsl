@@ -1,4 +1,4 @@
-// Backward of `blend`: from the gradient of the image to the ten sums per splat from which `deform_project_backward` goes
+// Backward of `blend`: from the gradient of the image to the twelve sums per splat from which `deform_project_backward` goes
 // on. Included by blend_backward.comp and blend_backward_native.comp, which define `add_to_row`.
 //
 // The forward pass is replayed front to back with its own arithmetic (lib/blend.glsl), so that exactly its contributions are
@@ -12,8 +12,8 @@
 //
 // One subgroup owns SUBTILES subtiles of a segment (shapes as in blend.comp). The splats of the segment come in batches of
 // SUBGROUP_SIZE, one per lane; for each subtile the splats that reach it are replayed in order, each lane summing over its
-// own pixels. The ten sums of all lanes are added by a butterfly that halves the number of values per lane at each step (12
-// shuffles at 32 lanes, not 50), and the total joins the row of the splat:
+// own pixels. The sums of all lanes are added by a butterfly that halves the number of values per lane at each step (13
+// shuffles at 32 lanes, not 60), and the total joins the row of the splat:
 //   STAGE 0: rows in registers, one lane per splat, parameters and totals by subgroupShuffle (lavapipe, AMD);
 //   STAGE 1: rows and parameters in the subgroup's slice of shared memory.
 // A row leaves the subgroup once per batch: ACCUMULATE 0 stores it as the row of its instance (nobody else writes it, so
@@ -47,9 +47,11 @@ layout(std430, set = 0, binding = 6) readonly buffer ImageGradientBlock { vec4 i
 // Binding 7 is where the rows go.
 layout(std430, set = 0, binding = 8) readonly buffer StatesBlock { vec4 states[]; };
 
-const uint ROW = 12u;               // words of a row; the last two stay 0
-const uint SUMS = 10u;              // h, hu, hv, huu, huv, hvv, red, green, blue, pixels
+const uint ROW = 12u;               // words of a row
+const uint SUMS = 12u;              // h, hu, hv, huu, huv, hvv, red, green, blue, pixels, |by x|, |by y|
 const uint SUM_PIXELS = 9u;
+const uint SUM_BY_X = 10u;          // of h times the derivative of ln alpha by the centre / (2 ln 2), without its sign
+const uint SUM_BY_Y = 11u;
 const float FAR_VALUE = 1e12;       // gradients and colours past this count as 0: products must stay finite
 const float FAR_PRODUCT = 1e24;
 
@@ -85,10 +87,10 @@ vec4 pixel_gradient[64];
 vec4 own_first;
 vec4 own_second;
 vec3 own_colour;
-float own[10];
+float own[12];
 
 // Sums of one splat: over the lane's pixels, then over the subgroup.
-float sums[10];
+float sums[12];
 
 // By bits, so that NaN is not below anything.
 bool below(float x, float limit) {
@@ -153,12 +155,15 @@ void replay(uint s, vec4 first, vec4 second, vec3 colour, vec2 corner, vec2 pixe
         sums[3] += hu * u;
         sums[4] += hu * v;
         sums[5] += hv * v;
+        sums[SUM_BY_X] += abs(hu);
+        sums[SUM_BY_Y] += abs(hu * first.w + hv * second.x);
         sums[6] += weight * g.x;
         sums[7] += weight * g.y;
         sums[8] += weight * g.z;
         pixels += alpha > 0.0 ? 1u : 0u;
     }
     sums[SUM_PIXELS] = float(pixels);
+    sums[SUM_BY_X] *= abs(first.z);
 }
 
 // Of two values, one is kept and summed over the pair of lanes, the other given away: the odd lane keeps the second.
@@ -175,13 +180,13 @@ float butterfly(float value, uint mask) {
 // following columns: 4 lanes: sums[0..2] are columns l, 4 + l, 8 + l; 8 lanes: sums[0..1] are l, 8 + l; more: sums[0].
 void reduce() {
     uint size = SUBGROUP_SIZE;
-    float a[5];
-    [[unroll]] for (uint i = 0u; i < 5u; i++) {
+    float a[6];
+    [[unroll]] for (uint i = 0u; i < 6u; i++) {
         a[i] = exchange(sums[2u * i], sums[2u * i + 1u], 1u);
     }
     sums[0] = exchange(a[0], a[1], 2u);
     sums[1] = exchange(a[2], a[3], 2u);
-    sums[2] = butterfly(a[4], 2u);
+    sums[2] = exchange(a[4], a[5], 2u);
     if (size >= 8u) {
         sums[0] = exchange(sums[0], sums[1], 4u);
         sums[1] = butterfly(sums[2], 4u);

@@ -24,7 +24,7 @@ struct Step {
     float weight_translation;
     float time;               // given to the networks, with noise
     float exact_time;
-    float density_statistics; // kept: 1, not: 0
+    float density_statistics; // 0: not kept, 1: of gradients, 2: of absolute gradients
     float beta_1;             // Adam's constants
     float beta_2;
     float epsilon;

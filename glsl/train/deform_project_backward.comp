@@ -269,8 +269,10 @@ Gradient geometry_backward(uint g, uint n, vec3 canonical, vec3 d, vec4 turn, Sh
     uint antialiased = ANTIALIASED;
     float area = antialiased == 1u ? splat_gradient[row] : 0.0;
     FootprintGradient f = footprint_backward(footprint, column_0, column_1, column_2, tangent, focal, h1, h2, area);
-    if (step_data.density_statistics > 0.0) {
-        gather_statistics(g, n, f.mean2d, footprint_radius(footprint));
+    float statistics = step_data.density_statistics;
+    if (statistics > 0.0) {
+        vec2 absolute = TWO_LN_2 * vec2(splat_gradient[row + 10u], splat_gradient[row + 11u]);
+        gather_statistics(g, n, statistics > 1.0 ? absolute : f.mean2d, footprint_radius(footprint));
     }
 
     // A clamped tangent is constant, but J still depends on 1/z.

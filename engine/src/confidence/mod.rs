@@ -10,10 +10,11 @@
 //! end, a few large errors decide: held-out images of `bending_creature`, 400×400 pixels, then had a rank correlation of −0.34
 //! with the true errors, with plain ones 0.88.)
 
-mod evidence;
+mod expected;
 mod file;
 mod rank;
 
 pub use crate::train::contribution::Contributions;
-pub use evidence::{Confidence, Evidence, ExpectedErrors, PRIOR_ERROR, PRIOR_PIXELS};
+pub use crate::train::evidence::{Evidence, PRIOR_ERROR, PRIOR_PIXELS};
+pub use expected::{Confidence, ExpectedErrors};
 pub use rank::{correlation, rank_correlation};

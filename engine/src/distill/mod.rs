@@ -49,7 +49,7 @@ use crate::train::bake::Views;
 use divide::{adopt, at_rest, divide};
 pub use measure::{Spread, adjusted_rand};
 use parts::Parts;
-pub use refit::{CAMERAS, Refitted, refit, spread};
+pub use refit::{CAMERAS, OfPhotos, Refitted, refit, spread};
 pub use report::{Report, SizeChange};
 use rigid::Frame;
 use sample::{Moment, Sampler, Samples};

@@ -32,6 +32,15 @@ pub struct Refitted {
     pub exposures: Option<Vec<f32>>,
 }
 
+/// What a run found of each of its photos.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct OfPhotos {
+    /// `[photos][40]` exposures ([`exposure`](crate::train::exposure)), where there are some.
+    pub exposures: Option<Vec<f32>>,
+    /// Pixels that are left out ([`transients`](crate::train::transients)), where some may be.
+    pub transients: Option<Vec<u32>>,
+}
+
 /// So many of all, in equal steps; all where there are fewer.
 pub fn spread<T>(all: &[T], count: usize) -> impl Iterator<Item = &T> {
     let count = count.min(all.len());
@@ -51,7 +60,7 @@ fn views(photos: &[View], config: &Config) -> Views<Camera> {
 }
 
 /// Fits and trains a run's exported model for the steps that `config`, scaled, leaves to this; `None` where nothing moves by
-/// superpoints alone. `exposures`: what the run left of them. `tick` hears of the fit, `watch` of every step.
+/// superpoints alone. `of_photos`: what the run left of it. `tick` hears of the fit, `watch` of every step.
 ///
 /// # Errors
 /// Those of [`distill`](super::distill) and [`tune`].
@@ -60,7 +69,7 @@ pub fn refit(
     scene: &Scene,
     photos: &[View],
     config: &Config,
-    exposures: Option<Vec<f32>>,
+    OfPhotos { exposures, transients }: OfPhotos,
     tick: &mut Tick<'_>,
     watch: &mut dyn FnMut(&StepReport),
 ) -> Result<Option<Refitted>> {
@@ -74,8 +83,8 @@ pub fn refit(
     let fitted = parts(scene, &views, bound_px(photos, config), most, tick)?;
     let student = fitted.as_ref().map_or(scene, |f| &f.scene);
     let mut none = |_: &Camera| Err(Error::usage("refit", "an image of the teacher", "photos alone"));
-    let lessons =
-        Lessons { photos: photos.to_vec(), cameras: Vec::new(), times: scene.time_range(), draw: &mut none, exposures };
+    let (photos, cameras, times) = (photos.to_vec(), Vec::new(), scene.time_range());
+    let lessons = Lessons { photos, cameras, times, draw: &mut none, exposures, transients };
     let (seed, background, near) = (config.seed, config.background, config.near);
     let how = TuneOptions { iterations, seed, background, near, rate_px: None, deterministic: config.deterministic };
     let tuned = tune(gpu, student, &views, lessons, &how, watch)?;

@@ -19,6 +19,7 @@ use crate::train::exposure::{EXPOSURE_WORDS, identities};
 use crate::train::rng;
 use crate::train::sampler::ViewSampler;
 use crate::train::trainer::{StepReport, Trainer, TrainingData};
+use crate::train::transients::Transients;
 
 /// Most images of the teacher that are trained on.
 const TEACHER_VIEWS: u64 = 256;
@@ -53,6 +54,8 @@ pub struct Lessons<'a> {
     pub draw: &'a mut Draw<'a>,
     /// `[photos][40]` exposures that training found ([`exposure`](crate::train::exposure)); `None`: photos are taken as they are.
     pub exposures: Option<Vec<f32>>,
+    /// What training left out of the photos ([`transients`](crate::train::transients)); `None`: photos are believed.
+    pub transients: Option<Vec<u32>>,
 }
 
 /// How it learns.
@@ -97,7 +100,7 @@ pub fn tune(
     options: &TuneOptions,
     watch: &mut dyn FnMut(&StepReport),
 ) -> Result<Tuned> {
-    let Lessons { photos, cameras, times, draw, exposures } = lessons;
+    let Lessons { photos, cameras, times, draw, exposures, transients } = lessons;
     if options.iterations == 0 || (photos.is_empty() && cameras.is_empty()) {
         let found = format!("{} steps, {} photos, {} cameras", options.iterations, photos.len(), cameras.len());
         return Err(Error::usage("fine-tuning", found, "steps, and photos or cameras"));
@@ -118,6 +121,10 @@ pub fn tune(
     if let Some(mut rows) = exposures {
         rows.extend(identities(drawn as usize));
         trainer.set_exposures(&rows)?;
+    }
+    if let Some(mut words) = transients {
+        words.extend(Transients::none(drawn as usize).words());
+        trainer.set_transients(&words)?;
     }
     let mut order = Order::new(options.seed, photo_count, drawn as usize);
     let mut losses = Vec::with_capacity(options.iterations as usize);

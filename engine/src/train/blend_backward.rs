@@ -10,7 +10,7 @@
 //! | 3, 4, 5 | h u², h u v, h v² |
 //! | 6, 7, 8 | ∂L/∂(r, g, b) of the splat's colour |
 //! | 9 | pixels that it is drawn in |
-//! | 10, 11 | 0 |
+//! | 10, 11 | \|h u l11\|, \|h (u l12 + v l22)\|: times 2 ln 2 what each pixel moves the centre by, without its sign (Ye et al. 2024, AbsGS) |
 //!
 //! The forward pass is replayed front to back with its own arithmetic (`glsl/lib/blend.glsl`), so that exactly the
 //! contributions that made the image are seen. With q = g·c + g_A, ∂L/∂αᵢ = Tᵢ qᵢ − Rᵢ/(1 − αᵢ), where R is what the splats
@@ -38,7 +38,7 @@
 //! The last one, which writes a splat's row without any reduction, lost by a factor of 2.3 and was dropped: each pixel's
 //! state (T, R, four gradients) has to be shifted and fed by 14 shuffles per step, size − 1 of 64 + size − 1 steps per subtile
 //! fill or drain the pipeline, and lanes whose splat misses the subtile idle. What made it attractive elsewhere is the price
-//! of ten full reductions (50 shuffles at 32 lanes); the halving butterfly needs 12, and hands each total to one lane.
+//! of full reductions (five shuffles for each of the sums at 32 lanes); the halving butterfly needs 13 for all, and hands each total to one lane.
 //!
 //! Rows per instance are both deterministic and fastest here: the row of a splat is summed over the whole tile in registers
 //! and stored once. On a GPU they cost 144 B of traffic per instance (fill, store, load) and ask for one subgroup per tile,
@@ -73,7 +73,7 @@ pub const ROW_WORDS: u32 = 12;
 /// vec4 parts of a row: threads of `sum_instance_gradients` per Gaussian.
 const ROW_PARTS: u64 = ROW_WORDS as u64 / 4;
 /// Words of a row that are sums.
-pub const SUMS: usize = 10;
+pub const SUMS: usize = 12;
 /// Gradients and colours from here on count as 0.
 pub const FAR_VALUE: f32 = 1e12;
 /// The same for their product summed over a pixel.

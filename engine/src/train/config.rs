@@ -173,6 +173,11 @@ pub struct LossConfig {
     pub lambda_rotation: f32,
     /// λ of the translation property. Paper: 1; code: 100. Default 100.
     pub lambda_translation: f32,
+    /// Pixels of a photo whose error is more than this many times what its Gaussians leave in all photos take no part
+    /// ([`transients`](super::transients)); 0: all do (paper and code).
+    pub transients: f32,
+    /// Photos are looked at for such pixels after so many iterations, after twice as many, four times as many, and so on.
+    pub transients_from: u64,
     /// λ that holds a photo's exposure to none ([`exposure`](super::exposure)).
     pub lambda_exposure: f32,
 }
@@ -275,6 +280,9 @@ pub struct DensityConfig {
     pub prune_interval: u64,
     /// Mean screen-space gradient above which a Gaussian grows, NDC units (2e-4).
     pub gradient_threshold: f32,
+    /// Whether that gradient is the sum of what each pixel wants, without its sign (Ye et al. 2024, AbsGS): pixels that pull
+    /// a large Gaussian to opposite sides do not cancel. Paper and code: no.
+    pub absolute_gradient: bool,
     /// Gaussians of at most this share of the scene's extent are cloned, larger ones split (0.01).
     pub clone_extent: f32,
     /// Opacity below which a Gaussian goes (0.005).
@@ -382,6 +390,7 @@ impl Config {
         }
         for (key, value, low, high) in [
             ("loss.lambda_dssim", f64::from(self.loss.lambda_dssim), 0.0, 1.0),
+            ("loss.transients", f64::from(self.loss.transients), 0.0, 1e6),
             ("loss.lambda_position", f64::from(self.loss.lambda_position), 0.0, 1e6),
             ("loss.lambda_rotation", f64::from(self.loss.lambda_rotation), 0.0, 1e6),
             ("loss.lambda_translation", f64::from(self.loss.lambda_translation), 0.0, 1e6),
@@ -449,6 +458,7 @@ impl Config {
                 &mut c.schedule.time_window,
                 &mut c.schedule.sh_degree_interval,
                 &mut c.schedule.time_noise_iterations,
+                &mut c.loss.transients_from,
                 &mut c.motion.network_mean,
                 &mut c.refit.iterations,
                 &mut c.density.from,

@@ -1,6 +1,6 @@
 //! Adaptive density control on the device (Kerbl et al. 2023, section 5.2): prune, clone, split, and the opacity reset.
 //!
-//! Per Gaussian, with g = Σ ‖dL/d(screen position)‖ / views that saw it (0 when none did or it is not finite):
+//! Per Gaussian, with g = Σ ‖dL/d(screen position)‖ / views that saw it, or of Σ|dL/dx|, Σ|dL/dy| over pixels (0 when none did or it is not finite):
 //!
 //! - **prune**: opacity below the limit (parameters that are not finite count as such), in every case;
 //! - **clone**: g ≥ threshold and largest scale ≤ `percent_dense`·extent; the copy has the same parameters;

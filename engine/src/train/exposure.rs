@@ -12,6 +12,7 @@ pub mod learn_exposure;
 mod state;
 
 use crate::gpu::kernel::Kernel;
+use crate::image::Image;
 
 pub use state::identities;
 pub(in crate::train) use state::{ExposureInputs, ExposurePass, ExposureState};
@@ -37,6 +38,16 @@ pub const EXPOSURE_PIXELS: u32 = 2048;
 /// Adam's decays: a photo is seen in few of the steps.
 const BETA: [f32; 2] = [0.9, 0.99];
 const EPSILON: f32 = 1e-12;
+
+/// Maps an image's colours as a photo's row of numbers says.
+pub(in crate::train) fn exposed_image(row: &[f32], image: &mut Image) {
+    for pixel in image.rgba.as_chunks_mut::<4>().0 {
+        let [r, g, b, _] = *pixel;
+        for (value, map) in pixel.iter_mut().zip(row[..EXPOSURE_VALUES].as_chunks::<4>().0) {
+            *value = map[0] * r + map[1] * g + map[2] * b + map[3];
+        }
+    }
+}
 
 /// Three rows of four of a photo's row of words.
 fn matrix(words: &[u32], photo: u32) -> [[f32; 4]; 3] {

@@ -19,7 +19,7 @@
 //! bits as with one step at a time ([`trainer::flight`]). Nothing is applied when the view needs more tile instances than there is room for, and
 //! nothing of the steps behind it; they are repeated in order with larger buffers. Photos stay on the device where they fit
 //! (`photos`). Nothing that is not finite is ever applied (`status`). What happens when is [`schedule`]; every number of it
-//! is [`config`]; `adapt` is density control, `unseen` removes what no photo shows, [`checkpoint`] is what a run goes on from,
+//! is [`config`]; `adapt` is density control, `unseen` removes what no photo shows, [`transients`] leaves out what one photo alone shows, [`checkpoint`] is what a run goes on from,
 //! [`export`] and [`bake`] what is played.
 
 #[doc(hidden)]
@@ -43,6 +43,8 @@ mod deformation;
 #[doc(hidden)]
 pub mod density;
 pub mod evaluate;
+#[doc(hidden)]
+pub mod evidence;
 pub mod export;
 #[doc(hidden)]
 pub mod exposure;
@@ -82,6 +84,7 @@ pub mod step;
 mod target;
 mod time_window;
 pub mod trainer;
+pub mod transients;
 mod unseen;
 pub mod usage;
 mod widen;

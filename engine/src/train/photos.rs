@@ -119,6 +119,11 @@ impl Photos {
         self.plan.own[view].is_some()
     }
 
+    /// All photos are uploaded again before they are used.
+    pub(super) fn forget(&mut self) {
+        self.filled.fill(false);
+    }
+
     /// Share of a photo's pixels that its mask does not leave out; 1 of one that was not uploaded.
     pub(super) fn share(&self, view: usize) -> f64 {
         self.share[view]

@@ -117,6 +117,15 @@ impl Schedule {
         self.config.density.enabled && iteration <= self.density_until()
     }
 
+    /// [`Step::density_statistics`].
+    fn statistics(&self, iteration: u64) -> f32 {
+        match (self.density_statistics(iteration), self.config.density.absolute_gradient) {
+            (false, _) => 0.0,
+            (true, false) => 1.0,
+            (true, true) => 2.0,
+        }
+    }
+
     /// Whether Gaussians grow after `iteration`.
     pub fn grows(&self, iteration: u64) -> bool {
         let d = &self.config.density;
@@ -146,6 +155,13 @@ impl Schedule {
     pub fn prunes_large(&self, iteration: u64) -> bool {
         let interval = self.config.density.opacity_reset_interval;
         interval > 0 && iteration > interval
+    }
+
+    /// Whether photos are looked at for transients after `iteration`.
+    pub fn marks_transients(&self, iteration: u64) -> bool {
+        let (factor, from) = (self.config.loss.transients, self.config.loss.transients_from);
+        let times = if from > 0 && iteration.is_multiple_of(from) { iteration / from } else { 0 };
+        factor > 0.0 && times.is_power_of_two()
     }
 
     /// Whether opacities are reset after `iteration`.
@@ -208,7 +224,7 @@ impl Schedule {
             weight_translation: c.loss.lambda_translation,
             time: time[0] as f32,
             exact_time: time[1] as f32,
-            density_statistics: f32::from(u8::from(self.density_statistics(iteration))),
+            density_statistics: self.statistics(iteration),
             beta_1: c.adam.beta_1 as f32,
             beta_2: c.adam.beta_2 as f32,
             epsilon: c.adam.epsilon as f32,

@@ -43,7 +43,7 @@ crate::gpu_struct! {
         pub time: f32,
         /// Time of the image.
         pub exact_time: f32,
-        /// Whether density statistics are kept, 1 or 0.
+        /// Density statistics: 0 not kept, 1 of gradients by the centre, 2 of absolute ones.
         pub density_statistics: f32,
         /// Adam's decay of the first moment.
         pub beta_1: f32,

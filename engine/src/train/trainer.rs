@@ -23,6 +23,7 @@ use super::status;
 use super::step::Step;
 use super::target::{Target, TargetSize};
 use super::time_window::TimeWindow;
+use super::transients::{Transients, TransientsFound};
 use crate::data::dataset::View;
 use crate::data::loader::ImageLoader;
 use crate::data::pixels::Pixels;
@@ -137,6 +138,8 @@ pub struct Trainer {
     pub(super) photos: Photos,
     /// `None`: photos are taken as they are.
     pub(super) exposure: Option<ExposureState>,
+    /// What is left out of photos; `None`: photos are believed.
+    pub(super) transients: Option<Transients>,
     /// One per step that may be in flight.
     pub(super) slots: Vec<Slot>,
     /// Steps in flight, oldest first.
@@ -154,6 +157,7 @@ pub struct Trainer {
     timings: Vec<Timing>,
     repeated: u64,
     lost_object: Option<LostObject>,
+    pub(super) transients_found: Option<TransientsFound>,
 }
 
 impl Trainer {
@@ -231,6 +235,7 @@ impl Trainer {
             capacity: (n * FIRST_INSTANCES_PER_GAUSSIAN).max(4096),
             photos: Photos::new(gpu, views, config.budget.photo_bytes, FLIGHT)?,
             exposure: with_exposure.then(exposure).transpose()?,
+            transients: (config.loss.transients > 0.0).then(|| Transients::none(times.len())),
             slots: (0..FLIGHT).map(|_| Slot::new(gpu)).collect::<Result<_>>()?,
             flying: VecDeque::new(),
             finished: VecDeque::new(),
@@ -245,6 +250,7 @@ impl Trainer {
             timings: Vec::new(),
             repeated: 0,
             lost_object: None,
+            transients_found: None,
         })
     }
 
@@ -443,6 +449,11 @@ impl Trainer {
     /// The object that was found lost when motion began, unless it was taken already.
     pub fn take_lost_object(&mut self) -> Option<LostObject> {
         self.lost_object.take()
+    }
+
+    /// What was found when photos were last looked at for transients, unless it was taken already.
+    pub fn take_transients_found(&mut self) -> Option<TransientsFound> {
+        self.transients_found.take()
     }
 
     /// What density control did after the last [`Trainer::step`], unless it was taken already.

@@ -45,7 +45,7 @@ impl Trainer {
         let photos = self.pyramid.places(iteration);
         let step = photos.len().div_ceil(MOST_PHOTOS).max(1);
         let photos = photos.step_by(step);
-        let scene = self.scene_at(photos.clone().map(|photo| self.pyramid.views[photo].time))?;
+        let scene = self.scene_of_photos(photos.clone().map(|photo| self.pyramid.views[photo].time))?;
         let (background, near) = (self.config.background, self.config.near);
         let options = RenderOptions { background, near, ..RenderOptions::default() };
         let mut of = Contributions::new(&self.gpu, &scene, &options)?;

@@ -33,12 +33,13 @@ pub(super) fn floats(v: &[u32]) -> Vec<f32> {
     v.iter().map(|&x| f32::from_bits(x)).collect()
 }
 
-pub(super) fn step(statistics: bool) -> Step {
+/// A step that gathers these statistics.
+pub(super) fn step(density_statistics: f32) -> Step {
     let bias = bias_corrections(0.9, 0.999, 7);
     Step {
         rate: std::array::from_fn(|i| RATES[i % RATES.len()]),
         bias_gaussians: bias,
-        density_statistics: f32::from(u8::from(statistics)),
+        density_statistics,
         ..Step::with_usual_adam()
     }
 }
@@ -58,6 +59,7 @@ fn rows(n: usize, r: &mut Random) -> Vec<f32> {
             }
             row[6..9].iter_mut().for_each(|x| *x += size * r.range(-1.0, 1.0));
             row[9] += 1.0;
+            row[10..12].iter_mut().for_each(|x| *x += size * r.range(0.0, 1.0));
         }
     }
     rows
@@ -99,7 +101,7 @@ pub(super) fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64)
         push: (),
         buffers: Buffers {
             frame: bytemuck::cast_slice(&[frame]).to_vec(),
-            step: bytemuck::cast_slice(&[step(true)]).to_vec(),
+            step: bytemuck::cast_slice(&[step(if seed % 3 == 0 { 2.0 } else { 1.0 })]).to_vec(),
             counters: vec![0; 8],
             status: status::clear().to_vec(),
             splats,

@@ -242,7 +242,7 @@ fn adam_takes_the_step_of_the_gradient() {
             let gradients = case(&input, &camera, OUTPUT_GRADIENT, 9).run(&gpu).gpu;
             let before = case(&input, &camera, OUTPUT_ADAM, 9).buffers;
             let result = case(&input, &camera, OUTPUT_ADAM, 9).run(&gpu);
-            let step = step(true);
+            let step = step(1.0);
             let present = input.optional.present();
             let mut culled_moved = 0;
             let of_kind = |(_, first, count): (_, usize, usize)| first..first + count;
@@ -298,7 +298,7 @@ fn the_smoothing_follows_the_photo_that_shows_most() {
     let earlier = |g: usize| [1e4, 1.0, 0.0][g % 3];
     for rate in [0.0, 1.0] {
         let mut one = case(&input, &camera, OUTPUT_ADAM, 2);
-        let mut step = step(true);
+        let mut step = step(1.0);
         step.rate[SMOOTHING] = rate;
         one.buffers.step = bytemuck::cast_slice(&[step]).to_vec();
         if let Some(words) = &mut one.buffers.moment_1 {

@@ -9,6 +9,7 @@ use engine::scene::Scene;
 use engine::train::evaluate;
 use engine::train::exposure::EXPOSURE_WORDS;
 use engine::train::trainer::{Trainer, TrainingData};
+use engine::train::transients::{Transients, TransientsFound};
 use image::{GrayImage, Luma, Rgba};
 
 use crate::common::{
@@ -132,4 +133,61 @@ fn what_masks_leave_out_is_not_trained() {
     let (_, inverted) = run(&posed, "", MaskRule::Black);
     println!("{plain:.2} dB; with squares {unmasked:.2} dB, masked {masked:.2} dB, all else masked {inverted:.2} dB");
     assert!(masked > unmasked + 2.0 && masked > plain - 1.0 && inverted < unmasked, "{masked:.2} dB");
+}
+
+/// What one photo alone shows: a magenta disc in each, elsewhere in each.
+fn add_transients(posed: &Posed) {
+    let disc = |i: usize, [x, y]: [u32; 2]| {
+        let (left, top) = (8 + (i as i64 * 5) % 18, 7 + (i as i64 * 7) % 12);
+        (i64::from(x) - left).pow(2) + (i64::from(y) - top).pow(2) <= 16
+    };
+    edit_photos(posed.path(), |i, at, pixel| {
+        if disc(i, at) {
+            *pixel = Rgba([255, 0, 255, 255]);
+        }
+    });
+}
+
+const TRANSIENTS: &str = "[loss]\ntransients = 3\ntransients_from = 60\n[schedule]\nscale = false";
+
+#[test]
+fn what_one_photo_alone_shows_is_not_trained() {
+    let posed = still();
+    let plain = run(&posed, "", MaskRule::Auto).1;
+    let (clean, looked_at) = run(&posed, TRANSIENTS, MaskRule::Auto);
+    add_transients(&posed);
+    let believed = run(&posed, "", MaskRule::Auto).1;
+    let (trainer, robust) = run(&posed, TRANSIENTS, MaskRule::Auto);
+    println!("{plain:.2} dB, looked at {looked_at:.2} dB; with discs {believed:.2} dB, looked at {robust:.2} dB");
+    let found = |trainer: &Trainer| Transients::from_words(&trainer.transients().unwrap(), 12).unwrap();
+    // A disc has 49 of 768 pixels; what it reaches is left out, too.
+    let TransientsFound { photos, share } = found(&trainer).found();
+    println!("{photos} photos, {share:.4}");
+    assert!(robust > believed + 0.7 && robust > plain - 1.2 && looked_at > plain - 0.5, "{robust:.2} dB");
+    assert!(photos == 12 && (0.064..0.16).contains(&share), "{share} of {photos} photos");
+    assert!(found(&clean).found().share < 0.01);
+}
+
+#[test]
+fn a_run_with_transients_goes_on_with_the_same_bits() {
+    scene_of_resumed_run("[loss]\ntransients = 1.5\ntransients_from = 5\n[schedule]\nscale = false");
+}
+
+#[test]
+fn what_is_left_out_is_written_beside_the_model() {
+    let (posed, folder) =
+        (posed(&PosedOptions { train: 12, swing: 0.5, ..PosedOptions::default() }), tempfile::tempdir());
+    add_transients(&posed);
+    let folder = folder.unwrap();
+    let over = "[loss]\ntransients = 2\ntransients_from = 5\n[density]\nenabled = false\n[refit]\niterations = 20";
+    let config = config_file(folder.path(), over);
+    let out = folder.path().join("out");
+    let said = succeed(train(&posed, &out, &["--config", config.to_str().unwrap()]));
+    assert!(said.contains("of 12 photos; masks in transients/"), "{said}");
+    let masks: Vec<_> = std::fs::read_dir(out.join("transients")).unwrap().collect();
+    assert!(!masks.is_empty());
+    let mask = image::open(masks[0].as_ref().unwrap().path()).unwrap().into_luma8();
+    assert!(mask.dimensions() == (32, 24) && mask.pixels().all(|p| p[0] == 0 || p[0] == 255));
+    let log = std::fs::read_to_string(out.join("run.jsonl")).unwrap();
+    assert!(log.contains("\"transients\":{"), "{log}");
 }

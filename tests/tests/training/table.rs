@@ -49,6 +49,7 @@ fn tuned(gpu: &Gpu, teacher: &Scene, student: &Scene, iterations: u64, seed: u64
     let mut renderer = Renderer::new(gpu, teacher, &RenderOptions::default()).unwrap();
     let mut draw = |camera: &Camera| Ok(Pixels::opaque(&renderer.render(camera, camera.time)?));
     let lessons = Lessons {
+        transients: None,
         photos: Vec::new(),
         cameras: cameras(),
         times: teacher.time_range(),

@@ -8,6 +8,7 @@ pub mod log;
 mod refit;
 pub mod report;
 mod run;
+mod transients;
 
 use std::path::Path;
 

@@ -37,6 +37,8 @@ pub struct SplatGradient {
     pub color: [f64; 3],
     /// Pixels that it contributes to.
     pub pixels: f64,
+    /// Σ |dL/d(x, y) of the centre|, per px, pixel by pixel (Ye et al. 2024, AbsGS).
+    pub absolute: [f64; 2],
 }
 
 impl SplatGradient {
@@ -46,7 +48,8 @@ impl SplatGradient {
         let [u, v] = self.first.map(|x| (x * kappa) as f32);
         let [uu, uv, vv] = self.second.map(|x| (x / TWO_LN_2) as f32);
         let [r, g, b] = self.color.map(|x| x as f32);
-        [self.h as f32, u, v, uu, uv, vv, r, g, b, self.pixels as f32, 0.0, 0.0]
+        let [by_x, by_y] = self.absolute.map(|x| (x / TWO_LN_2) as f32);
+        [self.h as f32, u, v, uu, uv, vv, r, g, b, self.pixels as f32, by_x, by_y]
     }
 
     /// From a row of the kernels' `splat_gradient`.
@@ -59,6 +62,7 @@ impl SplatGradient {
             second: [row[3] * TWO_LN_2, row[4] * TWO_LN_2, row[5] * TWO_LN_2],
             color: [row[6], row[7], row[8]],
             pixels: row[9],
+            absolute: [row[10] * TWO_LN_2, row[11] * TWO_LN_2],
         }
     }
 
@@ -68,6 +72,7 @@ impl SplatGradient {
         (0..3).for_each(|i| self.second[i] += other.second[i]);
         (0..3).for_each(|i| self.color[i] += other.color[i]);
         self.pixels += other.pixels;
+        (0..2).for_each(|i| self.absolute[i] += other.absolute[i]);
     }
 }
 
@@ -158,6 +163,7 @@ fn pixel(
     let mut behind = dot(background, g) - upstream.alpha.map_or(0.0, |a| a[at]);
     for c in found.iter().rev() {
         let front = dot(splats[c.splat as usize].color, g);
+        let factor = splats[c.splat as usize].factor;
         let slope = if c.clamped { 0.0 } else { c.alpha * c.transmittance * (front - behind) };
         let weight = c.alpha * c.transmittance;
         sum[c.splat as usize].add(&SplatGradient {
@@ -166,6 +172,7 @@ fn pixel(
             second: [slope * c.u * c.u, slope * c.u * c.v, slope * c.v * c.v],
             color: g.map(|g| weight * g),
             pixels: 1.0,
+            absolute: [slope * c.u * factor[0], slope * (c.u * factor[1] + c.v * factor[2])].map(f64::abs),
         });
         behind = c.alpha * front + (1.0 - c.alpha) * behind;
     }

@@ -434,11 +434,12 @@ fn the_quaternion_of_exp_is_exp() {
 
 #[test]
 fn rows_of_the_kernels_carry_the_same_sums() {
-    let gradient =
-        SplatGradient { h: 0.5, first: [1.5, -0.25], second: [2.0, -1.0, 3.0], color: [0.1, 0.2, 0.3], pixels: 7.0 };
+    let (first, second, color, absolute) = ([1.5, -0.25], [2.0, -1.0, 3.0], [0.1, 0.2, 0.3], [4.0, 2.5]);
+    let gradient = SplatGradient { h: 0.5, first, second, color, pixels: 7.0, absolute };
     let back = SplatGradient::from_row(gradient.row());
     assert!((back.first[0] - 1.5).abs() < 1.0e-6 && (back.second[2] - 3.0).abs() < 1.0e-6);
     assert_eq!(back.pixels, 7.0);
+    assert!((back.absolute[0] - 4.0).abs() < 1.0e-6 && (back.absolute[1] - 2.5).abs() < 1.0e-6);
     // κ² = log₂e / 2: u of the kernels squares to the exponent in powers of two.
     assert!((f64::from(gradient.row()[3]) - 2.0 * 0.5 * std::f64::consts::LOG2_E).abs() < 1.0e-6);
 }

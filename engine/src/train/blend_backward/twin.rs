@@ -64,8 +64,10 @@ impl Pixel {
         self.to_come -= weight * q;
         let clamped = alpha >= f64::from(MAX_ALPHA);
         let h = if clamped { 0.0 } else { weight * q - self.to_come * (alpha / (1.0 - alpha)) };
-        let terms =
-            [h, h * u, h * v, h * u * u, h * u * v, h * v * v, weight * g[0], weight * g[1], weight * g[2], 1.0];
+        let [l11, l12, l22] = [first[2], first[3], second[0]].map(f64::from);
+        let [by_x, by_y] = [h * u * l11, h * (u * l12 + v * l22)].map(f64::abs);
+        let [red, green, blue] = [0, 1, 2].map(|c| weight * g[c]);
+        let terms = [h, h * u, h * v, h * u * u, h * u * v, h * v * v, red, green, blue, 1.0, by_x, by_y];
         sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
     }
 }

@@ -227,6 +227,8 @@ impl Default for LossConfig {
             lambda_position: 1e-3,
             lambda_rotation: 100.0,
             lambda_translation: 100.0,
+            transients: 0.0,
+            transients_from: 4000,
             lambda_exposure: 1e-3,
         }
     }
@@ -280,6 +282,7 @@ impl Default for DensityConfig {
             opacity_reset_interval: 3000,
             prune_interval: 0,
             gradient_threshold: 2e-4,
+            absolute_gradient: false,
             clone_extent: 0.01,
             min_opacity: 0.005,
             max_radius_px: 20.0,

@@ -256,7 +256,10 @@ impl Job {
         let (Some(density), Some(max_radius)) = (b.density.as_mut(), b.max_radius.as_mut()) else { return };
         let half = DVec2::new(self.frame.size[0].into(), self.frame.size[1].into()) * 0.5;
         let finite = |x: f32| if x.is_finite() { x } else { 0.0 };
-        let change = finite((gradient.mean2d * half).length() as f32);
+        let row: [f32; 12] = std::array::from_fn(|i| f32_at(b.splat_gradient, 12 * g + i));
+        let absolute = DVec2::from_array(SplatGradient::from_row(row).absolute);
+        let by_centre = if self.step.density_statistics > 1.0 { absolute } else { gradient.mean2d };
+        let change = finite((by_centre * half).length() as f32);
         let (sum, views) = (f32_at(density, g) + change, f32_at(density, self.n + g) + 1.0);
         set_f32(density, g, sum);
         set_f32(density, self.n + g, views);

@@ -23,6 +23,7 @@ use crate::render::limits::{COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_
 use crate::train::density::DensityChange;
 use crate::train::status;
 use crate::train::target::RecordingKey;
+use std::sync::Arc;
 
 /// Steps in flight unless said otherwise: one that the device works on, one that is ready when it has ended, and one that the
 /// host is at.
@@ -115,8 +116,12 @@ impl Trainer {
         self.iteration = iteration;
         let checks = self.config.log.finite_interval;
         let checks = checks > 0 && iteration.is_multiple_of(checks);
-        if checks || self.adapts_density(iteration) {
+        let marks = self.schedule.marks_transients(iteration);
+        if checks || marks || self.adapts_density(iteration) {
             self.drain()?;
+            if marks {
+                self.mark_transients(iteration)?;
+            }
             self.adapt_density(iteration)?;
             if let Some(last) = self.finished.back_mut() {
                 last.density = self.density_change.take();
@@ -181,7 +186,10 @@ impl Trainer {
         if let (None, Some(first)) = (given, self.photos.find(view)) {
             return Ok(first);
         }
-        let loaded = if given.is_none() { Some(self.loader.get(view)?) } else { None };
+        let mut loaded = if given.is_none() { Some(self.loader.get(view)?) } else { None };
+        if let (Some(photo), Some(transients)) = (&mut loaded, &self.transients) {
+            transients.apply(self.pyramid.photo(view), Arc::make_mut(photo));
+        }
         let Some(photo) = given.or(loaded.as_deref()) else { return Ok(0) };
         let camera = &self.pyramid.views[view].camera;
         if [photo.width, photo.height] != [camera.width, camera.height] {

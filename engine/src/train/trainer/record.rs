@@ -49,7 +49,7 @@ impl Trainer {
             loss: &t.loss,
             status: &self.status,
         };
-        let masked = self.pyramid.views.iter().any(|v| v.image.used.is_some());
+        let masked = self.transients.is_some() || self.pyramid.views.iter().any(|v| v.image.used.is_some());
         t.image_loss.record(&mut r, &loss, TargetFormat::of_photos(masked))?;
         if let Some((state, pass)) = exposure {
             state.record_backward(&mut r, pass, &exposed)?;

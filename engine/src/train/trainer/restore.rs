@@ -13,10 +13,13 @@ use crate::train::parameters::{ParameterState, with_sh_degree};
 use crate::train::saved::Saved;
 use crate::train::schedule::Stage;
 use crate::train::target::Target;
+use crate::train::transients::Transients;
 use crate::train::widen::widen;
 
 /// Its name in a checkpoint.
 const EXPOSURE: &str = "exposure";
+/// As above.
+const TRANSIENTS: &str = "transients";
 
 impl Trainer {
     /// Goes on from a checkpoint.
@@ -29,7 +32,7 @@ impl Trainer {
         if let Some(window) = &mut trainer.window {
             window.restore(&c.saved, c.iteration)?;
         }
-        trainer.restore_exposures(&c.saved)?;
+        trainer.restore_photos(&c.saved)?;
         if let Some(model) = deformation::restore(gpu, &c.config, &c.stored())? {
             trainer.set_deformation(model);
         }
@@ -47,7 +50,7 @@ impl Trainer {
             ..ParameterState::new(&trained.parameters.gaussians, trained.parameters.gaussians.sh_degree)
         };
         let mut trainer = Self::assemble(gpu, config, data, Stage::Nonrigid, 0, &state)?;
-        trainer.restore_exposures(&trained.saved)?;
+        trainer.restore_photos(&trained.saved)?;
         trainer.set_deformation(deformation::nonrigid(gpu, config, &trained.stored())?);
         Ok(trainer)
     }
@@ -101,10 +104,18 @@ impl Trainer {
         if let Some(exposure) = &self.exposure {
             checkpoint.saved.put_floats(EXPOSURE, vec![exposure.photos(), EXPOSURE_WORDS], &exposure.rows(&self.gpu)?);
         }
+        if let Some(transients) = &self.transients {
+            let words = transients.words();
+            checkpoint.saved.put_indices(TRANSIENTS, vec![words.len()], &words);
+        }
         Ok(checkpoint)
     }
 
-    fn restore_exposures(&mut self, saved: &Saved) -> Result<()> {
+    /// What was found of each photo.
+    fn restore_photos(&mut self, saved: &Saved) -> Result<()> {
+        if self.transients.is_some() && saved.has(TRANSIENTS) {
+            self.set_transients(&saved.indices(TRANSIENTS, None)?)?;
+        }
         match &self.exposure {
             Some(exposure) if saved.has(EXPOSURE) => {
                 let count = exposure.photos() * EXPOSURE_WORDS;
@@ -136,19 +147,42 @@ impl Trainer {
         Ok(())
     }
 
+    /// What is left out of photos, as [`Transients::words`] has it; `None` where photos are believed.
+    pub fn transients(&self) -> Option<Vec<u32>> {
+        self.transients.as_ref().map(Transients::words)
+    }
+
+    /// Leaves this out of photos.
+    ///
+    /// # Errors
+    /// `Usage` for words of other photos, and while steps are in flight.
+    pub fn set_transients(&mut self, words: &[u32]) -> Result<()> {
+        self.settled()?;
+        self.transients = Some(Transients::from_words(words, self.pyramid.full().len())?);
+        self.photos.forget();
+        self.targets.iter_mut().for_each(Target::forget_commands);
+        Ok(())
+    }
+
     /// The scene as it is: Gaussians at the SH degree in use, as wide at full size as in the photos that they are trained on, and what
     /// moves them.
     ///
     /// # Errors
     /// `Usage` while steps are in flight; `DeviceLost`, `OutOfMemory`.
     pub fn scene(&self) -> Result<Scene> {
+        let mut scene = self.scene_of_step()?;
+        if !scene.gaussians.antialiased {
+            let halvings = self.pyramid.halvings(self.iteration.max(1));
+            widen(&mut scene.gaussians, &self.pyramid, self.config.near.into(), halvings);
+        }
+        Ok(scene)
+    }
+
+    /// [`Trainer::scene`], but as wide as in the photos of their size.
+    fn scene_of_step(&self) -> Result<Scene> {
         self.settled()?;
         let degree = self.schedule.sh_degree(self.iteration.max(1)).min(self.parameters.sh_degree);
-        let mut gaussians = with_sh_degree(&self.parameters.download_gaussians(&self.gpu)?, degree);
-        if !gaussians.antialiased {
-            let halvings = self.pyramid.halvings(self.iteration.max(1));
-            widen(&mut gaussians, &self.pyramid, self.config.near.into(), halvings);
-        }
+        let gaussians = with_sh_degree(&self.parameters.download_gaussians(&self.gpu)?, degree);
         let model = self.deformation.as_ref();
         let deformation = model.map_or(Ok(Deformation::None), |m| m.download(&self.gpu, &self.parameters.scene))?;
         Ok(Scene { gaussians, deformation, ..Scene::default() })
@@ -160,7 +194,15 @@ impl Trainer {
     /// # Errors
     /// As [`Trainer::scene`].
     pub fn scene_at(&self, times: impl IntoIterator<Item = f64>) -> Result<Scene> {
-        let mut scene = self.scene()?;
+        self.posed_at(self.scene()?, times)
+    }
+
+    /// The same, for photos of the size that they have now.
+    pub(in crate::train) fn scene_of_photos(&self, times: impl IntoIterator<Item = f64>) -> Result<Scene> {
+        self.posed_at(self.scene_of_step()?, times)
+    }
+
+    fn posed_at(&self, mut scene: Scene, times: impl IntoIterator<Item = f64>) -> Result<Scene> {
         let mut times: Vec<f32> = times.into_iter().map(|t| t as f32).collect();
         times.sort_by(f32::total_cmp);
         times.dedup();

@@ -102,8 +102,14 @@ impl Task<'_> {
         let Taught { moments, views, options, .. } = self.taught;
         let mut renderer = Renderer::new(self.gpu, moments.scene(), options)?;
         let mut draw = |camera: &Camera| Ok(Pixels::opaque(&renderer.render(camera, camera.time)?));
-        let lessons =
-            Lessons { photos, cameras, times: moments.scene().time_range(), draw: &mut draw, exposures: None };
+        let lessons = Lessons {
+            photos,
+            cameras,
+            times: moments.scene().time_range(),
+            draw: &mut draw,
+            exposures: None,
+            transients: None,
+        };
         let (background, near) = (options.background, options.near);
         let how = TuneOptions { iterations, seed: args.seed, background, near, rate_px: None, deterministic: true };
         let bar = progress::training(iterations, 0, self.quiet);

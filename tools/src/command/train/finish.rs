@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use engine::data::dataset::Dataset;
 use engine::data::loader::ImageLoader;
+use engine::distill::OfPhotos;
 use engine::error::Result;
 use engine::file::picture::{self, Alpha};
 use engine::gpu::Gpu;
@@ -19,6 +20,7 @@ use super::exposures;
 use super::log::SharedLog;
 use super::report::{self, Pair};
 use super::run::{Run, options};
+use super::transients;
 use crate::cli::{gpu_session, model, output};
 use crate::report::files::create_folder;
 use crate::report::provenance;
@@ -42,8 +44,8 @@ pub(super) struct End<'a> {
     pub(super) schedule: Schedule,
     /// The trainer's last iteration.
     pub(super) reached: u64,
-    /// Of the training photos, where they have some.
-    pub(super) exposures: Option<Vec<f32>>,
+    /// What was found of each training photo.
+    pub(super) of_photos: OfPhotos,
 }
 
 impl<'a> Run<'a> {
@@ -52,10 +54,10 @@ impl<'a> Run<'a> {
         let cameras: Vec<Camera> = data.train.iter().map(|v| Camera { time: v.time, ..v.camera.clone() }).collect();
         let exported = export(gpu, &trainer, &cameras)?;
         let (config, schedule, reached) = (trainer.config().clone(), trainer.schedule().clone(), trainer.iteration());
-        let exposures = trainer.exposures()?;
+        let of_photos = OfPhotos { exposures: trainer.exposures()?, transients: trainer.transients() };
         // What comes trains again, and needs the room.
         drop(trainer);
-        let end: End<'a> = End { gpu, out, data, held_out, log, quiet, config, schedule, reached, exposures };
+        let end: End<'a> = End { gpu, out, data, held_out, log, quiet, config, schedule, reached, of_photos };
         end.finish(exported, data_path, as_json)
     }
 }
@@ -66,7 +68,8 @@ impl End<'_> {
         let mut i = self.reached;
         let (refitted, line) = self.refit(&scene)?;
         decisions.extend(line);
-        decisions.extend(exposures::write(&self.out, &self.data.train, self.exposures.as_deref())?);
+        decisions.extend(exposures::write(&self.out, &self.data.train, self.of_photos.exposures.as_deref())?);
+        decisions.extend(transients::write(&self.out, &self.data.train, self.of_photos.transients.as_deref())?);
         if let Some(refitted) = refitted {
             i += self.schedule.config().refit_iterations();
             scene = refitted;

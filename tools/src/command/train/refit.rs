@@ -24,7 +24,7 @@ impl End<'_> {
             scene,
             &self.data.train,
             config,
-            self.exposures.clone(),
+            self.of_photos.clone(),
             &mut |what, done, _| bar.set_message(format!("rigid parts: {what} {done}")),
             &mut |step| {
                 smooth = if smooth.is_nan() { step.psnr } else { 0.95 * smooth + 0.05 * step.psnr };
@@ -53,7 +53,7 @@ impl End<'_> {
         let Some(r) = refitted else {
             return Ok((None, Some(format!("refit: the last {iterations} iterations are left out"))));
         };
-        self.exposures = r.exposures;
+        self.of_photos.exposures = r.exposures;
         let ([before, after], [first, last]) = (r.superpoints, r.loss);
         let parts = match r.error_px {
             Some([bound, off]) => {

@@ -113,6 +113,9 @@ impl Run<'_> {
         if let Some(found) = self.trainer.take_lost_object() {
             self.log.line(i, json!({ "lost_object": found }))?;
         }
+        if let Some(found) = self.trainer.take_transients_found() {
+            self.log.line(i, json!({ "transients": found }))?;
+        }
         if let Some(change) = done.density {
             self.log.line(i, json!({ "density": change }))?;
         }

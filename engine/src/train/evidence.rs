@@ -1,4 +1,4 @@
-//! What training views say, and the images that follow from it.
+//! What training views say of each Gaussian.
 
 use crate::data::loader::ImageLoader;
 use crate::error::{Error, Result};
@@ -7,7 +7,8 @@ use crate::gpu::Gpu;
 use crate::image::Image;
 use crate::render::{RenderOptions, Renderer};
 use crate::scene::{Camera, Gaussians, Scene};
-use crate::train::contribution::Contributions;
+
+use super::contribution::Contributions;
 
 /// Pixels that count as much as what is thought of a Gaussian that nobody saw.
 pub const PRIOR_PIXELS: f64 = 4.0;
@@ -69,22 +70,37 @@ impl Evidence {
                 return Err(Error::usage(format!("image of {}", camera.name), found, "the camera's size"));
             }
         }
-        let errors = errors(rendered, photo);
-        let weight: Vec<[f32; 3]> = errors.iter().map(|e| [1.0, *e, 0.0]).collect();
+        let errors: Vec<Option<f32>> = errors(rendered, photo).into_iter().map(Some).collect();
+        self.add_errors(of, camera, time, rendered, &errors)
+    }
+
+    /// Adds a view of which the errors are known, `[H,W]`; pixels without one say nothing.
+    ///
+    /// # Errors
+    /// As [`Evidence::add`].
+    pub fn add_errors(
+        &mut self,
+        of: &mut Contributions,
+        camera: &Camera,
+        time: f64,
+        rendered: &Image,
+        errors: &[Option<f32>],
+    ) -> Result<()> {
+        let weight: Vec<[f32; 3]> = errors.iter().map(|e| e.map_or([0.0; 3], |e| [1.0, e, 0.0])).collect();
         for (i, [seen, error, _]) in of.of_view(camera, time, &weight)?.into_iter().enumerate() {
             self.visibility[i] += f64::from(seen);
             self.error[i] += f64::from(error);
         }
-        for (pixel, error) in rendered.rgba.chunks_exact(4).zip(errors) {
-            let behind = f64::from(1.0 - pixel[3]).max(0.0);
-            self.background[0] += behind;
+        for (pixel, [seen, error, _]) in rendered.rgba.chunks_exact(4).zip(weight) {
+            let behind = f64::from((1.0 - pixel[3]).max(0.0));
+            self.background[0] += behind * f64::from(seen);
             self.background[1] += behind * f64::from(error);
         }
         Ok(())
     }
 
     /// `Usage` unless it is about as many Gaussians as the scene has.
-    pub(super) fn check(&self, scene: &Scene) -> Result<()> {
+    pub(crate) fn check(&self, scene: &Scene) -> Result<()> {
         let [n, own] = [scene.gaussians.len(), self.visibility.len()];
         if own != n || self.error.len() != n {
             return Err(Error::usage("evidence", format!("of {own} Gaussians"), format!("{n} Gaussians")));
@@ -116,47 +132,11 @@ impl Evidence {
 }
 
 /// Root of the mean square of r, g and b's differences, per pixel.
-fn errors(a: &Image, b: &Image) -> Vec<f32> {
+pub(crate) fn errors(a: &Image, b: &Image) -> Vec<f32> {
     let of_pixel = |(a, b): (&[f32], &[f32])| {
         let sum: f32 = a[..3].iter().zip(&b[..3]).map(|(a, b)| (a.clamp(0.0, 1.0) - b).powi(2)).sum();
         // Nothing that is not a number may reach the sums.
         if sum.is_finite() { (sum / 3.0).sqrt() } else { 1.0 }
     };
     a.rgba.chunks_exact(4).zip(b.rgba.chunks_exact(4)).map(of_pixel).collect()
-}
-
-/// How far off an image may be.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ExpectedErrors {
-    /// `[H,W]` the mean of what a pixel may be off by: roots of mean squares over r, g, b; 0 to 1.
-    pub error: Vec<f32>,
-    /// `[H,W]` A of the image.
-    pub opacity: Vec<f32>,
-}
-
-/// Draws how far off images may be.
-#[derive(Debug)]
-pub struct Confidence {
-    renderer: Renderer,
-}
-
-impl Confidence {
-    /// A renderer of [`Evidence::scene`].
-    ///
-    /// # Errors
-    /// As [`Evidence::scene`] and [`Renderer::new`].
-    pub fn new(gpu: &Gpu, scene: &Scene, options: &RenderOptions, evidence: &Evidence) -> Result<Self> {
-        let (scene, options) = evidence.scene(scene, options)?;
-        Ok(Self { renderer: Renderer::new(gpu, &scene, &options)? })
-    }
-
-    /// The errors to expect of a view.
-    ///
-    /// # Errors
-    /// As [`Renderer::render`].
-    pub fn render(&mut self, camera: &Camera, time: f64) -> Result<ExpectedErrors> {
-        let image = self.renderer.render(camera, time)?;
-        let of = |value: fn(&[f32]) -> f32| image.rgba.chunks_exact(4).map(value).collect();
-        Ok(ExpectedErrors { error: of(|p| p[0].clamp(0.0, 1.0)), opacity: of(|p| p[3]) })
-    }
 }
