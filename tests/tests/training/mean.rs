@@ -2,6 +2,7 @@
 
 use engine::render::{RenderOptions, Renderer};
 use engine::train::checkpoint::Checkpoint;
+use engine::train::config::{Config, MotionConfig};
 use engine::train::trainer::Trainer;
 
 use crate::common::{PosedOptions, advance, config, gpu, load, posed, scene_of_resumed_run, trainer};
@@ -90,6 +91,10 @@ fn the_nonrigid_stage_moves_gaussians_by_the_mean() {
     let stage = Trainer::nonrigid(&gpu, &config, &data, &rigid).unwrap().checkpoint().unwrap();
     assert!(weights(&stage, "weights") == weights(&rigid, "mean"));
     assert!(weights(&rigid, "weights") != weights(&rigid, "mean"));
+    // Also where this stage keeps none.
+    let without = Config { motion: MotionConfig { network_mean: 0, ..config.motion.clone() }, ..config };
+    let stage = Trainer::nonrigid(&gpu, &without, &data, &rigid).unwrap().checkpoint().unwrap();
+    assert!(weights(&stage, "weights") == weights(&rigid, "mean"));
 }
 
 /// What evaluations draw has no network F: its poses are in a table of the times that are wanted.

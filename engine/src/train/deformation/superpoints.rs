@@ -177,8 +177,10 @@ impl SuperpointTraining {
 
     /// A checkpoint's model for a stage that does not train it: network F has the mean of its weights, where one was kept.
     pub(super) fn frozen(gpu: &Gpu, config: &Config, stored: &Stored<'_>) -> Result<Option<Self>> {
-        let Some(made) = Self::restore(gpu, config, stored)? else { return Ok(None) };
-        made.network.upload(&made.network.download_mean()?)?;
+        let (Some(saved), Some(made)) = (State::read(stored)?, Self::restore(gpu, config, stored)?) else {
+            return Ok(None);
+        };
+        made.network.upload(&saved.network_to_show(config)?)?;
         Ok(Some(made))
     }
 
