@@ -2,7 +2,7 @@
 //!
 //! Whether a pixel is one is said by the other photos: its error is compared with the error that the Gaussians which show there
 //! leave in all photos ([`Evidence`]). Where something is hard to draw, or moves and is not learnt yet, both are large; where one
-//! photo alone disagrees, its error is many times what is expected ([`transient_pixels`]). Such pixels take no part, as if a mask
+//! photo alone disagrees, its error is many times what is expected (`transient_pixels`). Such pixels take no part, as if a mask
 //! left them out, until photos are looked at again: then all is compared anew, and what was found last is left out of the
 //! evidence. (That residuals say who is an outlier: Sabour et al. 2023, RobustNeRF, by their quantile in a photo.)
 
@@ -21,7 +21,7 @@ const REACH: f64 = 0.01;
 /// An error that is no transient, whatever was expected.
 const FLOOR: f32 = 0.05;
 /// What is joined to a transient is one too from this share of the bound on.
-const JOINED: f32 = 0.5;
+const JOINED: f32 = 0.75;
 /// Photos that the evidence is of; of more, so many at equal distances.
 const MOST_PHOTOS: usize = 100;
 /// Words before a photo's bits in what checkpoints hold: its width and height.
@@ -198,7 +198,7 @@ impl Trainer {
 }
 
 /// Which pixels are transients: around them the mean error is more than `factor` times the mean of what is expected there, and
-/// a little more; with all that is joined to them and beyond half of that. What they reach takes no part either, for edges of
+/// a little more; with all that is joined to them and beyond three quarters of that. What they reach takes no part either, for edges of
 /// transients are blurred. All of `[H,W]`.
 fn transient_pixels(errors: &[f32], expected: &[f32], size: [u32; 2], factor: f32) -> Vec<bool> {
     let reach = (REACH * f64::from(size[0].min(size[1]))).round().max(1.0) as usize;

@@ -101,7 +101,7 @@ pub(super) fn case(input: &RenderInput, camera: &Camera, output: u32, seed: u64)
         push: (),
         buffers: Buffers {
             frame: bytemuck::cast_slice(&[frame]).to_vec(),
-            step: bytemuck::cast_slice(&[step(if seed % 3 == 0 { 2.0 } else { 1.0 })]).to_vec(),
+            step: bytemuck::cast_slice(&[step(if seed.is_multiple_of(3) { 2.0 } else { 1.0 })]).to_vec(),
             counters: vec![0; 8],
             status: status::clear().to_vec(),
             splats,
