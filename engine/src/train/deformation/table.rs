@@ -65,8 +65,8 @@ impl TrainedDeformation for TableTraining {
     }
 
     fn numbers(&self) -> Vec<Numbers> {
-        let state = self.keys.state();
-        vec![("key poses", Slice::from(state), (state.bytes() / 4) as u32)]
+        let (state, words) = self.keys.state();
+        vec![("key poses", Slice::from(state), words)]
     }
 
     fn bytes_per_gaussian(&self) -> u64 {
@@ -88,5 +88,37 @@ impl TrainedDeformation for TableTraining {
 
     fn save(&self, _: &Gpu, _: &SceneBuffers, _: &mut Saved) -> Result<()> {
         Err(Error::usage("checkpoint", "a key-time table under training", "superpoints with network F"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use glam::DVec3;
+
+    use super::*;
+    use crate::gpu::GpuOptions;
+    use crate::scene::synthetic::moving_scene;
+    use crate::train::check_finite::check_finite;
+
+    /// With an odd number of keys a buffer is longer than they are, and has what was there before.
+    #[test]
+    fn only_key_poses_are_watched() {
+        let gpu = Gpu::open(&GpuOptions { pipeline_cache: false, ..GpuOptions::default() }).unwrap();
+        let scene = moving_scene(60, 9, 7, 3, false);
+        let moved = scene.deformation.superpoint_deformation().unwrap();
+        let keys = moved.table.as_ref().unwrap().times.len();
+        assert_eq!(keys * 9 % 2, 1);
+        let (center, ones) = (vec![DVec3::ZERO; 9], vec![1.0; 9]);
+        let (reach, unit) = (ones.clone(), ones);
+        let options = KeyOptions { center, reach, unit, rate_px: [0.1; 2], hold: 0.0, smooth: 0.0, iterations: 10 };
+        let training = TableTraining::new(&gpu, moved, 60, options).unwrap();
+        let (state, words) = training.keys.state();
+        let good = gpu.download(state.slice(0, 4 * u64::from(words))).unwrap();
+        gpu.upload(state, &vec![0xff; state.bytes() as usize]).unwrap();
+        assert!(check_finite(&gpu, &training.numbers()).is_err());
+        gpu.upload(state, &good).unwrap();
+        check_finite(&gpu, &training.numbers()).unwrap();
+        assert!(state.bytes() > good.len() as u64);
     }
 }

@@ -1,9 +1,9 @@
 //! Key poses on the device, and the sums of gradients that they learn from.
 
-use super::KeyOptions;
 use super::interpolate_keys::{INTERPOLATE_KEYS, InterpolateKeysBuffers};
 use super::learn_keys::{LEARN_KEYS, LearnKeysBuffers, LearnKeysPush};
 use super::words::{key_words, superpoint_words, table_of, twin_words};
+use super::{KEY_WORDS, KeyOptions};
 use crate::error::Result;
 use crate::gpu::{Buffer, Gpu, Groups, Memory, Recorder, Slice};
 use crate::scene::{Motion, SuperpointDeformation};
@@ -96,9 +96,9 @@ impl KeyState {
         r.dispatch(&LEARN_KEYS, (), push, buffers, self.groups())
     }
 
-    /// The state that the next step depends on.
-    pub(in crate::train) fn state(&self) -> &Buffer {
-        &self.key
+    /// The state that the next step depends on, and its words: a buffer may be longer, and nobody writes the rest.
+    pub(in crate::train) fn state(&self) -> (&Buffer, u32) {
+        (&self.key, (self.times.times.len() * KEY_WORDS * self.options.center.len()) as u32)
     }
 
     /// Device memory, bytes.
