@@ -60,7 +60,7 @@ fn views(photos: &[View], config: &Config) -> Views<Camera> {
 }
 
 /// Fits and trains a run's exported model for the steps that `config`, scaled, leaves to this; `None` where nothing moves by
-/// superpoints alone. `of_photos`: what the run left of it. `tick` hears of the fit, `watch` of every step.
+/// superpoints alone. Exposures are learnt on from the run's; its transients stay left out. `tick` hears of the fit, `watch` of every step.
 ///
 /// # Errors
 /// Those of [`distill`](super::distill) and [`tune`].
