@@ -12,7 +12,7 @@
 //
 // One subgroup owns SUBTILES subtiles of a segment (shapes as in blend.comp). The splats of the segment come in batches of
 // SUBGROUP_SIZE, one per lane; for each subtile the splats that reach it are replayed in order, each lane summing over its
-// own pixels. The sums of all lanes are added by a butterfly that halves the number of values per lane at each step (13
+// own pixels. The sums of all lanes are added by a butterfly that halves the number of values per lane at each step (12 or 13
 // shuffles at 32 lanes, not 60), and the total joins the row of the splat:
 //   STAGE 0: rows in registers, one lane per splat, parameters and totals by subgroupShuffle (lavapipe, AMD);
 //   STAGE 1: rows and parameters in the subgroup's slice of shared memory.
@@ -27,6 +27,7 @@ layout(constant_id = 3) const uint PIXELS_PER_LANE = 2; // of one subtile; at mo
 layout(constant_id = 4) const uint SUBTILES = 4;        // of one subgroup: 1, 2 or 4, at most those of a tile
 layout(constant_id = 5) const uint SEGMENTS = 1;        // see segments.glsl
 layout(constant_id = 6) const uint LEAST_SEGMENT = 256;
+layout(constant_id = 7) const uint ABSOLUTE = 0; // 1: the two sums without sign, too; else zeros
 
 #include "frame.glsl"
 #include "dispatch.glsl"
@@ -132,6 +133,7 @@ void replay(uint s, vec4 first, vec4 second, vec3 colour, vec2 corner, vec2 pixe
     float u_0 = at_corner.x + first.z * pixel.x + first.w * pixel.y;
     float v_0 = at_corner.y + second.x * pixel.y;
     uint pixels = 0u;
+    uint absolute = ABSOLUTE;
     [[unroll]] for (uint c = 0u; c < SUMS; c++) {
         sums[c] = 0.0;
     }
@@ -155,8 +157,10 @@ void replay(uint s, vec4 first, vec4 second, vec3 colour, vec2 corner, vec2 pixe
         sums[3] += hu * u;
         sums[4] += hu * v;
         sums[5] += hv * v;
-        sums[SUM_BY_X] += abs(hu);
-        sums[SUM_BY_Y] += abs(hu * first.w + hv * second.x);
+        if (absolute == 1u) {
+            sums[SUM_BY_X] += abs(hu);
+            sums[SUM_BY_Y] += abs(hu * first.w + hv * second.x);
+        }
         sums[6] += weight * g.x;
         sums[7] += weight * g.y;
         sums[8] += weight * g.z;
@@ -180,10 +184,12 @@ float butterfly(float value, uint mask) {
 // following columns: 4 lanes: sums[0..2] are columns l, 4 + l, 8 + l; 8 lanes: sums[0..1] are l, 8 + l; more: sums[0].
 void reduce() {
     uint size = SUBGROUP_SIZE;
+    uint absolute = ABSOLUTE;
     float a[6];
-    [[unroll]] for (uint i = 0u; i < 6u; i++) {
+    [[unroll]] for (uint i = 0u; i < 5u; i++) {
         a[i] = exchange(sums[2u * i], sums[2u * i + 1u], 1u);
     }
+    a[5] = absolute == 1u ? exchange(sums[SUM_BY_X], sums[SUM_BY_Y], 1u) : 0.0;
     sums[0] = exchange(a[0], a[1], 2u);
     sums[1] = exchange(a[2], a[3], 2u);
     sums[2] = exchange(a[4], a[5], 2u);

@@ -4,6 +4,7 @@
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 #extension GL_KHR_shader_subgroup_vote : require
+#extension GL_EXT_control_flow_attributes : require
 
 // Appends each visible Gaussian to the list of each tile that it reaches, as a pair (depth, instance). In what order a list then
 // is, is left to chance; sort_tiles gives it the one that counts. A workgroup has 256 Gaussians. The tiles of those that reach few
@@ -55,6 +56,7 @@ const uint QUEUE_THREAD_SHIFT = 24u;
 const uint QUEUE_TILES = (1u << QUEUE_QUADRANT_SHIFT) - 1u;
 const uint ALL_QUADRANTS = 15u;
 const uint NO_INSTANCE = 0xffffffffu; // of the tile past those
+const uint QUEUE_BATCH = 4u; // that a thread has under way at a time
 
 shared uint queue[SCAN_BLOCK * SERIAL_TILES];
 shared uint depth_of_block[SCAN_BLOCK]; // of each Gaussian of the queue
@@ -99,15 +101,44 @@ uint owner(uint instance) {
 
 // Should a list become longer than it was counted, what is too much is left out: its end, which counts all, is then past where the
 // next one begins (sort_tiles).
-void append(uint tile, uint depth, uint instance, uint slot) {
-    uint at = atomicAdd(tile_end[tile * TILE_PITCH], 1u);
-    uint room_end = tile_start[tile + 1u];
+void put(uint at, uint room_end, uint depth, uint instance, uint slot) {
     uint with_slots = WITH_SLOTS;
     if (with_slots == 1u) {
         gaussian_of_slot[slot] = instance;
     }
     if (at < room_end) {
         pairs[at] = uvec2(depth, with_slots == 1u ? slot : instance);
+    }
+}
+
+void append(uint tile, uint depth, uint instance, uint slot) {
+    uint at = atomicAdd(tile_end[tile * TILE_PITCH], 1u);
+    put(at, tile_start[tile + 1u], depth, instance, slot);
+}
+
+// The places of a list's end are all asked for before the first is needed: an atomic answers after hundreds of cycles.
+void append_queued(uint group, uint first, uint queue_total) {
+    uint entry[QUEUE_BATCH];
+    uint at[QUEUE_BATCH];
+    uint room_end[QUEUE_BATCH];
+    [[unroll]] for (uint i = 0u; i < QUEUE_BATCH; i++) {
+        uint k = first + i * SCAN_BLOCK;
+        entry[i] = k < queue_total ? queue[k] : NO_INSTANCE;
+        uint tile = entry[i] & QUEUE_TILES;
+        at[i] = NO_INSTANCE;
+        room_end[i] = 0u;
+        if (entry[i] != NO_INSTANCE) {
+            at[i] = atomicAdd(tile_end[tile * TILE_PITCH], 1u);
+            room_end[i] = tile_start[tile + 1u];
+        }
+    }
+    [[unroll]] for (uint i = 0u; i < QUEUE_BATCH; i++) {
+        if (entry[i] != NO_INSTANCE) {
+            uint from = entry[i] >> QUEUE_THREAD_SHIFT;
+            uint quadrants = entry[i] >> QUEUE_QUADRANT_SHIFT & ALL_QUADRANTS;
+            uint instance = group * SCAN_BLOCK + from | quadrants << INSTANCE_QUADRANT_SHIFT;
+            put(at[i], room_end[i], depth_of_block[from], instance, slot_of_block[from] + first + i * SCAN_BLOCK);
+        }
     }
 }
 
@@ -200,14 +231,8 @@ void main() {
     }
     barrier();
 
-    for (uint k = t; k < queue_total; k += SCAN_BLOCK) {
-        uint entry = queue[k];
-        if (entry != NO_INSTANCE) {
-            uint from = entry >> QUEUE_THREAD_SHIFT;
-            uint quadrants = entry >> QUEUE_QUADRANT_SHIFT & ALL_QUADRANTS;
-            uint instance = group * SCAN_BLOCK + from | quadrants << INSTANCE_QUADRANT_SHIFT;
-            append(entry & QUEUE_TILES, depth_of_block[from], instance, slot_of_block[from] + k);
-        }
+    for (uint first = t; first < queue_total; first += SCAN_BLOCK * QUEUE_BATCH) {
+        append_queued(group, first, queue_total);
     }
     for (uint k = t; k < shared_total; k += SCAN_BLOCK) {
         uint from = owner(k);

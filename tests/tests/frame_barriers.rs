@@ -61,13 +61,13 @@ fn assert_order(commands: &Commands) {
 }
 
 #[test]
-fn a_pair_of_frames_waits_as_often_as_one() {
+fn frames_side_by_side_wait_as_often_as_one() {
     let gpu = tests_harness::gpu();
     let mut renderer = Renderer::new(&gpu, &demo_scene(), &RenderOptions::default()).unwrap();
     let camera = demo_camera(0.0, 640, 480);
     renderer.draw(&camera, 0.0).unwrap();
     let (barriers, dispatches) = renderer.commands().map(|c| (c.barriers(), c.dispatches())).unwrap();
-    let [frame, _] = renderer.submit_pair([(&camera, 0.0), (&camera, 0.5)]).unwrap();
+    let [frame, _] = renderer.submit_beside([(&camera, 0.0), (&camera, 0.5)]).unwrap();
     let pair = renderer.commands_of(frame).unwrap();
     assert_eq!((pair.barriers(), pair.dispatches()), (barriers, 2 * dispatches));
     assert_order(pair);

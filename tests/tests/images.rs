@@ -1,7 +1,7 @@
 //! Whole frames against the f64 reference: synthetic scenes, the oracle and trained models.
 
 use engine::image::difference;
-use engine::render::{RenderOptions, Renderer};
+use engine::render::{MOST_BESIDE, RenderOptions, Renderer};
 use engine::scene::synthetic::{demo_camera, demo_scene, moving_scene, random_scene};
 use engine::scene::{Camera, MotionSource};
 use glam::DVec3;
@@ -115,7 +115,7 @@ fn trained_models() {
 }
 
 #[test]
-fn frames_of_a_pair_are_those_drawn_alone() {
+fn frames_side_by_side_are_those_drawn_alone() {
     let gpu = tests_harness::shared_gpu();
     let (left, right) = (camera(160, 120), Camera { position: DVec3::new(0.4, -1.0, -4.5), ..camera(160, 120) });
     let cases = [
@@ -128,32 +128,39 @@ fn frames_of_a_pair_are_those_drawn_alone() {
         let mut renderer = Renderer::new(&gpu, &scene, &options).unwrap();
         let alone = [(&left, 0.2), (&right, 0.9)].map(|(c, t)| renderer.render(c, t).unwrap());
         assert!(alone[0] != alone[1]);
-        // Two pairs in flight, then a frame alone: whose buffers are whose.
-        let first = renderer.submit_pair([(&left, 0.2), (&right, 0.9)]).unwrap();
-        let second = renderer.submit_pair([(&right, 0.9), (&left, 0.2)]).unwrap();
+        // Two pairs in flight, then four at once and a frame alone: whose buffers are whose.
+        let first = renderer.submit_beside([(&left, 0.2), (&right, 0.9)]).unwrap();
+        let second = renderer.submit_beside([(&right, 0.9), (&left, 0.2)]).unwrap();
         for (frames, expected) in [(first, [0, 1]), (second, [1, 0])] {
             for (frame, k) in frames.into_iter().zip(expected) {
                 assert!(renderer.finish(frame).unwrap().is_some(), "{name}");
                 assert!(renderer.read(frame).unwrap() == alone[k], "{name}: {frame:?} is not image {k}");
             }
         }
-        assert!(renderer.render(&right, 0.9).unwrap() == alone[1], "{name}: after pairs");
+        let four = renderer.submit_beside([(&right, 0.9), (&left, 0.2), (&right, 0.9), (&left, 0.2)]).unwrap();
+        for (frame, k) in four.into_iter().zip([1, 0, 1, 0]) {
+            assert!(renderer.finish(frame).unwrap().is_some(), "{name}");
+            assert!(renderer.read(frame).unwrap() == alone[k], "{name}: {frame:?} of four is not image {k}");
+        }
+        assert!(renderer.render(&right, 0.9).unwrap() == alone[1], "{name}: after those side by side");
     }
 }
 
 #[test]
-fn a_pair_needs_one_size_and_grows_as_a_frame_does() {
+fn frames_side_by_side_need_one_size_and_grow_as_a_frame_does() {
     let gpu = tests_harness::shared_gpu();
     let mut scene = random_scene(2000, 5, 1);
     scene.gaussians.log_scale.iter_mut().flatten().for_each(|s| *s += 1.5);
     let (small, large) = (camera(64, 64), camera(160, 160));
     let mut renderer = Renderer::new(&gpu, &scene, &RenderOptions::default()).unwrap();
-    let error = renderer.submit_pair([(&small, 0.0), (&large, 0.0)]).unwrap_err().to_string();
-    assert!(error.contains("size of the second image"), "{error}");
-    let frames = renderer.submit_pair([(&large, 0.0); 2]).unwrap();
+    let error = renderer.submit_beside([(&small, 0.0), (&large, 0.0)]).unwrap_err().to_string();
+    assert!(error.contains("size of an image"), "{error}");
+    let error = renderer.submit_beside([(&small, 0.0); MOST_BESIDE + 1]).unwrap_err().to_string();
+    assert!(error.contains("frames side by side: found 5, expected 1 to 4"), "{error}");
+    let frames = renderer.submit_beside([(&large, 0.0); 2]).unwrap();
     assert!(frames.iter().all(|frame| renderer.finish(*frame).unwrap().is_none()), "there was room for all");
     let expected = renderer.render(&large, 0.0).unwrap();
-    let [_, frame] = renderer.submit_pair([(&large, 0.0); 2]).unwrap();
+    let [_, frame] = renderer.submit_beside([(&large, 0.0); 2]).unwrap();
     assert!(renderer.finish(frame).unwrap().is_some());
     assert!(renderer.read(frame).unwrap() == expected);
     assert!(renderer.finish(frames[0]).is_err(), "its buffers are gone");

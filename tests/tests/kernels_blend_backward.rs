@@ -28,6 +28,8 @@ struct Rendered {
     color: Vec<u32>,
     image_gradient: Vec<u32>,
     segments: Segments,
+    /// Whether the sums of absolute gradients are wanted.
+    absolute: bool,
 }
 
 impl Rendered {
@@ -106,6 +108,7 @@ impl Rendered {
             color,
             image_gradient,
             segments: Segments::WHOLE,
+            absolute: true,
         }
     }
 
@@ -182,7 +185,7 @@ impl Rendered {
         I: Interface<Constants = BlendBackwardConstants, Push = (), Buffers<Vec<u32>> = BlendBackwardBuffers<Vec<u32>>>,
     {
         let size = gpu.subgroup_size_of(kernel);
-        let constants = BlendBackwardConstants::new(accumulation, stage, size, subtiles, self.segments);
+        let constants = BlendBackwardConstants::new(accumulation, stage, size, subtiles, self.segments, self.absolute);
         let groups = blend_backward::groups(self.frame.tile_count * self.segments.per_list, size, subtiles) as u32;
         let result = KernelCase { kernel, constants, push: (), buffers: self.buffers(accumulation), groups }.run(gpu);
         [result.gpu.gradient_rows, result.twin.gradient_rows]
@@ -241,7 +244,7 @@ impl Rendered {
                 let truth = truth.get_or_insert_with(|| {
                     // Of whole lists.
                     let (way, stage) = (Accumulation::CompareAndSwap, Stage::Shuffle);
-                    let constants = BlendBackwardConstants::new(way, stage, 8, 4, Segments::WHOLE);
+                    let constants = BlendBackwardConstants::new(way, stage, 8, 4, Segments::WHOLE, self.absolute);
                     let buffers = BlendBackwardBuffers { states: None, ..self.buffers(way) };
                     floats(&BLEND_BACKWARD.run_twin(8, constants, (), buffers, 1).gradient_rows)
                 });
@@ -279,6 +282,21 @@ fn gradients_match_the_twins() {
     for (n, size) in [(1, [1, 1]), (1, [64, 64]), (40, [17, 1]), (300, [33, 17]), (700, [61, 47]), (0, [33, 17])] {
         let input = RenderInput::random(n, 1, n as u64);
         Rendered::of_input(&input, size).check(&gpu, &format!("{n} Gaussians, {size:?}"));
+    }
+}
+
+/// They cost what trains without them nothing.
+#[test]
+fn absolute_gradients_are_left_out_unless_wanted() {
+    let gpu = tests_harness::shared_gpu();
+    widths::assert_lanes(&gpu);
+    let with = Rendered::layers(60, -2.0, [33, 17]);
+    let wanted = with.check(&gpu, "absolute gradients");
+    let without = Rendered { absolute: false, ..with }.check(&gpu, "no absolute gradients");
+    let row = ROW_WORDS as usize;
+    assert!(wanted[SIGNED_SUMS..row].iter().all(|sum| *sum > 0.0), "{wanted:?}");
+    for (one, two) in without.chunks(row).zip(wanted.chunks(row)) {
+        assert_eq!((&one[..SIGNED_SUMS], &one[SIGNED_SUMS..]), (&two[..SIGNED_SUMS], &[0.0; 2][..]));
     }
 }
 

@@ -103,4 +103,4 @@ pub use field::FieldEvaluator;
 pub use pipeline::KERNELS;
 pub use pixel_format::PixelFormat;
 pub use quality::Quality;
-pub use renderer::{FrameId, FrameStatistics, MemoryUse, Picked, RenderOptions, Renderer};
+pub use renderer::{FrameId, FrameStatistics, MOST_BESIDE, MemoryUse, Picked, RenderOptions, Renderer};

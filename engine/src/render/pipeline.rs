@@ -69,6 +69,8 @@ pub(crate) struct Shape {
     pub(crate) states: Option<States>,
     /// What the counters begin with; zeros without it.
     pub(crate) first_counters: Option<Buffer>,
+    /// The frame before left zeros where zeros must be, so that none waits for a fill at its beginning.
+    pub(crate) cleared: bool,
     /// What may be given up; exact unless said.
     pub(crate) quality: Quality,
     /// `frame.color` holds pixels of this format; `None`: floats.
@@ -91,6 +93,10 @@ pub(super) fn record(
     for (work, frame) in frames {
         record_forward(gpu, &mut r, scene, work, frame, shape)?;
         r.copy(&work.counters, frame.counters.slice(0, work.counters.bytes))?;
+        if shape.cleared {
+            // For the next frame. Blending reads nothing of it: the fill runs beside it.
+            r.fill(&work.zeroed, 0)?;
+        }
     }
     frames.iter().for_each(|(_, frame)| r.host_read(&frame.counters));
     r.finish()
@@ -107,6 +113,7 @@ pub(crate) fn record_forward(
     shape: &Shape,
 ) -> Result<()> {
     match &shape.first_counters {
+        None if shape.cleared => {}
         None => r.fill(&work.zeroed, 0)?,
         Some(first) => {
             // They lie alone at the arena's start.

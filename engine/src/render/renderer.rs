@@ -25,8 +25,8 @@ pub use live::Picked;
 
 /// Submissions of one renderer that may be in flight.
 const FRAMES_IN_FLIGHT: usize = 2;
-/// Frames that one submission draws, at most.
-const MOST_BESIDE: usize = 2;
+/// Frames that one submission draws side by side, at most.
+pub const MOST_BESIDE: usize = 4;
 /// Number of the next targets that any renderer makes; 0 is for none.
 static NEXT_GENERATION: AtomicU64 = AtomicU64::new(1);
 
@@ -121,9 +121,9 @@ struct Targets {
     /// Size of the latest frame.
     size: [u32; 2],
     capacity: u32,
-    /// Of the frames of a batch; the second where pairs were drawn.
+    /// Of the frames of a batch: as many as were drawn side by side.
     work: Vec<WorkBuffers>,
-    /// Batches of one frame, and of two where there were some.
+    /// Batches of one frame, and of more where there were some.
     batches: [Vec<Batch>; MOST_BESIDE],
     /// Which of `work` the latest frame used.
     latest: usize,
@@ -217,16 +217,21 @@ impl Renderer {
         self.submit_batch([(camera, time)]).map(|[frame]| frame)
     }
 
-    /// Starts two frames of one size that the device draws side by side: what one leaves idle the other uses, and both wait for each
-    /// stage once. For the two eyes of a stereo image, or for frames one after the other; the images are those of
-    /// [`Renderer::submit`]. Needs two sets of work buffers. A pair counts as one of [`Renderer::frames_in_flight`].
+    /// Starts frames of one size, at most [`MOST_BESIDE`], that the device draws side by side: what one leaves idle another uses,
+    /// and all wait for each stage once. For the two eyes of a stereo image, or for frames one after the other; the images are
+    /// those of [`Renderer::submit`]. Each needs work buffers of its own. Together they count as one of
+    /// [`Renderer::frames_in_flight`].
     ///
     /// # Errors
-    /// As [`Renderer::submit`]; `Usage` for images of two sizes.
-    pub fn submit_pair(&mut self, views: [(&Camera, f64); 2]) -> Result<[FrameId; 2]> {
-        let [one, two] = views.map(|(camera, _)| [camera.width, camera.height]);
-        if one != two {
-            return Err(Error::usage("size of the second image", format!("{two:?}"), format!("{one:?} as the first")));
+    /// As [`Renderer::submit`]; `Usage` for images of two sizes, or another number of them.
+    pub fn submit_beside<const K: usize>(&mut self, views: [(&Camera, f64); K]) -> Result<[FrameId; K]> {
+        if !(1..=MOST_BESIDE).contains(&K) {
+            return Err(Error::usage("frames side by side", K.to_string(), format!("1 to {MOST_BESIDE}")));
+        }
+        let mut sizes = views.iter().map(|(camera, _)| [camera.width, camera.height]);
+        let first = sizes.next().unwrap_or_default();
+        if let Some(other) = sizes.find(|size| *size != first) {
+            return Err(Error::usage("size of an image", format!("{other:?}"), format!("{first:?} as the first")));
         }
         self.submit_batch(views)
     }
@@ -447,9 +452,11 @@ impl Renderer {
         let tiles = width.div_ceil(TILE_SIZE) * height.div_ceil(TILE_SIZE);
         let quality = self.options.quality;
         while targets.work.len() < beside {
-            targets.work.push(WorkBuffers::new(&self.gpu, self.scene.gaussians, tiles, targets.capacity)?);
+            let work = WorkBuffers::new(&self.gpu, self.scene.gaussians, tiles, targets.capacity)?;
+            work.clear(&self.gpu)?;
+            targets.work.push(work);
         }
-        let shape = Shape { tiles, with_depth: self.options.depth, quality, ..Shape::default() };
+        let shape = Shape { tiles, with_depth: self.options.depth, cleared: true, quality, ..Shape::default() };
         let (room, asked) = (targets.room, targets.asked);
         let slot = |_| Ok(Slot { buffers: self.frame_buffers(room)?, frame: 0, asked, size: room });
         let batch = |_| {

@@ -69,6 +69,13 @@ impl WorkBuffers {
         })
     }
 
+    /// Zeros what must be zero before a frame. Waits.
+    pub(crate) fn clear(&self, gpu: &Gpu) -> Result<()> {
+        let mut r = gpu.recorder("clear work buffers");
+        r.fill(&self.zeroed, 0)?;
+        gpu.run(r).map(drop)
+    }
+
     /// Bytes that grow with the number of Gaussians, and bytes that grow with the number of tile instances.
     pub(crate) fn bytes(&self) -> (u64, u64) {
         let gaussians = self.splats.bytes() + self.tile_count.bytes() + self.instance_block.bytes;

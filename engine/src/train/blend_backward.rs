@@ -74,6 +74,8 @@ pub const ROW_WORDS: u32 = 12;
 const ROW_PARTS: u64 = ROW_WORDS as u64 / 4;
 /// Words of a row that are sums.
 pub const SUMS: usize = 12;
+/// Those in front, which are always summed; the others are of absolute gradients.
+pub const SIGNED_SUMS: usize = 10;
 /// Gradients and colours from here on count as 0.
 pub const FAR_VALUE: f32 = 1e12;
 /// The same for their product summed over a pixel.
@@ -115,6 +117,8 @@ crate::gpu_constants! {
         segments,
         /// Least splats of a segment.
         least_segment,
+        /// 1: with the sums of absolute gradients; else they are 0.
+        absolute,
     }
 }
 
@@ -173,6 +177,7 @@ impl BlendBackwardConstants {
         subgroup_size: u32,
         subtiles: u32,
         segments: Segments,
+        absolute: bool,
     ) -> Self {
         Self {
             accumulate: accumulation as u32,
@@ -181,6 +186,7 @@ impl BlendBackwardConstants {
             subtiles,
             segments: segments.per_list,
             least_segment: segments.least,
+            absolute: absolute.into(),
         }
     }
 }
@@ -222,6 +228,8 @@ pub struct BackwardInput {
     pub tiles: u32,
     /// Where the forward pass kept the states of the lists' segments.
     pub states: Option<States>,
+    /// Whether absolute gradients by the centres are summed too.
+    pub absolute: bool,
 }
 
 /// Where the gradients go, which also says how they are added.
@@ -261,7 +269,8 @@ pub fn record(
     let subtiles = if whole { subtiles_of_tile(size) } else { 1 };
     r.fill(rows, 0)?;
     let segments = input.states.as_ref().map_or(Segments::WHOLE, |s| s.segments);
-    let constants = BlendBackwardConstants::new(accumulation, Stage::of_device(gpu), size, subtiles, segments);
+    let (stage, absolute) = (Stage::of_device(gpu), input.absolute);
+    let constants = BlendBackwardConstants::new(accumulation, stage, size, subtiles, segments, absolute);
     let groups = Groups::Direct(groups(input.tiles * segments.per_list, size, subtiles));
     let buffers = input.buffers(target, rows);
     match target {
@@ -284,7 +293,7 @@ pub fn record(
 }
 
 impl BackwardInput {
-    /// What the forward pass left in these buffers.
+    /// What the forward pass left in these buffers; without absolute gradients.
     pub(crate) fn new(
         work: &WorkBuffers,
         frame: &FrameBuffers,
@@ -304,6 +313,7 @@ impl BackwardInput {
             gaussians,
             tiles: shape.tiles,
             states: shape.states.clone(),
+            absolute: false,
         }
     }
 

@@ -41,7 +41,7 @@ pub(super) fn measure_scene(
     let counted = counted.inspect_err(|e| log::warn!("prediction without subtiles: {e}")).unwrap_or(Subtiles::ALL);
     let mut predicted = predict(Kind::Frame, &measured.recorded, counted);
     if let Some(predicted) = &mut predicted {
-        predicted.add_pairs(&measured.recorded_pair);
+        measured.recorded_beside.iter().for_each(|(frames, recorded)| predicted.add_beside(*frames, recorded));
     }
     let (width, height) = (plan.camera.width, plan.camera.height);
     let numbers = json!({

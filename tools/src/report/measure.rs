@@ -116,6 +116,15 @@ pub(crate) fn recorded(
     operations.into_iter().map(with_work).collect()
 }
 
+/// Rate of frames drawn side by side.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Beside {
+    /// Frames of one submission.
+    pub frames: usize,
+    /// All frames, per second.
+    pub fps: f64,
+}
+
 /// Everything measured.
 #[derive(Debug, Clone, Serialize)]
 pub struct Measurement {
@@ -129,8 +138,8 @@ pub struct Measurement {
     pub fps: f64,
     /// Frames per second with several frames in flight.
     pub fps_pipelined: f64,
-    /// Frames per second in pairs drawn side by side, as many pairs in flight; absent where their buffers do not fit.
-    pub fps_side_by_side: Option<f64>,
+    /// Rates of frames drawn side by side, by two and by four; those are left out whose buffers do not fit.
+    pub fps_side_by_side: Vec<Beside>,
     /// Frames per second by the paper's protocol: this view, 1000 frames, t from 0 to 1, frames in flight.
     pub fps_paper_protocol: Option<f64>,
     /// Frames in flight.
@@ -150,9 +159,9 @@ pub struct Measurement {
     /// What was recorded for a frame, for predictions.
     #[serde(skip)]
     pub recorded: Vec<Recorded>,
-    /// The same of a pair.
+    /// The same of so many frames side by side.
     #[serde(skip)]
-    pub recorded_pair: Vec<Recorded>,
+    pub recorded_beside: Vec<(usize, Vec<Recorded>)>,
     /// Device memory, bytes.
     pub memory: MemoryUse,
     /// Model and buffers that grow with the Gaussians, per Gaussian.
@@ -181,12 +190,10 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
         tick();
     }
     let fps_pipelined = pipelined_fps(&mut renderer, plan, plan.times, plan.frames, tick)?;
-    // Of frames alone: pairs need more.
+    // Of frames alone: those side by side need more.
     let memory = renderer.memory();
-    let (fps_side_by_side, pair) = match side_by_side_fps(&mut renderer, plan, tick) {
-        Err(Error::OutOfMemory { .. } | Error::Limit { .. }) => (None, None),
-        found => found.map(|(fps, pair)| (Some(fps), Some(pair)))?,
-    };
+    let two = beside::<2>(&mut renderer, plan, tick)?;
+    let four = beside::<4>(&mut renderer, plan, tick)?;
     let fps_paper_protocol = if plan.paper_protocol {
         Some(pipelined_fps(&mut renderer, plan, [0.0, 1.0], PAPER_FRAMES, tick)?)
     } else {
@@ -195,6 +202,9 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
     let frame_ms = Quantiles::of(frame_ms);
     let count = scene.gaussians.len().max(1) as f64;
     let (commands, workload) = (renderer.commands(), renderer.workload(&statistics));
+    let record = |commands| recorded(commands, &workload, &|kernel, push| with_push(&workload, kernel, push));
+    let of_frame = |(rate, frame): (Beside, FrameId)| (rate, (rate.frames, record(renderer.commands_of(frame).ok())));
+    let (fps_side_by_side, recorded_beside) = two.into_iter().chain(four).map(of_frame).unzip();
     Ok(Measurement {
         frames: plan.frames,
         frame_ms,
@@ -208,10 +218,8 @@ pub fn measure(gpu: &Gpu, scene: &Scene, options: &RenderOptions, plan: &Plan, t
         dispatches: commands.map_or(0, Commands::dispatches),
         barriers: commands.map_or(0, Commands::barriers),
         copy_gb_per_s,
-        recorded_pair: recorded(pair.and_then(|pair| renderer.commands_of(pair).ok()), &workload, &|kernel, push| {
-            with_push(&workload, kernel, push)
-        }),
-        recorded: recorded(commands, &workload, &|kernel, push| with_push(&workload, kernel, push)),
+        recorded_beside,
+        recorded: record(commands),
         workload: workload.0,
         statistics,
         memory,
@@ -260,37 +268,44 @@ fn pipelined_fps(renderer: &mut Renderer, plan: &Plan, times: [f64; 2], frames: 
     Ok(f64::from(frames) / start.elapsed().as_secs_f64())
 }
 
-/// Rate of frames drawn in pairs, and one of them, the last submitted.
-fn side_by_side_fps(renderer: &mut Renderer, plan: &Plan, tick: &dyn Fn()) -> Result<(f64, FrameId)> {
-    let pairs = plan.frames.div_ceil(2);
+/// Rate of frames drawn side by side, `K` by a submission, and the last one; `None` where there is no room for their buffers.
+fn beside<const K: usize>(renderer: &mut Renderer, plan: &Plan, tick: &dyn Fn()) -> Result<Option<(Beside, FrameId)>> {
+    match beside_fps::<K>(renderer, plan, tick) {
+        Err(Error::OutOfMemory { .. } | Error::Limit { .. }) => Ok(None),
+        found => found.map(|(fps, last)| Some((Beside { frames: K, fps }, last))),
+    }
+}
+
+fn beside_fps<const K: usize>(renderer: &mut Renderer, plan: &Plan, tick: &dyn Fn()) -> Result<(f64, FrameId)> {
+    let groups = (plan.frames as usize).div_ceil(K);
     // The times of the frames that were drawn alone: there is room for them.
-    let at = |i: u32| plan.time(i.min(plan.frames.saturating_sub(1)), plan.frames);
+    let at = |i: usize| plan.time((i as u32).min(plan.frames.saturating_sub(1)), plan.frames);
+    let views = |group: usize| std::array::from_fn(|k| (&plan.camera, at(group * K + k)));
     // The first makes the buffers.
-    let frames = renderer.submit_pair([(&plan.camera, at(0)), (&plan.camera, at(1))])?;
-    finish_pair(renderer, frames, &|| ())?;
-    let mut last = frames[1];
+    let mut frames: [FrameId; K] = renderer.submit_beside(views(0))?;
+    finish(renderer, &frames, &|| ())?;
     let mut pending = std::collections::VecDeque::new();
     let start = Instant::now();
-    for i in 0..pairs {
+    for group in 0..groups {
         if pending.len() == renderer.frames_in_flight()
             && let Some(frames) = pending.pop_front()
         {
-            finish_pair(renderer, frames, tick)?;
+            finish::<K>(renderer, &frames, tick)?;
         }
-        let frames = renderer.submit_pair([(&plan.camera, at(2 * i)), (&plan.camera, at(2 * i + 1))])?;
-        last = frames[1];
+        frames = renderer.submit_beside(views(group))?;
         pending.push_back(frames);
     }
     for frames in pending {
-        finish_pair(renderer, frames, tick)?;
+        finish(renderer, &frames, tick)?;
     }
-    Ok((f64::from(2 * pairs) / start.elapsed().as_secs_f64(), last))
+    let rate = (groups * K) as f64 / start.elapsed().as_secs_f64();
+    Ok((rate, frames[K - 1]))
 }
 
-/// Waits for both.
-fn finish_pair(renderer: &mut Renderer, frames: [FrameId; 2], tick: &dyn Fn()) -> Result<()> {
+/// Waits for all of them.
+fn finish<const K: usize>(renderer: &mut Renderer, frames: &[FrameId; K], tick: &dyn Fn()) -> Result<()> {
     for frame in frames {
-        renderer.finish(frame)?;
+        renderer.finish(*frame)?;
         tick();
     }
     Ok(())

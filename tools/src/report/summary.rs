@@ -49,8 +49,9 @@ pub fn text(m: &Measurement) -> String {
 }
 
 fn rates(m: &Measurement) -> String {
-    let pairs = m.fps_side_by_side.map_or(String::new(), |fps| format!(", {fps:.1} in pairs side by side"));
-    format!("{:.1} one at a time, {:.1} with {} in flight{pairs}", m.fps, m.fps_pipelined, m.frames_in_flight)
+    let beside: String =
+        m.fps_side_by_side.iter().map(|b| format!(", {:.1} with {} side by side", b.fps, b.frames)).collect();
+    format!("{:.1} one at a time, {:.1} with {} in flight{beside}", m.fps, m.fps_pipelined, m.frames_in_flight)
 }
 
 /// Bytes of a MiB.

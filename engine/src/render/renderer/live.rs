@@ -107,7 +107,7 @@ impl Renderer {
         Ok(slots.into_iter().position(|s| s.frame == frame.0).unwrap_or(0))
     }
 
-    /// What each frame in flight leaves, but for pairs.
+    /// What each frame in flight leaves, but for those side by side.
     pub(crate) fn outputs(&self) -> impl Iterator<Item = Output> {
         let targets = self.targets.iter();
         targets.flat_map(|t| {
@@ -116,7 +116,7 @@ impl Renderer {
                 color: s.buffers.color.whole(),
                 depth: s.buffers.depth.as_ref().map(Buffer::whole),
                 ranges: work.ranges.whole(),
-                counters: work.counters.clone(),
+                counters: s.buffers.counters.slice(0, work.counters.bytes),
             })
         })
     }

@@ -78,7 +78,10 @@ impl Step {
         let shape = Shape { tiles: self.tiles, with_depth: false, slots, states, ..Shape::default() };
         let mut r = self.gpu.recorder("step").with_timestamps(true);
         record_forward(&self.gpu, &mut r, &self.scene, &self.work, &self.buffers, &shape).unwrap();
-        let input = BackwardInput::new(&self.work, &self.buffers, &self.image_gradient, self.scene.gaussians, &shape);
+        let input = BackwardInput {
+            absolute: true,
+            ..BackwardInput::new(&self.work, &self.buffers, &self.image_gradient, self.scene.gaussians, &shape)
+        };
         record(&self.gpu, &mut r, &input, target, &Slice::from(&self.splat_gradient)).unwrap();
         let commands = self.gpu.run(r).unwrap();
         let bytes = self.gpu.download(Slice::from(&self.splat_gradient)).unwrap();
@@ -230,7 +233,8 @@ fn twin_rows(frame: &Frame, splats: &[Splat], gradient: &[[f32; 4]]) -> Vec<f32>
         gradient_rows: vec![0; 12 * n as usize],
         states: None,
     };
-    let constants = BlendBackwardConstants::new(Accumulation::CompareAndSwap, Stage::Shuffle, 8, 4, Segments::WHOLE);
+    let constants =
+        BlendBackwardConstants::new(Accumulation::CompareAndSwap, Stage::Shuffle, 8, 4, Segments::WHOLE, true);
     let rows = BLEND_BACKWARD.run_twin(8, constants, (), buffers, 1).gradient_rows;
     rows.iter().map(|w| f32::from_bits(*w)).collect()
 }

@@ -1,6 +1,8 @@
 //! CPU twin: the replay per pixel, decisions in f32 as on the device, sums in f64.
 
-use super::{Accumulation, BlendBackwardBuffers, BlendBackwardConstants, FAR_PRODUCT, FAR_VALUE, ROW_WORDS, SUMS};
+use super::{
+    Accumulation, BlendBackwardBuffers, BlendBackwardConstants, FAR_PRODUCT, FAR_VALUE, ROW_WORDS, SIGNED_SUMS, SUMS,
+};
 use crate::render::blend::{MAX_ALPHA, MIN_TRANSMITTANCE, splat_at};
 use crate::render::ellipse::LOG2_255;
 use crate::render::frame::Frame;
@@ -86,6 +88,7 @@ pub(super) fn blend_backward_twin(constants: BlendBackwardConstants, b: BlendBac
         Some(states) if segment > 0 => vec4_at(states, (segment - 1) * frame.pixels() + at),
         _ => UNTOUCHED,
     };
+    let summed = if constants.absolute == 1 { SUMS } else { SIGNED_SUMS };
     let mut target: Vec<f64> = (0..b.gradient_rows.len()).map(|i| f64::from(f32_at(b.gradient_rows, i))).collect();
     for tile in 0..frame.tile_count {
         let [x0, y0] = [tile % tiles_x * TILE_SIZE, tile / tiles_x * TILE_SIZE];
@@ -106,7 +109,7 @@ pub(super) fn blend_backward_twin(constants: BlendBackwardConstants, b: BlendBac
         }
         for (value, sums) in b.values[range].iter().zip(&sums) {
             let row = (ROW_WORDS * row(*value)) as usize;
-            sums.iter().enumerate().for_each(|(c, sum)| target[row + c] += sum);
+            sums[..summed].iter().enumerate().for_each(|(c, sum)| target[row + c] += sum);
         }
     }
     target.iter().enumerate().for_each(|(i, v)| set_f32(b.gradient_rows, i, *v as f32));

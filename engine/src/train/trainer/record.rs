@@ -77,7 +77,10 @@ impl Trainer {
     }
 
     fn record_blend_backward(&self, r: &mut Recorder, t: &Target, frame: &FrameBuffers) -> Result<()> {
-        let input = BackwardInput::new(&t.work, frame, &t.image_gradient, self.parameters.count(), &t.shape);
+        let input = BackwardInput {
+            absolute: self.config.density.enabled && self.config.density.absolute_gradient,
+            ..BackwardInput::new(&t.work, frame, &t.image_gradient, self.parameters.count(), &t.shape)
+        };
         let target = match (&t.shape.slots, &t.instance_gradient) {
             (Some(slots), Some(rows)) => BackwardTarget::Instances(slots.clone(), Slice::from(rows)),
             _ if self.gpu.info().capabilities.float_atomics => BackwardTarget::NativeAtomics,

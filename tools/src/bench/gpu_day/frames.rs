@@ -20,9 +20,9 @@ use crate::report::{provenance, summary};
 /// Gaussians, superpoints, image side: what is wanted, and what a slow device gets.
 pub(super) const SYNTHETIC: [[u32; 3]; 4] =
     [[120_000, 512, 800], [30_000, 512, 400], [8_000, 128, 200], [1_000, 16, 64]];
-/// Most frames that are measured; each is drawn with timestamps, alone, in flight and in pairs, then twice as many by the paper's protocol.
+/// Most frames that are measured; each is drawn with timestamps, alone, in flight and side by side, then twice as many by the paper's protocol.
 const FRAMES: u32 = 500;
-const PASSES: f64 = 6.0;
+const PASSES: f64 = 7.0;
 /// Frames before.
 const WARMUP: u32 = 3;
 /// Of a slow device's time, what one frame of the chosen size may take: scene, copies and pipelines take the rest.
@@ -117,10 +117,12 @@ fn outcome(gpu: &Gpu, mut found: Found, reduced: Vec<String>) -> Outcome {
     };
     let device = gpu.info().name.clone();
     let mut figures = figures(found.predicted.as_ref(), Kind::Frame, &device, measured);
-    if let Some((fps, in_flight)) = m.fps_side_by_side.zip(figures.first().cloned()) {
-        let what = "frames in pairs side by side".into();
-        let predicted = found.predicted.as_ref().and_then(|p| p.beside(&device)?.0.side_by_side_per_second);
-        figures.push(Figure { what, measured: Some(fps), predicted, ..in_flight });
+    let in_flight = figures.first().cloned();
+    for (rate, in_flight) in m.fps_side_by_side.iter().zip(in_flight.iter().cycle().cloned()) {
+        let what = format!("frames, {} side by side", rate.frames);
+        let predicted = found.predicted.as_ref().and_then(|p| p.beside(&device));
+        let predicted = predicted.and_then(|(gpu, _)| gpu.side_by_side.iter().find(|b| b.frames == rate.frames));
+        figures.push(Figure { what, measured: Some(rate.fps), predicted: predicted.map(|b| b.fps), ..in_flight });
     }
     if let Some((fps, in_flight)) = m.fps_paper_protocol.zip(figures.first().cloned()) {
         let what = "frames in flight, the paper's protocol".into();

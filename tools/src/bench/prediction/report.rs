@@ -88,8 +88,9 @@ fn line(of: Kind, gpu: &OnGpu) -> String {
     let (device, alone, rate) = (gpu.device_ms, gpu.one_at_a_time_ms, gpu.per_second);
     let figure = match of {
         Kind::Frame => {
-            let pairs = gpu.side_by_side_per_second.map_or(String::new(), |rate| format!(", {rate:.0} in pairs"));
-            format!("{device:.3} ms on the device: {rate:.0} FPS in flight, {:.0} one at a time{pairs}", 1e3 / alone)
+            let beside: String =
+                gpu.side_by_side.iter().map(|b| format!(", {:.0} with {} side by side", b.fps, b.frames)).collect();
+            format!("{device:.3} ms on the device: {rate:.0} FPS in flight, {:.0} one at a time{beside}", 1e3 / alone)
         }
         Kind::Step => format!("{device:.3} ms on the device, {alone:.3} ms per step: {rate:.0} steps/s"),
     };

@@ -7,7 +7,7 @@ use super::loops::{LOOPS, USUAL_PATHS};
 use super::model::{Cost, costs};
 use super::profile::{Constant, HOST_US, HOST_WRITES_GB_PER_S, PROFILES, Profile};
 use super::subtiles::Subtiles;
-use crate::report::measure::Recorded;
+use crate::report::measure::{Beside, Recorded};
 
 /// What was recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -56,8 +56,8 @@ pub(crate) struct OnGpu {
     pub(crate) one_at_a_time_ms: f64,
     /// Of frames or steps in flight, per second.
     pub(crate) per_second: f64,
-    /// Of frames drawn in pairs side by side, per second, where a pair was recorded.
-    pub(crate) side_by_side_per_second: Option<f64>,
+    /// Of frames drawn side by side, where they were recorded.
+    pub(crate) side_by_side: Vec<Beside>,
     /// The goal, if there is one for it.
     pub(crate) goal: Option<Goal>,
     /// Dispatches and transfers in order.
@@ -100,12 +100,12 @@ impl Predicted {
         own.map(|gpu| (gpu, true)).or_else(|| Some((self.gpus.first()?, false)))
     }
 
-    /// Adds what this recording of two frames would take.
-    pub(crate) fn add_pairs(&mut self, recorded: &[Recorded]) {
+    /// Adds what this recording of so many frames side by side would take.
+    pub(crate) fn add_beside(&mut self, frames: usize, recorded: &[Recorded]) {
         for gpu in self.gpus.iter_mut().filter(|_| !recorded.is_empty()) {
             let profile = PROFILES.iter().find(|p| p.name == gpu.gpu);
-            let pair = profile.map(|p| on_gpu(self.of, p, recorded, self.subtiles, false));
-            gpu.side_by_side_per_second = pair.map(|pair| 2.0 * pair.per_second);
+            let all = profile.map(|p| on_gpu(self.of, p, recorded, self.subtiles, false));
+            gpu.side_by_side.extend(all.map(|all| Beside { frames, fps: frames as f64 * all.per_second }));
         }
     }
 }
@@ -157,7 +157,7 @@ fn on_gpu(of: Kind, profile: &'static Profile, recorded: &[Recorded], subtiles: 
         device_ms: device_us / 1e3,
         one_at_a_time_ms: one_at_a_time_us / 1e3,
         per_second,
-        side_by_side_per_second: None,
+        side_by_side: Vec::new(),
         goal,
         operations: demands.into_iter().zip(costs).map(|(demand, cost)| Operation { demand, cost }).collect(),
         data_sheet: profile.sheet,

@@ -235,7 +235,7 @@ fn whole_lists(gpu: &Gpu) -> Result<()> {
         ways.push((Accumulation::NativeAtomics, &BLEND_BACKWARD_NATIVE.kernel, 1));
     }
     ways.into_iter().try_for_each(|(way, kernel, subtiles)| {
-        let constants = BlendBackwardConstants::new(way, stage, size, subtiles, Segments::WHOLE);
+        let constants = BlendBackwardConstants::new(way, stage, size, subtiles, Segments::WHOLE, false);
         gpu.compile(kernel, &constants.to_words())
     })
 }
