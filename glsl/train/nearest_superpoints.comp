@@ -1,7 +1,6 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
-#extension GL_KHR_shader_subgroup_shuffle : require
 #extension GL_EXT_control_flow_attributes : require
 
 // The K nearest superpoints of each Gaussian in canonical space, exact, nearest first, ties by lowest index; the row of
@@ -41,13 +40,18 @@ layout(std430, set = 0, binding = 14) writeonly buffer BlendIndexBlock { uint bl
 const uint INFINITE = 0x7f800000u;
 const uint LARGEST = 0x7f7fffffu;
 
-// Squared distance, never NaN: what overflows counts as the largest number. Without contraction, so that ties are ties
-// on every device.
+// Without contraction, so that ties are ties on every device.
 float squared_distance(vec3 a, vec3 b) {
     precise float x = a.x - b.x;
     precise float y = a.y - b.y;
     precise float z = a.z - b.z;
     precise float d = x * x + y * y + z * z;
+    return d;
+}
+
+// Never NaN: what overflows counts as the largest number.
+float finite_distance(vec3 a, vec3 b) {
+    float d = squared_distance(a, b);
     return number_is_finite(d) ? d : uintBitsToFloat(LARGEST);
 }
 
@@ -72,41 +76,73 @@ float upper_bound(vec3 x, uint row) {
             uint at = 3u * min(j, step_data.superpoints - 1u);
             vec3 q = vec3(superpoint_position[at], superpoint_position[at + 1u], superpoint_position[at + 2u]);
             // Positive floats are in the order of their bits.
-            bound = max(bound, j < step_data.superpoints ? floatBitsToUint(squared_distance(x, q)) + 1u : INFINITE);
+            bound = max(bound, j < step_data.superpoints ? floatBitsToUint(finite_distance(x, q)) + 1u : INFINITE);
         }
     }
     return uintBitsToFloat(bound);
 }
 
-// Each lane loads one superpoint and the subgroup takes turns to broadcast it: no shared memory, no barrier. Candidates
-// come in index order, so that of equal distances the lowest index stays first. Those from `worst` on are passed over.
+// Superpoints that are in shared memory at a time.
+const uint STAGED = 256u;
+// Those that are compared with the bound before the first of them is looked at: one comparison each is all that most need, and
+// the lanes of a subgroup are close to different ones.
+const uint CHUNK = 32u;
+
+shared vec4 staged_position[STAGED];
+
+// Which of the staged superpoints chunk .. chunk + 31 may be closer than `worst`, as bits.
+uint close_ones(vec3 x, uint chunk, float worst) {
+    // Then all are: what overflows is below infinity.
+    bool unbounded = floatBitsToUint(worst) == INFINITE;
+    uint close = 0u;
+    for (uint part = 0u; part < CHUNK; part += 8u) {
+        uint bits = 0u;
+        [[unroll]] for (uint k = 0u; k < 8u; k++) {
+            float d = squared_distance(x, staged_position[chunk + part + k].xyz);
+            bits |= unbounded || !(d >= worst) ? 1u << k : 0u;
+        }
+        close |= bits << part;
+    }
+    return close;
+}
+
+// Candidates come in index order, so that of equal distances the lowest index stays first. Those from `worst` on are passed over.
+// Every thread of the workgroup must call it.
 void find_nearest(vec3 x, float worst, out uint nearest[MAX_NEIGHBORS]) {
-    uint size = SUBGROUP_SIZE;
     uint neighbors = NEIGHBORS;
     uint superpoints = step_data.superpoints;
     float d_0 = uintBitsToFloat(INFINITE);
     float d_1 = d_0, d_2 = d_0, d_3 = d_0, d_4 = d_0, d_5 = d_0, d_6 = d_0;
     uint n_0 = 0u, n_1 = 0u, n_2 = 0u, n_3 = 0u, n_4 = 0u, n_5 = 0u, n_6 = 0u;
-    for (uint base = 0u; base < superpoints; base += size) {
-        uint mine = 3u * min(base + gl_SubgroupInvocationID, superpoints - 1u);
-        vec3 p = vec3(superpoint_position[mine], superpoint_position[mine + 1u], superpoint_position[mine + 2u]);
-        uint count = min(size, superpoints - base);
-        for (uint j = 0u; j < count; j++) {
-            vec3 q = vec3(subgroupShuffle(p.x, j), subgroupShuffle(p.y, j), subgroupShuffle(p.z, j));
-            float d = squared_distance(x, q);
-            uint index = base + j;
-            if (d < worst) {
-                MOVE_ON(6u, d_5, n_5, d_6, n_6)
-                MOVE_ON(5u, d_4, n_4, d_5, n_5)
-                MOVE_ON(4u, d_3, n_3, d_4, n_4)
-                MOVE_ON(3u, d_2, n_2, d_3, n_3)
-                MOVE_ON(2u, d_1, n_1, d_2, n_2)
-                MOVE_ON(1u, d_0, n_0, d_1, n_1)
-                n_0 = d < d_0 ? index : n_0;
-                d_0 = min(d, d_0);
-                float last = neighbors > 6u ? d_6 : neighbors > 5u ? d_5 : neighbors > 4u ? d_4 : neighbors > 3u ? d_3
-                    : neighbors > 2u ? d_2 : neighbors > 1u ? d_1 : d_0;
-                worst = min(worst, last);
+    for (uint first = 0u; first < superpoints; first += STAGED) {
+        uint mine = 3u * min(first + thread_index(), superpoints - 1u);
+        barrier();
+        staged_position[thread_index()] =
+            vec4(superpoint_position[mine], superpoint_position[mine + 1u], superpoint_position[mine + 2u], 0.0);
+        barrier();
+        uint count = min(STAGED, superpoints - first);
+        for (uint chunk = 0u; chunk < count; chunk += CHUNK) {
+            uint close = close_ones(x, chunk, worst);
+            uint last_bits = count - chunk;
+            close &= last_bits < CHUNK ? (1u << last_bits) - 1u : 0xffffffffu;
+            while (close != 0u) {
+                uint k = uint(findLSB(close));
+                close &= close - 1u;
+                float d = finite_distance(x, staged_position[chunk + k].xyz);
+                uint index = first + chunk + k;
+                if (d < worst) {
+                    MOVE_ON(6u, d_5, n_5, d_6, n_6)
+                    MOVE_ON(5u, d_4, n_4, d_5, n_5)
+                    MOVE_ON(4u, d_3, n_3, d_4, n_4)
+                    MOVE_ON(3u, d_2, n_2, d_3, n_3)
+                    MOVE_ON(2u, d_1, n_1, d_2, n_2)
+                    MOVE_ON(1u, d_0, n_0, d_1, n_1)
+                    n_0 = d < d_0 ? index : n_0;
+                    d_0 = min(d, d_0);
+                    float last = neighbors > 6u ? d_6 : neighbors > 5u ? d_5 : neighbors > 4u ? d_4 : neighbors > 3u ? d_3
+                        : neighbors > 2u ? d_2 : neighbors > 1u ? d_1 : d_0;
+                    worst = min(worst, last);
+                }
             }
         }
     }
@@ -250,7 +286,7 @@ void main() {
     uint i = workgroup_index() * 256u + thread_index();
     uint slots = SLOTS;
     uint n = step_data.gaussians;
-    // A thread without a Gaussian keeps its subgroup company, which shuffles need.
+    // A thread without a Gaussian keeps its workgroup company, which barriers need.
     uint at = min(i, n - 1u);
     vec3 x = vec3(mean[at], mean[n + at], mean[2u * n + at]);
     uint nearest[MAX_NEIGHBORS];

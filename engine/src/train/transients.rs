@@ -71,17 +71,21 @@ impl Transients {
 
     /// Leaves the pixels of `photo` out.
     pub(super) fn apply(&self, photo: usize, pixels: &mut Pixels) {
-        let Some((size, left_out)) = self.of_photo(photo) else { return };
-        let at =
-            |k: u32, own: usize, length: u32| (u64::from(k) * u64::from(size[own]) / u64::from(length.max(1))) as usize;
-        for y in 0..pixels.height {
-            let row = at(y, 1, pixels.height) * size[0] as usize;
-            for x in 0..pixels.width {
-                if left_out[row + at(x, 0, pixels.width)] {
-                    pixels.rgba[y as usize * pixels.width as usize + x as usize] = LEFT_OUT;
-                }
-            }
+        let [width, height] = [pixels.width, pixels.height];
+        for i in self.pixels_of(photo, [width, height]) {
+            pixels.rgba[i] = LEFT_OUT;
         }
+    }
+
+    /// Places `y·W + x` of the pixels of `photo` that are left out where it has this width and height.
+    fn pixels_of(&self, photo: usize, [width, height]: [u32; 2]) -> impl Iterator<Item = usize> {
+        let mask = self.of_photo(photo);
+        let at = |k: u32, own: u32, length: u32| (u64::from(k) * u64::from(own) / u64::from(length.max(1))) as usize;
+        (0..height).flat_map(move |y| (0..width).map(move |x| (x, y))).filter_map(move |(x, y)| {
+            let (size, left_out) = mask?;
+            let own = at(y, size[1], height) * size[0] as usize + at(x, size[0], width);
+            left_out[own].then_some(y as usize * width as usize + x as usize)
+        })
     }
 
     /// Width, height and bits, photo by photo.
@@ -171,10 +175,11 @@ impl Trainer {
         for place in places.step_by(step) {
             let view = &self.pyramid.views[place];
             let (rendered, errors) = look(place)?;
-            let mut takes_part = Pixels::opaque(&rendered);
-            before.apply(self.pyramid.photo(place), &mut takes_part);
-            let errors = errors.iter().zip(&takes_part.rgba).map(|(e, p)| (*p != LEFT_OUT).then_some(*e));
-            evidence.add_errors(&mut of, &view.camera, view.time, &rendered, &errors.collect::<Vec<_>>())?;
+            let mut errors: Vec<Option<f32>> = errors.into_iter().map(Some).collect();
+            for i in before.pixels_of(self.pyramid.photo(place), [rendered.width, rendered.height]) {
+                errors[i] = None;
+            }
+            evidence.add_errors(&mut of, &view.camera, view.time, &rendered, &errors)?;
         }
         Ok(evidence)
     }

@@ -291,10 +291,10 @@ pub(super) const LOOPS: &[Loop] = &[
     },
     Loop {
         kernels: &["nearest_superpoints"],
-        round: "a superpoint tried; a shuffle takes four issue slots",
-        body: Body::Of(35.0),
+        round: "a superpoint compared with the bound; two of 32 put into the list",
+        body: Body::Of(19.0),
         alone: None,
-        loads: 1.0 / 32.0,
+        loads: 1.0 / 256.0,
         trips: |k| each(k.subgroups, k.of("superpoints")),
     },
     Loop {

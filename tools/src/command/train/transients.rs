@@ -3,12 +3,20 @@
 use std::path::Path;
 
 use engine::data::dataset::View;
-use engine::error::Result;
+use engine::error::{Error, Result};
 use engine::file::picture::{self, Alpha};
 use engine::image::Image;
 use engine::train::transients::Transients;
 
 use crate::report::files::create_folder;
+
+/// Removes what an earlier run in the same folder may have left.
+fn remove(mask: &Path) -> Result<()> {
+    match std::fs::remove_file(mask) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(mask, "remove", e)),
+        _ => Ok(()),
+    }
+}
 
 /// Writes a mask for each photo that something was left out of, white where it was, and says how much; nothing where photos are
 /// believed.
@@ -18,11 +26,14 @@ pub(super) fn write(out: &Path, photos: &[View], words: Option<&[u32]>) -> Resul
     let folder = out.join("transients");
     create_folder(&folder)?;
     for i in 0..photos.len() {
-        if let Some(([width, height], left_out)) = transients.of_photo(i) {
-            let rgba = left_out.iter().flat_map(|l| [f32::from(u8::from(*l)); 4]).collect();
-            let mask = Image { width, height, rgba, depth: Vec::new() };
-            picture::write_png(&folder.join(format!("{i:05}.png")), &mask, Alpha::Drop)?;
-        }
+        let path = folder.join(format!("{i:05}.png"));
+        let Some(([width, height], left_out)) = transients.of_photo(i) else {
+            remove(&path)?;
+            continue;
+        };
+        let rgba = left_out.iter().flat_map(|l| [f32::from(u8::from(*l)); 4]).collect();
+        let mask = Image { width, height, rgba, depth: Vec::new() };
+        picture::write_png(&path, &mask, Alpha::Drop)?;
     }
     let found = transients.found();
     Ok(Some(format!(
