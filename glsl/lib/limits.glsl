@@ -9,8 +9,8 @@ const uint SORT_PARTITION = 4096u;    // SORT_THREADS * SORT_ROUNDS: keys of the
 const uint SORT_DIGITS = 256u;        // columns of a histogram row, whatever the digit width
 const uint SCAN_BLOCK = 256u;         // elements per block sum
 const uint SCAN_SUPER = 256u;         // block sums per super sum
-// Words from the counter of a tile to that of the next: atomics on the same sector of memory (32 bytes on NVIDIA) wait for each other.
-const uint TILE_PITCH = 8u;
+// Words from the counter of a tile to that of the next: atomics on the same line of memory (128 bytes on NVIDIA) wait for each other.
+const uint TILE_PITCH = 32u;
 
 // counters[]
 const uint COUNT_VISIBLE = 0u;

@@ -3,7 +3,7 @@
 use engine::render::frame::Frame;
 use engine::render::linear_forward::*;
 use engine::render::nonrigid_network::{self, *};
-use engine::scene::{DeformSize, NonrigidNetwork};
+use engine::scene::NonrigidNetwork;
 use engine::train::linear::gather_gradient::*;
 use engine::train::linear::linear_backward_input::*;
 use engine::train::linear::linear_backward_weight::*;
@@ -11,9 +11,6 @@ use engine::train::linear::linear_update::*;
 use engine::train::linear::{self, LinearConstants, Output, Stage};
 use engine::train::lost::add_path::*;
 use engine::train::network_f::encode_superpoints::*;
-use engine::train::network_f::layers::{NetworkConstants, NetworkPush};
-use engine::train::network_f::network_backward::*;
-use engine::train::network_f::network_forward::*;
 use engine::train::network_g::encode_gaussians::*;
 use engine::train::status;
 use engine::train::step::{Step, bias_corrections};
@@ -228,78 +225,6 @@ fn update_and_gather_match_their_twins() {
         assert_eq!(status::first(&done.status), Some((["pose", "network G"][network as usize], 1, 30)));
         assert!(done.row_gradient.iter().all(|w| f32::from_bits(*w).is_finite()));
     }
-}
-
-/// Layers, width, superpoints, rows of a workgroup. With one and two layers none sees the encoding again.
-const NETWORKS: [[u32; 4]; 10] = [
-    [1, 32, 1, 4],
-    [1, 32, 9, 8],
-    [2, 64, 3, 4],
-    [2, 96, 3, 8],
-    [3, 32, 65, 4],
-    [3, 96, 65, 8],
-    [5, 224, 5, 4],
-    [5, 64, 12, 8],
-    [8, 32, 64, 4],
-    [8, 256, 5, 4],
-];
-
-/// Parameters of a network, layer by layer as they lie on the device; what pads them is no number.
-fn network_parameter(r: &mut Random, size: DeformSize) -> Vec<u32> {
-    let shapes = (0..=size.layers).map(|i| {
-        let (inputs, outputs) = if i < size.layers { (size.layer_inputs(i), size.width) } else { (size.width, 8) };
-        (inputs, outputs * (inputs + 1))
-    });
-    let mut words = Vec::new();
-    for (inputs, parameters) in shapes {
-        words.extend(floats(r, parameters, (6.0 / inputs as f32).sqrt()));
-        words.resize(words.len().next_multiple_of(64), f32::NAN.to_bits());
-    }
-    words
-}
-
-#[test]
-fn all_layers_of_network_f_match_their_twins() {
-    let gpu = tests_harness::shared_gpu();
-    let mut r = Random(31);
-    for [layers, width, rows, per_group] in NETWORKS {
-        let size = DeformSize { layers: layers as usize, width: width as usize };
-        let constants = NetworkConstants { rows: per_group, ..NetworkConstants::new(size) };
-        // Room for more rows than there are.
-        let push = NetworkPush { rows, layer_stride: (rows + 3) * width };
-        let hidden = ((layers - 1) * push.layer_stride + rows * width) as usize;
-        let groups = constants.groups(rows) as u32;
-        let parameter = network_parameter(&mut r, size);
-        let buffers = NetworkForwardBuffers {
-            encoding: floats(&mut r, 76 * rows as usize, 1.0),
-            parameter: parameter.clone(),
-            hidden_output: vec![0; hidden],
-            pose: vec![0; 8 * rows as usize],
-        };
-        let context = format!("{rows} rows, {per_group} a workgroup, {size:?}");
-        let result = KernelCase { kernel: &NETWORK_FORWARD, constants, push, buffers, groups }.run(&gpu);
-        result.assert_equal(&context);
-        let (done, twin) = (result.gpu, result.twin);
-        assert!(done.pose.iter().all(|w| f32::from_bits(*w).is_finite()), "{context}");
-        let errors = [(&done.hidden_output, &twin.hidden_output), (&done.pose, &twin.pose)].map(largest_error);
-        println!("{context}: hidden outputs and poses within {errors:?} of the twin");
-        let buffers = NetworkBackwardBuffers {
-            pose_gradient: floats(&mut r, 8 * rows as usize, 1.0),
-            parameter,
-            hidden_output: done.hidden_output,
-            hidden_gradient: vec![0; hidden],
-        };
-        let result = KernelCase { kernel: &NETWORK_BACKWARD, constants, push, buffers, groups }.run(&gpu);
-        result.assert_equal(&context);
-        let error = largest_error((&result.gpu.hidden_gradient, &result.twin.hidden_gradient));
-        println!("{context}: gradients within {error:.1e} of the twin");
-    }
-}
-
-/// Largest difference of numbers on both sides; poison differs by no number.
-fn largest_error((device, twin): (&Vec<u32>, &Vec<u32>)) -> f32 {
-    let pairs = device.iter().zip(twin);
-    pairs.map(|(a, b)| (f32::from_bits(*a) - f32::from_bits(*b)).abs()).fold(0.0, f32::max)
 }
 
 #[test]

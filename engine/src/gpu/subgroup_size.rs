@@ -63,9 +63,9 @@ pub const CHOICES: &[Choice] = &[
     },
     Choice {
         vendor: AMD,
-        kernels: &["deform_network", "image_loss", "network_backward"],
+        kernels: &["deform_network", "image_loss"],
         size: 32,
-        why: "reads of shared memory are the larger part and are not cheaper at 64: 20 to 35 % less, 3 to 8 %, 5 %",
+        why: "reads of shared memory are the larger part and are not cheaper at 64: 20 to 35 % less, 3 to 8 % less",
     },
     Choice { vendor: AMD, kernels: &["density_decide"], size: 32, why: "9 % less" },
     Choice {

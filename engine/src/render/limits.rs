@@ -14,9 +14,9 @@ pub const SORT_DIGITS: u32 = 256;
 pub const SCAN_BLOCK: u32 = 256;
 /// Block sums per super sum.
 pub const SCAN_SUPER: u32 = 256;
-/// Words from the counter of a tile to that of the next: atomics on the same sector of memory (32 bytes on NVIDIA) wait for each
+/// Words from the counter of a tile to that of the next: atomics on the same line of memory (128 bytes on NVIDIA) wait for each
 /// other.
-pub const TILE_PITCH: u32 = 8;
+pub const TILE_PITCH: u32 = 32;
 
 /// First bit of the quadrants in an instance of a tile list ([`Ellipse::quadrants_of_tile`](super::ellipse::Ellipse)); below
 /// it is the Gaussian.

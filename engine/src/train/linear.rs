@@ -10,8 +10,7 @@
 //! - `gather_gradient`: planes `[P][rows]` to rows; numbers that are not finite become 0 and are reported.
 //!
 //! Every sum has a fixed order, so equal input gives equal bits on one device. A pass runs all `linear_backward_input` from
-//! the last layer down before `linear_update`, so gradients use the weights of the forward pass. On GPUs network F has kernels
-//! of its own for all layers at once ([`super::network_f`]).
+//! the last layer down before `linear_update`, so gradients use the weights of the forward pass.
 
 pub mod gather_gradient;
 pub mod linear_backward_input;
@@ -34,9 +33,6 @@ pub static KERNELS: &[&Kernel] = &[
     &linear_update::LINEAR_UPDATE.kernel,
     &gather_gradient::GATHER_GRADIENT.kernel,
 ];
-
-/// Floats that a layer's parameters are padded to: slices of a buffer start at multiples of 256 bytes.
-const ALIGNMENT: u32 = 64;
 
 /// Threads per workgroup.
 const THREADS: u32 = PRODUCT_THREADS;
@@ -98,10 +94,5 @@ impl Shape {
     /// Weights and biases.
     pub fn parameters(&self) -> u32 {
         self.outputs * (self.inputs() + 1)
-    }
-
-    /// Floats of these with their padding.
-    pub fn padded(&self) -> u32 {
-        self.parameters().next_multiple_of(ALIGNMENT)
     }
 }

@@ -11,8 +11,7 @@
 //!                             learn_exposure after it
 //! blend_backward, sum_instance_gradients → splat_gradient; of small images after blend_states instead of blend
 //! deform_project_backward     gradients of Gaussians and poses, Adam of the Gaussians, density statistics
-//! superpoint_sum, superpoint_gradient → network_backward (on CPUs and for G linear_backward_input), linear_backward_weight,
-//!                             linear_update: network F (or G) and its Adam
+//! superpoint_sum, superpoint_gradient → linear_backward_*, linear_update: network F (or G) and its Adam
 //! superpoint_commit           assignment and centres of the next step; with key poses superpoint_sum and learn_keys alone
 //! ```
 //!

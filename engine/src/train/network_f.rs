@@ -1,35 +1,28 @@
 //! Network F in training: forward with kept activations, backward, Adam.
 //!
-//! With the paper's 8 layers of 256: `encode_superpoints` writes the encodings `[M, 76]`, then `network_forward` the
+//! With the paper's 8 layers of 256: `encode_superpoints` writes the encodings `[M, 76]`, nine `linear_forward` the
 //! activations `[M, 256]` ×8 and the pose.
 //! Both heads are one layer of 8 outputs (r, 0, τ, 0): its output *is* `pose`, `vec4[M][2]`; the two rows of zeros get
-//! no gradient and stay zero. Backward: `gather_gradient`, `network_backward` down the layers, nine independent
-//! `linear_backward_weight`, one `linear_update` for all weights. On CPU devices nine `linear_forward` and eight
-//! `linear_backward_input` stand for the kernels of all layers: a layer of so few rows takes a GPU no longer than the barrier
-//! behind it, but CPUs are busy. Device memory: 16 bytes per weight and (76 + 2·8·256 + 8)·4 ≈ 16.7 KB per superpoint.
+//! no gradient and stay zero. Backward: `gather_gradient`, eight `linear_backward_input` down the layers, nine independent
+//! `linear_backward_weight`, one `linear_update` for all weights. Device memory: 16 bytes per weight and
+//! (76 + 2·8·256 + 8)·4 ≈ 16.7 KB per superpoint.
 
 pub mod encode_superpoints;
-pub mod layers;
-pub mod network_backward;
-pub mod network_forward;
 #[cfg(test)]
 mod tests;
 
 use self::encode_superpoints::{ENCODE_SUPERPOINTS, EncodeSuperpointsBuffers};
-use self::layers::{NetworkConstants, NetworkPush, shapes};
-use self::network_backward::{NETWORK_BACKWARD, NetworkBackwardBuffers};
-use self::network_forward::{NETWORK_FORWARD, NetworkForwardBuffers};
 use super::linear::gather_gradient::GatherGradientPush;
 use super::linear::linear_update::LinearUpdatePush;
-use super::linear::{Layer, Network, Output, Parameters, Pass, Split, Stage};
+use super::linear::{Layer, Network, Output, Parameters, Pass, Shape, Split, Stage};
 use crate::error::{Error, Result};
 use crate::gpu::kernel::Kernel;
-use crate::gpu::{Buffer, Gpu, Groups, Memory, Recorder, Slice};
+use crate::gpu::{Buffer, Gpu, Memory, Recorder, Slice};
 use crate::scene::DeformNetwork;
 use crate::scene::network::{DeformSize, ENCODING_WIDTH, Linear};
 
 /// Kernels of this module.
-pub static KERNELS: &[&Kernel] = &[&ENCODE_SUPERPOINTS.kernel, &NETWORK_FORWARD.kernel, &NETWORK_BACKWARD.kernel];
+pub static KERNELS: &[&Kernel] = &[&ENCODE_SUPERPOINTS.kernel];
 
 /// Outputs of the layer of both heads: r, 0, τ, 0.
 const HEADS: u32 = 8;
@@ -65,6 +58,17 @@ pub struct NetworkF {
     activation_gradient: Buffer,
     /// Gradients of the weights, laid out as the parameters; the padding stays 0.
     gradient: Buffer,
+}
+
+/// Shapes of the hidden layers and of the heads.
+fn shapes(size: DeformSize) -> Vec<Shape> {
+    let (width, encoding) = (size.width as u32, ENCODING_WIDTH as u32);
+    let hidden = (0..size.layers).map(|i| match i {
+        0 => Shape { inputs_0: encoding, inputs_1: 0, outputs: width },
+        _ if size.skip_layer() == Some(i) => Shape { inputs_0: encoding, inputs_1: width, outputs: width },
+        _ => Shape { inputs_0: width, inputs_1: 0, outputs: width },
+    });
+    hidden.chain([Shape { inputs_0: width, inputs_1: 0, outputs: HEADS }]).collect()
 }
 
 impl NetworkF {
@@ -128,7 +132,9 @@ impl NetworkF {
         superpoint_position: &Slice,
         pose: &Slice,
     ) -> Result<()> {
-        self.record_with(r, superpoints, step, superpoint_position, pose, false)
+        self.record_with(r, superpoints, step, superpoint_position, pose, |layer| {
+            self.parameters.slices(layer)[0].clone()
+        })
     }
 
     /// [`NetworkF::record_forward`] with the mean of the weights, where one is kept.
@@ -140,7 +146,7 @@ impl NetworkF {
         superpoint_position: &Slice,
         pose: &Slice,
     ) -> Result<()> {
-        self.record_with(r, superpoints, step, superpoint_position, pose, true)
+        self.record_with(r, superpoints, step, superpoint_position, pose, |layer| self.parameters.mean(layer))
     }
 
     fn record_with(
@@ -150,7 +156,7 @@ impl NetworkF {
         step: &Slice,
         superpoint_position: &Slice,
         pose: &Slice,
-        mean: bool,
+        weights: impl Fn(usize) -> Slice,
     ) -> Result<()> {
         if superpoints == 0 {
             return Ok(());
@@ -162,22 +168,9 @@ impl NetworkF {
             encoding: self.activation(None, superpoints),
         };
         encode_superpoints::record(r, superpoints, buffers)?;
-        if self.stage == Stage::Shared {
-            let [value, ..] = self.parameters.all();
-            let buffers = NetworkForwardBuffers {
-                encoding: self.activation(None, superpoints),
-                parameter: self.parameters.all_means().filter(|_| mean).unwrap_or(value),
-                hidden_output: self.hidden_output(superpoints),
-                pose: pose.buffer.slice(pose.start, u64::from(superpoints * HEADS) * 4),
-            };
-            let (constants, push, groups) = self.all_layers(superpoints);
-            return r.dispatch(&NETWORK_FORWARD, constants, push, buffers, groups);
-        }
         (0..=self.size.layers).try_for_each(|i| {
             let mut layer = self.layer(i, superpoints, Some(pose));
-            if mean {
-                layer.parameters[0] = self.parameters.mean(i);
-            }
+            layer.parameters[0] = weights(i);
             layer.forward(r)
         })
     }
@@ -205,19 +198,9 @@ impl NetworkF {
         let layers: Vec<Layer> = (0..=self.size.layers).map(|i| self.layer(i, superpoints, None)).collect();
         let push =
             GatherGradientPush { rows: superpoints, first_row: 0, plane_stride: from.plane_stride, columns: HEADS };
-        let pose_gradient = self.activation_gradient(self.size.layers, superpoints);
-        pass.gather(r, push, from.superpoint_gradient, &pose_gradient)?;
-        if self.stage == Stage::Shared {
-            let [parameter, ..] = self.parameters.all();
-            let hidden_gradient = self.hidden(&self.activation_gradient, 0, superpoints);
-            let hidden_output = self.hidden_output(superpoints);
-            let buffers = NetworkBackwardBuffers { pose_gradient, parameter, hidden_output, hidden_gradient };
-            let (constants, push, groups) = self.all_layers(superpoints);
-            r.dispatch(&NETWORK_BACKWARD, constants, push, buffers, groups)?;
-        } else {
-            for pair in layers.windows(2).rev() {
-                pair[1].backward_input(r, &pair[0])?;
-            }
+        pass.gather(r, push, from.superpoint_gradient, &self.activation_gradient(self.size.layers, superpoints))?;
+        for pair in layers.windows(2).rev() {
+            pair[1].backward_input(r, &pair[0])?;
         }
         for (i, layer) in layers.iter().enumerate().rev() {
             let start = u64::from(self.parameters.first_index(i)) * 4;
@@ -358,25 +341,6 @@ impl NetworkF {
         let (before, columns) = layer.map_or((0, ENCODING_WIDTH), |i| (ENCODING_WIDTH + i * width, width));
         let bytes = |rows: u32, columns: usize| u64::from(rows) * columns as u64 * 4;
         self.activation.slice(bytes(self.capacity, before), bytes(superpoints, columns))
-    }
-
-    /// Outputs of all hidden layers.
-    fn hidden_output(&self, superpoints: u32) -> Slice {
-        self.hidden(&self.activation, ENCODING_WIDTH, superpoints)
-    }
-
-    /// `[rows, width]` of all hidden layers, which lie behind `before` columns.
-    fn hidden(&self, buffer: &Buffer, before: usize, superpoints: u32) -> Slice {
-        let bytes = |rows: u32, columns: usize| u64::from(rows) * columns as u64 * 4;
-        let last = bytes(self.capacity, (self.size.layers - 1) * self.size.width);
-        buffer.slice(bytes(self.capacity, before), last + bytes(superpoints, self.size.width))
-    }
-
-    /// How the kernels of all layers run.
-    fn all_layers(&self, superpoints: u32) -> (NetworkConstants, NetworkPush, Groups) {
-        let constants = NetworkConstants::new(self.size);
-        let push = NetworkPush { rows: superpoints, layer_stride: self.capacity * self.size.width as u32 };
-        (constants, push, Groups::Direct(constants.groups(superpoints)))
     }
 
     /// Gradient before the ReLU of layer `i`.

@@ -47,8 +47,6 @@ impl Trainer {
         let degree = u64::from(self.parameters.scene.sh_degree);
         let has_offsets = self.deformation.as_ref().is_some_and(|m| m.project_inputs().offset.is_some());
         let association = self.association();
-        let network = self.config.motion.network_size();
-        let weights: usize = (0..network.layers).map(|i| (network.layer_inputs(i) + 1) * network.width).sum();
         Workload(
             [
                 ("gaussians", u64::from(step.gaussians)),
@@ -65,9 +63,6 @@ impl Trainer {
                 ("splat_bytes", 48),
                 ("moving", u64::from(self.parameters.scene.deformation.moves())),
                 ("nonrigid", u64::from(has_offsets)),
-                ("network_bytes", 4 * (weights + 8 * (network.width + 1)) as u64),
-                ("network_hidden", (network.layers * network.width) as u64),
-                ("network_products", network.products() as u64),
                 ("neighbors", association.map_or(0, |a| a.neighbors.into())),
                 ("slots", association.map_or(0, |a| a.slots.into())),
             ]

@@ -140,10 +140,6 @@ fn every_kernel_of_training_is_named() {
     if !native {
         idle.insert("blend_backward_native");
     }
-    // CPUs take network F layer by layer.
-    if gpu.info().is_cpu() {
-        idle.extend(["network_forward", "network_backward"]);
-    }
     let mut missed = Vec::new();
     for kernel in engine::train::kernels().filter(|k| !idle.contains(k.name)) {
         let nothing = returns_at_once(kernel);

@@ -141,7 +141,7 @@ fn the_printed_configuration_is_the_one_for_the_data() {
     let has =
         |text: &str, lines: [&str; 3]| assert!(lines.iter().all(|line| text.contains(line)), "{lines:?} in {text}");
     let (best, paper) = (print(posed.path(), &[]), print(posed.path(), &["--preset", "paper"]));
-    has(&best, ["preset = \"dnerf\"", "method = \"best\"", "coarse_to_fine = 15000"]);
+    has(&best, ["preset = \"dnerf\"", "method = \"best\"", "coarse_to_fine = 17000"]);
     has(&paper, ["preset = \"dnerf\"", "method = \"paper\"", "coarse_to_fine = 0"]);
     let still = self::posed(&PosedOptions { moving: false, ..PosedOptions::default() });
     for [until, text] in [["25000", &best], ["15000", &paper]] {

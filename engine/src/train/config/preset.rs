@@ -90,7 +90,7 @@ impl Preset {
         c.refit.iterations = 10_000;
         c.learning_rate.sh_length_exponent = 0.5;
         if self == Self::Dnerf {
-            c.schedule.coarse_to_fine = 15_000;
+            c.schedule.coarse_to_fine = 17_000;
             // What only full photos show has to grow, too.
             (c.density.until, c.density.unseen_interval) = (25_000, 2500);
             c.motion.network_mean = 400;

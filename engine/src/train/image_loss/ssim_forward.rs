@@ -49,8 +49,9 @@ crate::kernel! {
         twin: ssim_forward_twin,
         // Variances are differences of moments: relative to C2 they lose four digits, and derivatives reach 1/C2 = 1111. That by
         // the sum of variances is var_d/b_2²: where images are flat and apart, rounding of E[d²] is divided by C2² = 8e-7. With
-        // d² = 0.1 the twin itself is 0.035 off (test below); what is compared with it is never so flat, but has met 0.004.
-        tolerance: Tolerance { absolute: 2e-2, relative: 2e-3, flips: 0.0 },
+        // d² = 0.1 the twin itself is 0.035 off (test below). An ulp of d² = 1 is 0.074 so, and twice that by the mean; an
+        // H200 was 0.047 off in one value of 9,720 of its self-test.
+        tolerance: Tolerance { absolute: 1.5e-1, relative: 2e-3, flips: 0.0 },
         bytes: |w| 56 * w.get("pixels"),
     }
 }

@@ -4,6 +4,9 @@ use super::Shape;
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Gpu, Memory, Slice};
 
+/// Floats that a layer's parameters are padded to: slices of a buffer start at multiples of 256 bytes.
+const ALIGNMENT: u32 = 64;
+
 /// Weights and moments of a chain of layers. In each of the three buffers every layer has a slice: its weights
 /// `[outputs, inputs]`, then its bias `[outputs]`, then padding to 64 floats.
 #[derive(Debug)]
@@ -20,7 +23,7 @@ pub struct Parameters {
 impl Parameters {
     /// `layers` holds each layer's weights followed by its bias; the moments start at 0.
     pub fn new(gpu: &Gpu, name: &str, shapes: &[Shape], layers: &[Vec<f32>]) -> Result<Self> {
-        let words: u32 = shapes.iter().map(Shape::padded).sum();
+        let words: u32 = shapes.iter().map(padded).sum();
         let buffer = |part: &str| gpu.buffer(&format!("{name}.{part}"), u64::from(words) * 4, Memory::Device);
         let (value, moment_1, moment_2) = (buffer("parameter")?, buffer("moment_1")?, buffer("moment_2")?);
         let made = Self { gpu: gpu.clone(), shapes: shapes.to_vec(), value, moment_1, moment_2, mean: None };
@@ -37,12 +40,12 @@ impl Parameters {
 
     /// Number of the first weight of layer `i`, counting the padding, as reports count.
     pub fn first_index(&self, i: usize) -> u32 {
-        self.shapes[..i].iter().map(Shape::padded).sum()
+        self.shapes[..i].iter().map(padded).sum()
     }
 
     /// Floats of layer `i` with padding.
     pub fn padded(&self, i: usize) -> u32 {
-        self.shapes[i].padded()
+        padded(&self.shapes[i])
     }
 
     /// Layer and position within its weights and bias of a reported index.
@@ -131,7 +134,7 @@ impl Parameters {
         let mut words = Vec::new();
         for (shape, layer) in self.shapes.iter().zip(layers) {
             words.extend_from_slice(layer);
-            words.resize(words.len() + (shape.padded() - shape.parameters()) as usize, 0.0);
+            words.resize(words.len() + (padded(shape) - shape.parameters()) as usize, 0.0);
         }
         self.gpu.upload(buffer, bytemuck::cast_slice(&words))
     }
@@ -148,4 +151,8 @@ impl Parameters {
         };
         (0..self.shapes.len()).map(layer).collect()
     }
+}
+
+fn padded(shape: &Shape) -> u32 {
+    shape.parameters().next_multiple_of(ALIGNMENT)
 }

@@ -12,9 +12,6 @@ const OTHER: [u32; 2] = [10, 50];
 const MEASURED: &[(&str, [u32; 2])] = &[
     ("encode_superpoints", [6, 10]),
     ("linear_forward", [10, 35]),
-    // Of the kernels of all layers of network F: estimates.
-    ("network_forward", [50, 60]),
-    ("network_backward", [40, 60]),
     ("deform_project", [47, 60]),
     ("scan_tiles", [8, 10]),
     ("emit_tiles", [45, 50]),

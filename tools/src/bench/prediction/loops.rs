@@ -35,9 +35,6 @@ const SORT_TILES_BUCKETS: f64 = 1024.0;
 /// Depth of one round of a matrix product.
 const PRODUCT_DEPTH: f64 = 64.0;
 
-/// Threads of a workgroup that takes rows through all layers of network F.
-const NETWORK_THREADS: f64 = 256.0;
-
 /// Keys per thread that a sort of this work has on a GPU.
 pub(super) fn sort_rounds(work: &Workload) -> u32 {
     rounds_of(u32::try_from(work.get("keys")).unwrap_or(u32::MAX), false)
@@ -339,14 +336,6 @@ pub(super) const LOOPS: &[Loop] = &[
         alone: None,
         loads: 1.0,
         trips: |k| each(k.subgroups, (k.of("rows_per_slice") / PRODUCT_DEPTH).ceil()),
-    },
-    Loop {
-        kernels: &["network_forward", "network_backward"],
-        round: "four weights of each of four rows, or outputs, times four superpoints; they were on their way the round before",
-        body: Body::Of(110.0),
-        alone: None,
-        loads: 0.5,
-        trips: |k| each(k.subgroups, k.of("network_products") / (16.0 * NETWORK_THREADS)),
     },
     Loop {
         kernels: &["deform_network"],

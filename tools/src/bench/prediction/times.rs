@@ -105,7 +105,10 @@ impl Predicted {
         for gpu in self.gpus.iter_mut().filter(|_| !recorded.is_empty()) {
             let profile = PROFILES.iter().find(|p| p.name == gpu.gpu);
             let all = profile.map(|p| on_gpu(self.of, p, recorded, self.subtiles, false));
-            gpu.side_by_side.extend(all.map(|all| Beside { frames, fps: frames as f64 * all.per_second }));
+            let rate = all.map(|all| Beside { frames, fps: frames as f64 * all.per_second });
+            // The goal is a rate, however many frames are drawn at a time.
+            gpu.goal.iter_mut().for_each(|goal| goal.met |= rate.is_some_and(|r| r.fps >= GOAL_FPS));
+            gpu.side_by_side.extend(rate);
         }
     }
 }

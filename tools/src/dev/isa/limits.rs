@@ -51,7 +51,6 @@ const ONE_VALUE: &[(&str, &str, &str)] = &[
     ("deform_network", "LAYERS", "the length of a loop; nothing is sized by it"),
     ("deform_network", "WIDTH", "as LAYERS"),
     ("deform_network", "SKIP_LAYER", "as LAYERS"),
-    ("network_", "ROWS", "one number for all devices; the other is for tests"),
     ("image_loss", "TARGET", "photos are RGBA8; float targets are for tests"),
     ("ssim_forward", "TARGET", "as image_loss"),
     ("linear_backward", "VECTORS", "the strides of both networks are multiples of four; others are for tests"),
