@@ -178,12 +178,8 @@ fn result(record: &Value) -> String {
                 None => String::new(),
             };
             let m = |key: &str| n(&format!("/measurement/{key}"));
-            format!(
-                "{:.2} ms median ({:.2} p5, {:.2} p95){error}",
-                m("frame_ms/median"),
-                m("frame_ms/p5"),
-                m("frame_ms/p95")
-            )
+            let [median, p5, p95] = ["median", "p5", "p95"].map(|key| m(&format!("frame_ms/{key}")));
+            format!("{median:.2} ms median ({p5:.2} p5, {p95:.2} p95){}{error}", beside(record))
         }
         None if record.get("training").is_some() => {
             format!("{:.2} ms median, {:.2} p95", n("/training/step_ms/median"), n("/training/step_ms/p95"))
@@ -191,6 +187,17 @@ fn result(record: &Value) -> String {
         None if record.get("settings").is_some() => presets(record),
         None => sweep(record),
     }
+}
+
+/// Rates of frames in flight and side by side, where both were measured.
+fn beside(record: &Value) -> String {
+    let all = record.pointer("/measurement/fps_side_by_side").and_then(Value::as_array).into_iter().flatten();
+    let one = |b: &Value| Some(format!("{} with {} side by side", grouped(b.get("fps")?.as_f64()?), b.get("frames")?));
+    let rates: Vec<String> = all.filter_map(one).collect();
+    if rates.is_empty() {
+        return String::new();
+    }
+    format!("; {} FPS in flight, {}", grouped(number(record, "/measurement/fps_pipelined")), rates.join(", "))
 }
 
 /// Time and error of each preset.
