@@ -1,6 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_shuffle : require
 #extension GL_EXT_control_flow_attributes : require
 
 // The K nearest superpoints of each Gaussian in canonical space, exact, nearest first, ties by lowest index; the row of
@@ -11,6 +12,7 @@
 
 layout(constant_id = 0) const uint SUBGROUP_SIZE = 32u;
 layout(constant_id = 3) const uint BLEND = 0u;
+layout(constant_id = 4) const uint STAGE = 1u; // see find_nearest
 
 #define STEP_BINDING 0
 #include "lib/step.glsl"
@@ -106,15 +108,45 @@ uint close_ones(vec3 x, uint chunk, float worst) {
     return close;
 }
 
+// Puts a candidate at distance d into the sorted list, unless it is at `worst` or farther.
+#define TAKE(d, candidate)                                                                                              \
+    if (d < worst) {                                                                                                    \
+        uint index = candidate;                                                                                         \
+        MOVE_ON(6u, d_5, n_5, d_6, n_6)                                                                                 \
+        MOVE_ON(5u, d_4, n_4, d_5, n_5)                                                                                 \
+        MOVE_ON(4u, d_3, n_3, d_4, n_4)                                                                                 \
+        MOVE_ON(3u, d_2, n_2, d_3, n_3)                                                                                 \
+        MOVE_ON(2u, d_1, n_1, d_2, n_2)                                                                                 \
+        MOVE_ON(1u, d_0, n_0, d_1, n_1)                                                                                 \
+        n_0 = d < d_0 ? index : n_0;                                                                                    \
+        d_0 = min(d, d_0);                                                                                              \
+        float last = neighbors > 6u ? d_6 : neighbors > 5u ? d_5 : neighbors > 4u ? d_4 : neighbors > 3u ? d_3          \
+            : neighbors > 2u ? d_2 : neighbors > 1u ? d_1 : d_0;                                                        \
+        worst = min(worst, last);                                                                                       \
+    }
+
 // Candidates come in index order, so that of equal distances the lowest index stays first. Those from `worst` on are passed over.
-// Every thread of the workgroup must call it.
+// Every thread of the workgroup must call it. STAGE 0: each lane loads one superpoint and the subgroup takes turns to broadcast it,
+// for devices where a load from shared memory costs as much for each lane; STAGE 1: superpoints in shared memory.
 void find_nearest(vec3 x, float worst, out uint nearest[MAX_NEIGHBORS]) {
+    uint size = SUBGROUP_SIZE;
+    uint stage = STAGE;
     uint neighbors = NEIGHBORS;
     uint superpoints = step_data.superpoints;
     float d_0 = uintBitsToFloat(INFINITE);
     float d_1 = d_0, d_2 = d_0, d_3 = d_0, d_4 = d_0, d_5 = d_0, d_6 = d_0;
     uint n_0 = 0u, n_1 = 0u, n_2 = 0u, n_3 = 0u, n_4 = 0u, n_5 = 0u, n_6 = 0u;
-    for (uint first = 0u; first < superpoints; first += STAGED) {
+    for (uint base = 0u; stage == 0u && base < superpoints; base += size) {
+        uint mine = 3u * min(base + gl_SubgroupInvocationID, superpoints - 1u);
+        vec3 p = vec3(superpoint_position[mine], superpoint_position[mine + 1u], superpoint_position[mine + 2u]);
+        uint count = min(size, superpoints - base);
+        for (uint j = 0u; j < count; j++) {
+            vec3 q = vec3(subgroupShuffle(p.x, j), subgroupShuffle(p.y, j), subgroupShuffle(p.z, j));
+            float d = finite_distance(x, q);
+            TAKE(d, base + j)
+        }
+    }
+    for (uint first = 0u; stage == 1u && first < superpoints; first += STAGED) {
         uint mine = 3u * min(first + thread_index(), superpoints - 1u);
         barrier();
         staged_position[thread_index()] =
@@ -123,26 +155,13 @@ void find_nearest(vec3 x, float worst, out uint nearest[MAX_NEIGHBORS]) {
         uint count = min(STAGED, superpoints - first);
         for (uint chunk = 0u; chunk < count; chunk += CHUNK) {
             uint close = close_ones(x, chunk, worst);
-            uint last_bits = count - chunk;
-            close &= last_bits < CHUNK ? (1u << last_bits) - 1u : 0xffffffffu;
+            uint rest = count - chunk;
+            close &= rest < CHUNK ? (1u << rest) - 1u : 0xffffffffu;
             while (close != 0u) {
                 uint k = uint(findLSB(close));
                 close &= close - 1u;
                 float d = finite_distance(x, staged_position[chunk + k].xyz);
-                uint index = first + chunk + k;
-                if (d < worst) {
-                    MOVE_ON(6u, d_5, n_5, d_6, n_6)
-                    MOVE_ON(5u, d_4, n_4, d_5, n_5)
-                    MOVE_ON(4u, d_3, n_3, d_4, n_4)
-                    MOVE_ON(3u, d_2, n_2, d_3, n_3)
-                    MOVE_ON(2u, d_1, n_1, d_2, n_2)
-                    MOVE_ON(1u, d_0, n_0, d_1, n_1)
-                    n_0 = d < d_0 ? index : n_0;
-                    d_0 = min(d, d_0);
-                    float last = neighbors > 6u ? d_6 : neighbors > 5u ? d_5 : neighbors > 4u ? d_4 : neighbors > 3u ? d_3
-                        : neighbors > 2u ? d_2 : neighbors > 1u ? d_1 : d_0;
-                    worst = min(worst, last);
-                }
+                TAKE(d, first + chunk + k)
             }
         }
     }
@@ -286,7 +305,7 @@ void main() {
     uint i = workgroup_index() * 256u + thread_index();
     uint slots = SLOTS;
     uint n = step_data.gaussians;
-    // A thread without a Gaussian keeps its workgroup company, which barriers need.
+    // A thread without a Gaussian keeps the others company, which shuffles and barriers need.
     uint at = min(i, n - 1u);
     vec3 x = vec3(mean[at], mean[n + at], mean[2u * n + at]);
     uint nearest[MAX_NEIGHBORS];

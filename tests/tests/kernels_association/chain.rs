@@ -12,6 +12,7 @@ use engine::train::association::superpoint_commit::{SUPERPOINT_COMMIT, Superpoin
 use engine::train::association::superpoint_gradient::*;
 use engine::train::association::superpoint_sum::*;
 use engine::train::deform_project_backward::SLOT_PLANES;
+use engine::train::linear::Stage;
 use engine::train::property_loss::PropertyLoss;
 use engine::train::property_loss::property_backward::{PROPERTY_BACKWARD, PropertyBackwardBuffers};
 use engine::train::property_loss::property_residual::*;
@@ -120,9 +121,15 @@ impl<'a> Chain<'a> {
         };
         let kernel = &NEAREST_SUPERPOINTS;
         let AssociationConstants { neighbors, slots } = case.constants();
-        let constants = NearestSuperpointsConstants { neighbors, slots, blend: if soft { neighbors } else { 0 } };
-        let case_of = KernelCase { kernel, constants, push: (), buffers, groups: case.groups() };
-        let mut rows = case_of.check(gpu, &context);
+        let blend = if soft { neighbors } else { 0 };
+        let by = |stage: Stage| {
+            let constants = NearestSuperpointsConstants { neighbors, slots, blend, stage: stage as u32 };
+            let case_of = KernelCase { kernel, constants, push: (), buffers: buffers.clone(), groups: case.groups() };
+            case_of.check(gpu, &format!("{context}, {stage:?}"))
+        };
+        let mut rows = by(Stage::Shuffle);
+        let shared = by(Stage::Shared);
+        assert!(rows.neighbor == shared.neighbor && rows.pair_key == shared.pair_key, "{context}: the stages differ");
         // The sort is tested on its own: here the order comes from the host.
         let mut order: Vec<usize> = (0..pairs).collect();
         order.sort_by_key(|&p| rows.pair_key[p]);

@@ -18,6 +18,8 @@ crate::gpu_constants! {
         slots,
         /// K, when they are soft superpoints: the kernel writes `blend_index` and runs before the frame. Else 0.
         blend,
+        /// A [`Stage`](crate::gpu::product::Stage): superpoints go round by shuffles, or lie in shared memory.
+        stage,
     }
 }
 

@@ -146,7 +146,8 @@ impl SuperpointState {
             blend_index: (blend > 0).then(|| self.work.blend_index.whole()),
         };
         let AssociationConstants { neighbors, slots } = self.constants();
-        let constants = NearestSuperpointsConstants { neighbors, slots, blend };
+        let stage = self.stage as u32;
+        let constants = NearestSuperpointsConstants { neighbors, slots, blend, stage };
         r.dispatch(&NEAREST_SUPERPOINTS, constants, (), buffers, self.per_gaussian())
     }
 

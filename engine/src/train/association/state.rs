@@ -4,6 +4,7 @@ use super::association_init::{ASSOCIATION_INIT, AssociationInitBuffers, Associat
 use super::superpoint_sum::SUM_PLANES;
 use super::{AssociationInit, MAX_NEIGHBORS, MAX_SLOTS, NEW_LOGIT, NO_SUPERPOINT, PAIR_SHIFT};
 use crate::error::{Error, Result};
+use crate::gpu::product::Stage;
 use crate::gpu::{Buffer, Gpu, Groups, Memory, Recorder, Slice};
 use crate::render::radix_sort::SortPlan;
 use crate::render::superpoint_motion::{BlendSlices, index_planes};
@@ -110,6 +111,8 @@ pub(super) struct Work {
 #[derive(Debug)]
 pub struct SuperpointState {
     pub(super) options: AssociationOptions,
+    /// How the nearest are looked for on this device.
+    pub(super) stage: Stage,
     pub(super) rows: Rows,
     pub(super) work: Work,
     /// `float[M][3]` canonical centres p^c.
@@ -234,6 +237,7 @@ impl SuperpointState {
         let device = |name: &str, words: u64| gpu.buffer(name, 4 * words, Memory::Device);
         let sums = |name| device(name, SUM_PLANES as u64 * m);
         Ok(Self {
+            stage: Stage::of(gpu),
             rows: allocate_rows(gpu, gaussians, options.slots)?,
             work: Work::new(gpu, gaussians, &options)?,
             position: device("superpoint_position", 3 * m)?,
