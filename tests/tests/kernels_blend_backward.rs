@@ -290,13 +290,16 @@ fn gradients_match_the_twins() {
 fn absolute_gradients_are_left_out_unless_wanted() {
     let gpu = tests_harness::shared_gpu();
     widths::assert_lanes(&gpu);
+    let all = blend_backward::subtiles_of_tile(gpu.subgroup_size_of(&BLEND_BACKWARD));
     let with = Rendered::layers(60, -2.0, [33, 17]);
-    let wanted = with.check(&gpu, "absolute gradients");
-    let without = Rendered { absolute: false, ..with }.check(&gpu, "no absolute gradients");
+    let [wanted, _] = with.rows(&gpu, Accumulation::Instances, Stage::Shuffle, all);
+    let [device, twin] = Rendered { absolute: false, ..with }.rows(&gpu, Accumulation::Instances, Stage::Shuffle, all);
+    let (wanted, device, twin) = (floats(&wanted), floats(&device), floats(&twin));
     let row = ROW_WORDS as usize;
     assert!(wanted[SIGNED_SUMS..row].iter().all(|sum| *sum > 0.0), "{wanted:?}");
-    for (one, two) in without.chunks(row).zip(wanted.chunks(row)) {
+    for ((one, two), twin) in device.chunks(row).zip(wanted.chunks(row)).zip(twin.chunks(row)) {
         assert_eq!((&one[..SIGNED_SUMS], &one[SIGNED_SUMS..]), (&two[..SIGNED_SUMS], &[0.0; 2][..]));
+        assert_eq!(twin[SIGNED_SUMS..], [0.0; 2]);
     }
 }
 

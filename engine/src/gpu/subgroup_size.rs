@@ -70,6 +70,12 @@ pub const CHOICES: &[Choice] = &[
     Choice { vendor: AMD, kernels: &["density_decide"], size: 32, why: "9 % less" },
     Choice {
         vendor: AMD,
+        kernels: &["nearest_superpoints"],
+        size: 32,
+        why: "fewer lanes wait for the one with the most close superpoints: 10 % less",
+    },
+    Choice {
+        vendor: AMD,
         kernels: &[],
         size: 64,
         why: "one instruction for 64 invocations and scalar work done once: at most as dear as at 32, within 3 %",

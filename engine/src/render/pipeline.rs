@@ -95,6 +95,7 @@ pub(super) fn record(
         r.copy(&work.counters, frame.counters.slice(0, work.counters.bytes))?;
         if shape.cleared {
             // For the next frame. Blending reads nothing of it: the fill runs beside it.
+            r.copy(&work.counters, &work.counted)?;
             r.fill(&work.zeroed, 0)?;
         }
     }

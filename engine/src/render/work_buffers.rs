@@ -17,6 +17,8 @@ pub(crate) const COUNTER_WORDS: u64 = 8;
 pub(crate) struct WorkBuffers {
     pub(crate) zeroed: Buffer,
     pub(crate) counters: Slice,
+    /// What they counted in a frame that clears them at its end, for what looks at the frame on the device.
+    pub(crate) counted: Buffer,
     pub(crate) instance_block: Slice,
     /// Of each tile first the change from the one before, then the end of its list.
     pub(crate) tile_counters: Slice,
@@ -55,6 +57,7 @@ impl WorkBuffers {
         let words = |name: &str, count: u64| gpu.buffer(name, count.max(1) * 4, Memory::Device);
         Ok(Self {
             counters,
+            counted: words("counted", COUNTER_WORDS)?,
             instance_block,
             tile_counters,
             block_capacity,

@@ -116,7 +116,7 @@ impl Renderer {
                 color: s.buffers.color.whole(),
                 depth: s.buffers.depth.as_ref().map(Buffer::whole),
                 ranges: work.ranges.whole(),
-                counters: s.buffers.counters.slice(0, work.counters.bytes),
+                counters: work.counted.whole(),
             })
         })
     }

@@ -235,8 +235,10 @@ fn whole_lists(gpu: &Gpu) -> Result<()> {
         ways.push((Accumulation::NativeAtomics, &BLEND_BACKWARD_NATIVE.kernel, 1));
     }
     ways.into_iter().try_for_each(|(way, kernel, subtiles)| {
-        let constants = BlendBackwardConstants::new(way, stage, size, subtiles, Segments::WHOLE, false);
-        gpu.compile(kernel, &constants.to_words())
+        [false, true].into_iter().try_for_each(|absolute| {
+            let constants = BlendBackwardConstants::new(way, stage, size, subtiles, Segments::WHOLE, absolute);
+            gpu.compile(kernel, &constants.to_words())
+        })
     })
 }
 
