@@ -197,4 +197,15 @@ fn what_is_left_out_is_written_beside_the_model() {
     }
     let log = std::fs::read_to_string(out.join("run.jsonl")).unwrap();
     assert!(log.contains("\"transients\":{"), "{log}");
+
+    // Nor does a run that believes its photos keep them.
+    let believing = folder.path().join("believing");
+    std::fs::create_dir_all(believing.join("transients")).unwrap();
+    (0..12).for_each(|i| std::fs::write(believing.join(format!("transients/{i:05}.png")), "old").unwrap());
+    let config = config_file(folder.path(), "[density]\nenabled = false\n[refit]\niterations = 20");
+    let said = succeed(train(&posed, &believing, &["--config", config.to_str().unwrap()]));
+    assert!(
+        !said.contains("transients") && believing.join("transients").read_dir().unwrap().next().is_none(),
+        "{said}"
+    );
 }

@@ -10,21 +10,15 @@ use engine::train::transients::Transients;
 
 use crate::report::files::create_folder;
 
-/// Removes what an earlier run in the same folder may have left.
-fn remove(mask: &Path) -> Result<()> {
-    match std::fs::remove_file(mask) {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(mask, "remove", e)),
-        _ => Ok(()),
-    }
-}
-
-/// Writes a mask for each photo that something was left out of, white where it was, and says how much; nothing where photos are
-/// believed.
+/// Writes a mask for each photo that something was left out of, white where it was, removes those of an earlier run in the same
+/// folder, and says how much; nothing where photos are believed.
 pub(super) fn write(out: &Path, photos: &[View], words: Option<&[u32]>) -> Result<Option<String>> {
-    let Some(words) = words else { return Ok(None) };
-    let transients = Transients::from_words(words, photos.len())?;
+    let believed = || Ok(Transients::none(photos.len()));
+    let transients = words.map_or_else(believed, |words| Transients::from_words(words, photos.len()))?;
     let folder = out.join("transients");
-    create_folder(&folder)?;
+    if words.is_some() {
+        create_folder(&folder)?;
+    }
     for i in 0..photos.len() {
         let path = folder.join(format!("{i:05}.png"));
         let Some(([width, height], left_out)) = transients.of_photo(i) else {
@@ -36,10 +30,19 @@ pub(super) fn write(out: &Path, photos: &[View], words: Option<&[u32]>) -> Resul
         picture::write_png(&path, &mask, Alpha::Drop)?;
     }
     let found = transients.found();
-    Ok(Some(format!(
-        "transients: {:.2} % of the photos is left out, of {} of {} photos; masks in transients/",
-        100.0 * found.share,
-        found.photos,
-        photos.len()
-    )))
+    Ok(words.map(|_| {
+        format!(
+            "transients: {:.2} % of the photos is left out, of {} of {} photos; masks in transients/",
+            100.0 * found.share,
+            found.photos,
+            photos.len()
+        )
+    }))
+}
+
+fn remove(mask: &Path) -> Result<()> {
+    match std::fs::remove_file(mask) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(mask, "remove", e)),
+        _ => Ok(()),
+    }
 }
