@@ -40,15 +40,14 @@
 //! ## A frame
 //!
 //! One command buffer, recorded once per image size and submitted again and again, several in flight. Nothing is read
-//! back inside it, and five dispatches of it wait for each other.
+//! back inside it, and three dispatches of it wait for each other.
 //!
 //! ```text
 //! fill            one fill clears the arena: counters, block sums, tile counts
 //! deform_network  only when network F is live: pose of each superpoint at time t
 //! nonrigid_network, field_*     only for scenes with network G or a deformation field: offsets of each Gaussian at time t
-//! deform_project  pose, project, SH colour, cull, exact tile count of each Gaussian, counted for each tile too (fused)
-//! scan_tiles      where the list of each tile begins; capacity check
-//! emit_tiles      one (depth, Gaussian) per tile that a Gaussian reaches, appended to the tile's list
+//! deform_project  pose, project, SH colour, cull, one (depth, Gaussian) per tile that a Gaussian reaches, appended to the
+//!                 tile's list (fused)
 //! sort_tiles      each list by depth, ties by Gaussian, in shared memory
 //! blend           front to back, one subgroup per subtile of pixels
 //! ```
@@ -56,6 +55,10 @@
 //! The lists are filled in whatever order atomics have and sorted after that, each for itself: no sort of all instances, whose passes
 //! would wait for each other. No two members of a list are equal, so the same scene gives the same bits on every run. The radix sort
 //! (`sort_histogram`, `sort_spine`, `sort_scatter`) orders what training sums by superpoint.
+//!
+//! Each tile has room of one size for its list, half as much again as the longest list needed. Where that would take more than
+//! 128 MiB, and in training, the lists lie one behind the other: then `deform_project` counts for each tile, `scan_tiles` adds up
+//! where the lists begin, and `emit_tiles` fills them.
 //!
 //! Capacity: counts are 64-bit. A frame that needs more tile instances than there is room for writes nothing past a
 //! buffer, sets a bit, and is drawn again with larger buffers; what can never fit is [`Error::Limit`] with the numbers.

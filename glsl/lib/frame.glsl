@@ -23,8 +23,8 @@ struct Frame {
     uint second_key;
     uint instance_capacity;    // tile instances that the buffers hold
     uint tile_count;           // tiles.x * tiles.y
-    uint unused_0;             // to a multiple of 16 bytes
-    uint unused_1;
+    uint tile_room;            // pairs that the list of each tile has room for; 0: scan_tiles says where the lists lie
+    uint unused;               // to a multiple of 16 bytes
 };
 
 layout(std430, set = 0, binding = 0) readonly buffer FrameBlock { Frame frame; };

@@ -18,8 +18,9 @@ const uint COUNT_INSTANCES_LOW = 1u;  // 64-bit total over the visible Gaussians
 const uint COUNT_INSTANCES_HIGH = 2u;
 const uint COUNT_FAILED = 3u;         // bits below
 const uint COUNT_REJECTED = 4u;
-const uint COUNT_INSTANCES = 5u;      // instances to process; 0 when failed
+const uint COUNT_INSTANCES = 5u;      // instances to process; 0 when failed; of frames with scan_tiles
+const uint COUNT_LONGEST = 6u;        // pairs of the longest list, where it takes more than 3/4 of its room (frame.tile_room)
 
-const uint FAILED_INSTANCES = 1u;     // more instances than the buffers hold
+const uint FAILED_INSTANCES = 1u;     // more instances than the buffers hold, or than there is room for in a list
 
 #endif

@@ -1,5 +1,5 @@
 // Moves, projects, culls and shades each Gaussian: one per thread. Writes its splat and its exact tile count, and counts it for
-// each tile that it reaches; culled ones cost as few reads as the test that culls them needs, and SH coefficients are read for
+// each tile that it reaches, or, with LISTS, appends it to their lists (lib/tile_lists.glsl), each of which has room of its own; culled ones cost as few reads as the test that culls them needs, and SH coefficients are read for
 // survivors only.
 //
 // Formulas (engine::reference holds the same in f64):
@@ -11,10 +11,12 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
+#extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
+#extension GL_KHR_shader_subgroup_vote : require
+#extension GL_EXT_control_flow_attributes : require
 
 layout(local_size_x = 256) in;
-layout(constant_id = 0) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 1) const uint SH_DEGREE = 3;
 layout(constant_id = 2) const uint MOTION = 0; // 0 static, 1 pose table
 layout(constant_id = 3) const uint NONRIGID = 0; // 1: nonrigid_offset is added
@@ -26,10 +28,11 @@ layout(constant_id = 8) const uint MEAN_STORAGE = 0; // 0 f32, 1 unorm16 with a 
 layout(constant_id = 9) const uint OPTIONAL = 0; // HAS_* of the optional parameters
 layout(constant_id = 10) const uint BLEND = 0; // see lib/superpoint_motion.glsl
 layout(constant_id = 11) const uint ANTIALIASED = 0; // 1: splats keep their weight where they are wider than the Gaussian
+layout(constant_id = 12) const uint LISTS = 0; // 1: Gaussians are appended to the tile lists
 
 #include "lib/frame.glsl"
 #include "lib/dispatch.glsl"
-#include "lib/thread.glsl"
+#include "lib/subgroup.glsl"
 #include "lib/limits.glsl"
 #include "lib/ellipse.glsl"
 #include "lib/splat.glsl"
@@ -50,7 +53,7 @@ layout(std430, set = 0, binding = 7) readonly buffer Sh0Block { uint sh_0[]; };
 layout(std430, set = 0, binding = 8) readonly buffer Sh1Block { uint sh_1[]; };
 layout(std430, set = 0, binding = 9) readonly buffer Sh2Block { uint sh_2[]; };
 layout(std430, set = 0, binding = 10) readonly buffer Sh3Block { uint sh_3[]; };
-layout(std430, set = 0, binding = 11) writeonly buffer SplatsBlock { uvec4 splats[]; };
+layout(std430, set = 0, binding = 11) coherent buffer SplatsBlock { uvec4 splats[]; };
 layout(std430, set = 0, binding = 12) writeonly buffer TileCountBlock { uint tile_count[]; };
 layout(std430, set = 0, binding = 13) buffer InstanceBlockBlock { uint instance_block[]; };
 layout(std430, set = 0, binding = 14) buffer CountersBlock { uint counters[]; };
@@ -58,7 +61,8 @@ layout(std430, set = 0, binding = 15) readonly buffer NonrigidOffsetBlock { floa
 layout(std430, set = 0, binding = 16) readonly buffer OptionalBlock { float optional[]; };
 layout(std430, set = 0, binding = 17) readonly buffer BlendIndexBlock { uint blend_index[]; };
 layout(std430, set = 0, binding = 18) readonly buffer BlendWeightBlock { float blend_weight[]; };
-layout(std430, set = 0, binding = 19) buffer TileChangeBlock { uint tile_change[]; };
+layout(std430, set = 0, binding = 19) buffer TileEndBlock { uint tile_end[]; };
+layout(std430, set = 0, binding = 20) writeonly buffer PairsBlock { uvec2 pairs[]; };
 
 #include "lib/place.glsl"
 
@@ -67,6 +71,26 @@ layout(push_constant) uniform Push { uint block_capacity; } push;
 const uint CULLED = 0u;
 const uint REJECTED = 1u;
 const uint VISIBLE = 2u;
+
+uvec2 room_of_list(uint tile) {
+    return uvec2(tile * frame.tile_room, tile * frame.tile_room + frame.tile_room);
+}
+
+// The frame fails where a list has too little room; how long the longest is the host hears before that.
+void put(uint count, uvec2 room, uint depth, uint instance, uint slot) {
+    uint at = room.x + count;
+    if (at < room.y) {
+        pairs[at] = uvec2(depth, instance);
+    }
+    if (count >= frame.tile_room / 4u * 3u) {
+        atomicMax(counters[COUNT_LONGEST], count + 1u);
+        if (at >= room.y) {
+            atomicOr(counters[COUNT_FAILED], FAILED_INSTANCES);
+        }
+    }
+}
+
+#include "lib/tile_lists.glsl"
 
 shared uint subgroup_flags[64]; // visible + 2^16 rejected
 shared uint subgroup_tiles[64];
@@ -255,17 +279,20 @@ float log2_share(uint g, uint n) {
     return share;
 }
 
-// Counts the Gaussian for each tile that it reaches, in `tile_change`: how many more tile k has than tile k - 1, in row-major
-// order (scan_tiles adds up). So a row of tiles costs two atomics, however long it is. Returns the number of tiles.
+// The number of tiles that the Gaussian reaches. Without LISTS it is counted for each of them: how many more tile k has than tile
+// k - 1, in row-major order (scan_tiles adds up). So a row of tiles costs two atomics, however long it is.
 uint count_tiles(Ellipse e, uvec2 rows) {
     Extent extent = extent_of(e);
+    uint lists = LISTS;
     uint count = 0u;
     for (uint row = rows.x; row < rows.y; row++) {
         uvec2 columns = tile_columns_of_row(e, extent, row, frame.size);
         if (columns.x < columns.y) {
-            uint first = row * frame.tiles.x;
-            atomicAdd(tile_change[(first + columns.x) * TILE_PITCH], 1u);
-            atomicAdd(tile_change[(first + columns.y) * TILE_PITCH], 0xffffffffu);
+            if (lists == 0u) {
+                uint first = row * frame.tiles.x;
+                atomicAdd(tile_end[(first + columns.x) * TILE_PITCH], 1u);
+                atomicAdd(tile_end[(first + columns.y) * TILE_PITCH], 0xffffffffu);
+            }
             count += columns.y - columns.x;
         }
     }
@@ -273,13 +300,13 @@ uint count_tiles(Ellipse e, uvec2 rows) {
 }
 
 // Processes Gaussian g; the reads come in the order in which the tests need them. No early return: see lib/place.glsl.
-uint project(uint g, uint n, out uint tiles) {
+uint project(uint g, uint n, out uint tiles, out Ellipse e, out uint depth) {
     tiles = 0u;
+    depth = 0u;
     float logit;
     vec3 d;
     vec4 turn;
     vec3 p;
-    Ellipse e;
     float variance_x = 0.0;
     uvec2 rows = uvec2(0u);
     uint outcome = place_centre(g, n, logit, d, turn, p) ? VISIBLE : REJECTED;
@@ -302,6 +329,7 @@ uint project(uint g, uint n, out uint tiles) {
         outcome = write_splat(g, n, e, p.z, d) ? VISIBLE : REJECTED;
     }
     if (outcome == VISIBLE) {
+        depth = floatBitsToUint(p.z);
         tiles = count_tiles(e, rows);
         outcome = tiles != 0u ? VISIBLE : CULLED;
     }
@@ -314,9 +342,11 @@ void main() {
     uint g = group * 256u + thread;
     uint n = frame.gaussians;
     uint tiles = 0u;
+    uint depth = 0u;
+    Ellipse e;
     uint outcome = CULLED;
     if (g < n) {
-        outcome = project(g, n, tiles);
+        outcome = project(g, n, tiles, e, depth);
         tile_count[g] = tiles;
     }
 
@@ -350,5 +380,11 @@ void main() {
         if (rejected > 0u) {
             atomicAdd(counters[COUNT_REJECTED], rejected);
         }
+    }
+    uint lists = LISTS;
+    if (lists == 1u) {
+        // Of Gaussians with many tiles all threads read the splat.
+        memoryBarrierBuffer();
+        append_block(group, thread, g, tiles, e, depth, 0u);
     }
 }

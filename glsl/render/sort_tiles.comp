@@ -16,6 +16,7 @@
 //   as the list does. Until a part has its order, `values` says where its pairs are.
 //
 // It also says in `ranges` where each list begins and ends, side by side: the ends that emit_tiles moves lie apart (TILE_PITCH).
+// Lists with room of one size (frame.tile_room) are all empty where one had too little of it.
 //
 // The order does not depend on that of the list, which is chance: no two pairs are equal.
 
@@ -38,6 +39,7 @@ layout(std430, set = 0, binding = 2) readonly buffer PairsBlock { uvec2 pairs[];
 layout(std430, set = 0, binding = 3) coherent buffer ValuesBlock { uint values[]; };
 layout(std430, set = 0, binding = 4) readonly buffer TileEndBlock { uint tile_end[]; };
 layout(std430, set = 0, binding = 5) writeonly buffer RangesBlock { uvec2 ranges[]; };
+layout(std430, set = 0, binding = 6) readonly buffer CountersBlock { uint counters[]; };
 
 const uint CAPACITY = 2048u;
 const uint MAX_BUCKETS = 1024u;
@@ -193,8 +195,15 @@ void sort_part(uint list, uint part, uint n, bool cut) {
     uint high = 0u;
     uint at_once = AT_ONCE;
     uvec2 pair[MOST_AT_ONCE];
+    // Most lists are so short that threads keep their pairs; those of a longer one come from memory three times.
+    bool kept = n <= at_once * threads;
+    if (kept) {
+        load_pairs(list, part, cut, t, n, pair);
+    }
     for (uint first = t; first < n; first += at_once * threads) {
-        load_pairs(list, part, cut, first, n, pair);
+        if (!kept) {
+            load_pairs(list, part, cut, first, n, pair);
+        }
         [[unroll]] for (uint r = 0u; r < AT_ONCE; r++) {
             bool present = first + r * threads < n;
             low = min(low, present ? pair[r].x : low);
@@ -211,7 +220,9 @@ void sort_part(uint list, uint part, uint n, bool cut) {
     low = lowest;
     precise float scale = float(buckets) / (float(max(highest, low) - low) + 1.0);
     for (uint first = t; first < n; first += at_once * threads) {
-        load_pairs(list, part, cut, first, n, pair);
+        if (!kept) {
+            load_pairs(list, part, cut, first, n, pair);
+        }
         [[unroll]] for (uint r = 0u; r < AT_ONCE; r++) {
             if (first + r * threads < n) {
                 atomicAdd(bucket_end[bucket_of(pair[r].x - low, scale, buckets)], 1u);
@@ -221,7 +232,9 @@ void sort_part(uint list, uint part, uint n, bool cut) {
     barrier();
     scan_buckets(buckets);
     for (uint first = t; first < n; first += at_once * threads) {
-        load_pairs(list, part, cut, first, n, pair);
+        if (!kept) {
+            load_pairs(list, part, cut, first, n, pair);
+        }
         [[unroll]] for (uint r = 0u; r < AT_ONCE; r++) {
             if (first + r * threads < n) {
                 uint at = atomicAdd(bucket_end[bucket_of(pair[r].x - low, scale, buckets)], 1u);
@@ -291,17 +304,30 @@ void cut_list(uint list, uint n) {
     barrier();
 }
 
+// Where the list of a tile begins and ends. What emit_tiles had too much for the room of the list was left out.
+uvec2 range_of_list(uint tile) {
+    uint room = frame.tile_room;
+    uint end = tile_end[tile * TILE_PITCH];
+    uvec2 range;
+    if (room == 0u) {
+        range = uvec2(tile_start[tile], min(end, tile_start[tile + 1u]));
+    } else {
+        uint n = counters[COUNT_FAILED] == 0u ? min(end, room) : 0u;
+        range = uvec2(tile * room, tile * room + n);
+    }
+    return range;
+}
+
 void main() {
     uint tile = workgroup_index();
     uint list = 0u;
     uint n = 0u;
     if (tile < frame.tile_count) {
-        list = tile_start[tile];
-        // What emit_tiles had too much for the room of the list was left out.
-        uint end = min(tile_end[tile * TILE_PITCH], tile_start[tile + 1u]);
-        n = end - list;
+        uvec2 range = range_of_list(tile);
+        list = range.x;
+        n = range.y - range.x;
         if (thread_index() == 0u) {
-            ranges[tile] = uvec2(list, end);
+            ranges[tile] = range;
         }
     }
     uint shortest = SHORTEST;

@@ -267,10 +267,19 @@ impl RenderInput {
             optional: (!self.optional.is_empty()).then(|| words(&self.optional.to_device())),
             blend_index,
             blend_weight,
-            tile_change: vec![0; tile_change_words(frame.tile_count) as usize],
+            tile_end: vec![0; tile_change_words(frame.tile_count) as usize],
+            pairs: None,
         };
         let push = DeformProjectPush { block_capacity: groups };
         KernelCase { kernel: &DEFORM_PROJECT, constants, push, buffers, groups }
+    }
+
+    /// Kernel `deform_project` with lists, each of which has room for `frame.tile_room` pairs.
+    pub fn deform_project_with_lists(&self, frame: &Frame) -> KernelCase<DeformProject> {
+        let mut case = self.deform_project(frame);
+        case.constants.lists = 1;
+        case.buffers.pairs = Some(vec![0; 2 * (frame.tile_count * frame.tile_room) as usize]);
+        case
     }
 
     /// A frame of these Gaussians.

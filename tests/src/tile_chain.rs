@@ -1,6 +1,7 @@
 //! From projected Gaussians to the tile lists, kernel by kernel beside the twins, on the device or on the executable model.
 
 use engine::gpu::interface::Interface;
+use engine::render::deform_project::DeformProjectBuffers;
 use engine::render::emit_tiles::{EMIT_TILES, EmitTiles, EmitTilesBuffers, EmitTilesConstants, EmitTilesPush};
 use engine::render::frame::Frame;
 use engine::render::limits::TILE_PITCH;
@@ -83,6 +84,13 @@ pub struct TileLists {
     pub values: Vec<u32>,
 }
 
+impl TileLists {
+    /// The list of each tile.
+    pub fn lists(&self) -> impl Iterator<Item = &[u32]> {
+        self.ranges.chunks_exact(2).map(|range| &self.values[range[0] as usize..range[1] as usize])
+    }
+}
+
 impl TileChain {
     /// The words of the frame.
     pub fn frame_words(&self) -> Vec<u32> {
@@ -126,9 +134,43 @@ impl TileChain {
 
 /// What `sort_tiles` takes from `emit_tiles`.
 pub fn unsorted(emitted: EmitTilesBuffers<Vec<u32>>) -> SortTilesBuffers<Vec<u32>> {
-    let EmitTilesBuffers { frame, tile_start, pairs, tile_end, .. } = emitted;
-    let (ranges, values) = (vec![0; 2 * tile_start.len() - 2], vec![0; pairs.len() / 2]);
-    SortTilesBuffers { frame, tile_start, pairs, values, tile_end, ranges }
+    let EmitTilesBuffers { frame, counters, tile_start, pairs, tile_end, .. } = emitted;
+    let tiles = tile_end.len() / TILE_PITCH as usize - 1;
+    let (ranges, values) = (vec![0; 2 * tiles], vec![0; pairs.len() / 2]);
+    SortTilesBuffers { frame, tile_start: Some(tile_start), pairs, values, tile_end, ranges, counters }
+}
+
+/// What `sort_tiles` takes from a `deform_project` that fills lists.
+///
+/// # Panics
+/// When it does not.
+pub fn filled(done: DeformProjectBuffers<Vec<u32>>) -> SortTilesBuffers<Vec<u32>> {
+    let DeformProjectBuffers { frame, counters, tile_end, pairs, .. } = done;
+    let (tiles, pairs) = (tile_end.len() / TILE_PITCH as usize - 1, pairs.unwrap());
+    let (ranges, values) = (vec![0; 2 * tiles], vec![0; pairs.len() / 2]);
+    SortTilesBuffers { frame, tile_start: None, pairs, values, tile_end, ranges, counters }
+}
+
+/// The same lists, each in room of its own for so many pairs, as `deform_project` leaves them.
+///
+/// # Panics
+/// When there is too little room.
+pub fn with_room(lists: &SortTilesBuffers<Vec<u32>>, room: u32) -> SortTilesBuffers<Vec<u32>> {
+    let starts = lists.tile_start.as_deref().unwrap();
+    let tiles = starts.len() - 1;
+    let mut pairs = vec![0; 2 * tiles * room as usize];
+    let mut counts = Vec::new();
+    for (tile, range) in starts.windows(2).enumerate() {
+        let list = &lists.pairs[2 * range[0] as usize..2 * range[1] as usize];
+        pairs[2 * tile * room as usize..][..list.len()].copy_from_slice(list);
+        counts.push(range[1] - range[0]);
+    }
+    counts.push(0);
+    let mut frame: Frame = bytemuck::cast_slice(&lists.frame)[0];
+    frame.tile_room = room;
+    let values = vec![0; pairs.len() / 2];
+    let frame = bytemuck::cast_slice(&[frame]).to_vec();
+    SortTilesBuffers { frame, tile_start: None, pairs, values, tile_end: spread(&counts), ..lists.clone() }
 }
 
 /// Counters of tiles from words side by side.
@@ -145,7 +187,7 @@ pub fn sort(
     with_slots: bool,
 ) -> SortTilesBuffers<Vec<u32>> {
     // One more than there are: a grid may be folded.
-    let groups = buffers.tile_start.len() as u32;
+    let groups = buffers.ranges.len() as u32 / 2 + 1;
     let (is_cpu, threads) = runner.kind();
     for constants in sort_tiles::dispatches(is_cpu, threads, u32::MAX, with_slots) {
         buffers = runner.check(KernelCase { kernel: &SORT_TILES, constants, push: (), buffers, groups });

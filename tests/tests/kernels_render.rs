@@ -19,7 +19,7 @@ use engine::render::copy_rate::{COPY_RATE, COPY_RATE_OF_GROUP, CopyRateBuffers, 
 use engine::render::deform_network::{self, DEFORM_NETWORK, DeformNetworkBuffers, DeformNetworkConstants};
 use engine::render::deform_project::DeformProject;
 use engine::render::frame::Frame;
-use engine::render::limits::TILE_PITCH;
+use engine::render::limits::{FAILED_INSTANCES, INSTANCE_GAUSSIAN, TILE_PITCH};
 use engine::scene::network::DeformSize;
 use engine::scene::{Camera, DeformNetwork, Linear};
 use glam::DVec3;
@@ -53,7 +53,7 @@ fn assert_deform_project(result: &KernelResult<DeformProject>, n: usize, context
     }
     // From changes to counts to their sum; past the last tile nothing is left.
     let (mut count, mut sum) = (0_u32, 0_u64);
-    for counter in gpu.tile_change.chunks_exact(TILE_PITCH as usize) {
+    for counter in gpu.tile_end.chunks_exact(TILE_PITCH as usize) {
         assert_eq!(counter[1..], [0; TILE_PITCH as usize - 1], "{context}: between counters");
         count = count.wrapping_add(counter[0]);
         sum += u64::from(count);
@@ -92,6 +92,52 @@ fn deform_project_of_random_gaussians() {
         assert_deform_project(&antialiased.deform_project(&frame).run(&gpu), n, &format!("antialiased, n = {n}"));
         let input = input.with_optional(17 + i as u64);
         assert_deform_project(&input.deform_project(&frame).run(&gpu), n, &format!("optional parameters, n = {n}"));
+    }
+}
+
+/// Every pair of each list by depth, ties by Gaussian.
+fn sorted_lists(frame: &Frame, pairs: &[u32], tile_end: &[u32]) -> Vec<Vec<u32>> {
+    let room = frame.tile_room as usize;
+    let counts = tile_end.iter().step_by(TILE_PITCH as usize);
+    let sorted = |(list, count): (&[u32], &u32)| {
+        let mut list: Vec<[u32; 2]> = list.chunks_exact(2).take(*count as usize).map(|p| [p[0], p[1]]).collect();
+        list.sort_by_key(|[depth, instance]| (*depth, instance & INSTANCE_GAUSSIAN));
+        list.into_iter().map(|[_, instance]| instance).collect()
+    };
+    pairs.chunks_exact(2 * room).zip(counts).map(sorted).collect()
+}
+
+/// Lists that it fills itself are those by definition of its own splats; a frame fails where one has too little room.
+#[test]
+fn deform_project_fills_lists() {
+    let gpu = tests_harness::shared_gpu();
+    for (n, degree, size) in [(0, 0, [40, 40]), (1, 0, [40, 40]), (257, 3, [33, 17]), (5000, 1, [200, 120])] {
+        let mut input = RenderInput::random(n, degree, 9 + n as u64).moving(6, 3);
+        // Some reach many tiles.
+        for g in (0..n).step_by(7) {
+            (0..3).for_each(|c| input.log_scale[c * n + g] = -0.5);
+        }
+        let mut frame = input.frame(&test_camera(size[0], size[1]));
+        frame.tile_room = n.next_multiple_of(32).max(32) as u32;
+        let result = input.deform_project_with_lists(&frame).run(&gpu);
+        let done = &result.gpu;
+        let (ranges, values) = tile_lists(&frame, &done.splats[..12 * n], &done.tile_count[..n]);
+        let expected: Vec<&[u32]> =
+            ranges.chunks_exact(2).map(|range| &values[range[0] as usize..range[1] as usize]).collect();
+        let found = sorted_lists(&frame, done.pairs.as_deref().unwrap(), &done.tile_end);
+        assert!(found == expected, "{n} Gaussians: other lists");
+        let longest = expected.iter().map(|list| list.len() as u32).max().unwrap();
+        assert_eq!(u64::from(done.counters[1]), values.len() as u64);
+        let reported = |room: u32| if longest > room / 4 * 3 { longest } else { 0 };
+        assert_eq!(done.counters[3..7], [0, result.twin.counters[4], 0, reported(frame.tile_room)], "{n} Gaussians");
+        if longest < 2 {
+            continue;
+        }
+        for (room, failed) in [(longest, 0), (longest - 1, FAILED_INSTANCES)] {
+            frame.tile_room = room;
+            let done = input.deform_project_with_lists(&frame).run(&gpu).gpu;
+            assert_eq!((done.counters[3], done.counters[6]), (failed, longest), "{n} Gaussians, room for {room}");
+        }
     }
 }
 

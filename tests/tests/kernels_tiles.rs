@@ -7,7 +7,7 @@ use engine::render::limits::{FAILED_INSTANCES, INSTANCE_GAUSSIAN, TILE_PITCH};
 use engine::render::scan_tiles::tile_change_words;
 use engine::render::sort_tiles::{SORT_TILES, SORT_TILES_CAPACITY, SortTilesBuffers, long_from};
 use engine::render::tiles::block_words;
-use tests_harness::tile_chain::{TileChain, TileLists, sort, spread, unsorted};
+use tests_harness::tile_chain::{TileChain, TileLists, sort, spread, unsorted, with_room};
 use tests_harness::{TestGpu, widths};
 
 struct Rng(u64);
@@ -149,8 +149,7 @@ impl Scene {
                 (first..end).for_each(|c| expected[(row * self.frame.tiles[0] + c) as usize].push(g as u32));
             }
         }
-        for (range, expected) in done.ranges.chunks_exact(2).zip(expected) {
-            let list = &done.values[range[0] as usize..range[1] as usize];
+        for (list, expected) in done.lists().zip(expected) {
             let found: Vec<u32> = list.iter().map(|v| v & INSTANCE_GAUSSIAN).collect();
             assert_eq!(found, expected);
         }
@@ -220,7 +219,8 @@ fn check_cut_lists(gpu: &TestGpu, scene: &Scene, chain: &TileChain) -> usize {
     let ends: Vec<u32> = emitted.tile_end.iter().step_by(TILE_PITCH as usize).copied().collect();
     let done = sort(gpu, unsorted(emitted), false);
     let mut cut = 0;
-    for (tile, (range, room)) in done.ranges.chunks_exact(2).zip(done.tile_start.windows(2)).enumerate() {
+    let starts = done.tile_start.unwrap();
+    for (tile, (range, room)) in done.ranges.chunks_exact(2).zip(starts.windows(2)).enumerate() {
         assert!(
             room[0] == range[0] && range[0] <= range[1] && range[1] <= room[1],
             "tile {tile}: {range:?} in {room:?}"
@@ -236,6 +236,26 @@ fn check_cut_lists(gpu: &TestGpu, scene: &Scene, chain: &TileChain) -> usize {
         }
     }
     cut
+}
+
+/// Lists with room of one size are sorted as those that lie one behind the other; where one had too little, all are empty.
+#[test]
+fn room_of_one_size() {
+    let gpu = tests_harness::shared_gpu();
+    for (n, size) in [(0, [64, 64]), (31, [1, 1]), (257, [33, 17]), (1025, [400, 300]), (5000, [200, 200])] {
+        let scene = Scene::random(n, size, 21 + u64::from(n));
+        let chain = scene.chain(scene.total() as u32, 0);
+        let packed = unsorted(chain.emission(&gpu).check(&gpu, "packed"));
+        let longest = sort(&gpu, packed.clone(), false).ranges.chunks_exact(2).map(|r| r[1] - r[0]).max().unwrap();
+        for room in [longest.max(1), longest + 32] {
+            let SortTilesBuffers { counters, ranges, values, .. } = sort(&gpu, with_room(&packed, room), false);
+            scene.assert_lists(&TileLists { counters, ranges, values });
+        }
+        let mut failed = with_room(&packed, longest.max(1));
+        failed.counters[3] = FAILED_INSTANCES;
+        let done = sort(&gpu, failed, false);
+        assert!(done.ranges.chunks_exact(2).all(|range| range[0] == range[1]), "a frame that failed has empty lists");
+    }
 }
 
 /// Should two kernels ever disagree on how many tiles a splat reaches.
@@ -296,7 +316,8 @@ fn sort_lists(gpu: &TestGpu, lists: &[Vec<[u32; 2]>]) {
     let frame = bytemuck::cast_slice(&[frame]).to_vec();
     let (values, ranges) = (vec![0; pairs.len()], vec![0; 2 * lists.len()]);
     let pairs = pairs.as_flattened().to_vec();
-    let buffers = SortTilesBuffers { frame, tile_start, pairs, values, tile_end: spread(&ends), ranges };
+    let (tile_start, counters) = (Some(tile_start), vec![0; 8]);
+    let buffers = SortTilesBuffers { frame, tile_start, pairs, values, tile_end: spread(&ends), ranges, counters };
     let ranges = sort(gpu, buffers, false).ranges;
     assert!(ranges.iter().skip(1).step_by(2).eq(&ends), "{ranges:?} do not end at {ends:?}");
 }

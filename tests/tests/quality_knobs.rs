@@ -104,7 +104,7 @@ fn check_kernels(gpu: &TestGpu, q: &Quality) {
         counters: twin.counters,
         tile_count,
         splats: splats.clone(),
-        tile_change: twin.tile_change,
+        tile_change: twin.tile_end,
         instance_block: twin.instance_block,
         block_capacity: COUNT.div_ceil(256) as u32,
         constants,

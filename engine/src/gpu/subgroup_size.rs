@@ -68,6 +68,7 @@ pub const CHOICES: &[Choice] = &[
         why: "reads of shared memory are the larger part and are not cheaper at 64: 20 to 35 % less, 3 to 8 % less",
     },
     Choice { vendor: AMD, kernels: &["density_decide"], size: 32, why: "9 % less" },
+    Choice { vendor: AMD, kernels: &["sort_tiles"], size: 32, why: "6 % less" },
     Choice {
         vendor: AMD,
         kernels: &["nearest_superpoints"],

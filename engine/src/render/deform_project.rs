@@ -1,11 +1,14 @@
-//! Kernel `deform_project`: moves, projects, culls and shades each Gaussian and counts the tiles it reaches.
+//! Kernel `deform_project`: moves, projects, culls and shades each Gaussian and counts the tiles it reaches, or appends it to their lists.
 //!
 //! One Gaussian per thread, 256 per workgroup. For each Gaussian of `mean [3][N]` it writes `tile_count[N]` (0 = culled)
 //! and, for the visible ones only, `splats`, as `vec4[3N]`: (mean px, l11, l12), (l22, log2 opacity, z, 0), (r, g, b, 0),
 //! or packed ([`super::splat`]).
 //! Sums: tile instances in `instance_block[b]` per workgroup and in `[block_capacity + b / 256]` above it; `counters` 0 visible,
-//! 1–2 instances (64 bits), 4 rejected; in `tile_change[k * TILE_PITCH]` how many more Gaussians reach tile k than tile k − 1. All of them
+//! 1–2 instances (64 bits), 4 rejected; in `tile_end[k * TILE_PITCH]` how many more Gaussians reach tile k than tile k − 1. All of them
 //! must be zeroed before.
+//!
+//! With `LISTS` = 1 `tile_end` counts the pairs of each tile's list instead, which are in `pairs`: the first of tile k at k
+//! [`Frame::tile_room`], in any order. A list that has no room leaves out what is too much, and the frame fails.
 //!
 //! With `NONRIGID` = 1 it adds `nonrigid_offset float[10][N]`, planes dx 3, dq 4 (w,x,y,z), ds 3, to the moved Gaussian:
 //! μ + dx, norm(q + dq), max(exp(log_scale) + ds, exp(−30)).
@@ -58,6 +61,8 @@ crate::gpu_constants! {
         blend,
         /// 1: [`Gaussians::antialiased`](crate::scene::Gaussians::antialiased).
         antialiased,
+        /// 1: Gaussians are appended to the tile lists.
+        lists,
     }
 }
 
@@ -85,7 +90,7 @@ crate::gpu_buffers! {
         sh_2: optional Read U32,
         /// `[21][N]`
         sh_3: optional Read U32,
-        splats: Write F32,
+        splats: Update F32,
         tile_count: Write U32,
         instance_block: Atomic U32,
         counters: Atomic U32,
@@ -96,8 +101,11 @@ crate::gpu_buffers! {
         blend_index: optional Read U32,
         /// `[K-1][N]`; of soft superpoints.
         blend_weight: optional Read F32,
-        /// `[T+1][`[`TILE_PITCH`](crate::render::limits::TILE_PITCH)`]`, row-major ([`scan_tiles`](crate::render::scan_tiles)).
-        tile_change: Atomic U32,
+        /// `[T+1][`[`TILE_PITCH`](crate::render::limits::TILE_PITCH)`]`, row-major: changes from tile to tile
+        /// ([`scan_tiles`](crate::render::scan_tiles)), or pairs of each list.
+        tile_end: Atomic U32,
+        /// `[T][`[`Frame::tile_room`]`][2]`: bits of the depth, and an instance ([`emit_tiles`](crate::render::emit_tiles)); of lists.
+        pairs: optional Write U32,
     }
 }
 
@@ -105,12 +113,13 @@ crate::kernel! {
     /// Moves, projects, culls, shades, counts tiles.
     pub static DEFORM_PROJECT: DeformProject = {
         name: "deform_project",
-        doc: "motion, projection, culling, SH colour and exact tile count of each Gaussian",
+        doc: "motion, projection, culling, SH colour and exact tile count of each Gaussian, and the lists of tiles, unsorted",
         local_size: DEFORM_PROJECT_THREADS,
         constants: DeformProjectConstants,
         push: DeformProjectPush,
         buffers: DeformProjectBuffers,
         twin: twin::deform_project,
+        arrange: twin::arrange,
         // exp, log2 and sqrt may be off by some units in the last place on a GPU (Vulkan 1.2, table of precision); a tile
         // count may flip where an ellipse touches a tile's first pixel centre.
         tolerance: Tolerance { absolute: 1e-4, relative: 1e-4, flips: 1e-3 },
@@ -118,12 +127,14 @@ crate::kernel! {
     }
 }
 
-/// Every Gaussian: centre, opacity, tile count (and superpoint when moving); a visible one also scale, rotation, SH, splat.
+/// Every Gaussian: centre, opacity, tile count (and superpoint when moving); a visible one also scale, rotation, SH, splat; with lists
+/// of their own for tiles their pairs.
 fn deform_project_bytes(work: &Workload) -> u64 {
     let moving = if work.get("superpoints") > 0 { work.get("blend_bytes").max(4) } else { 0 };
     let keys = work.get("superpoints") * 64;
     work.get("gaussians") * (work.get("mean_bytes") + 4 + 4 + moving + work.get("optional_bytes"))
         + work.get("visible") * (12 + 16 + work.get("sh_bytes") + work.get("splat_bytes"))
+        + if work.get("tile_room") > 0 { 8 * work.get("instances") } else { 0 }
         + keys
 }
 

@@ -64,7 +64,8 @@
 //! - **Frames in flight**: when `record` is called for the (k + [`ViewOptions::in_flight`])-th time, the commands of the
 //!   k-th call have finished. That is a host with as many fences as frames in flight, which it has anyway. Only by this
 //!   promise the view knows when it may free buffers and read counters.
-//! - **Growth**: a frame that needs more tile instances than the buffers hold shows the background only. The call that
+//! - **Growth**: a frame that needs more tile instances than the buffers hold, all together or in one tile, shows the background
+//!   only. Room that becomes scarce is made larger before that. The call that
 //!   finds this out, `in_flight` calls later, makes larger buffers and records with them; the old ones go when they are
 //!   not in use any more. [`View::warm_up`] finds the size beforehand, so that no frame is lost.
 //! - **Trust**: a host's device is taken as it is. [`Gpu::self_test`](crate::gpu::Gpu::self_test) says whether its driver computes what it

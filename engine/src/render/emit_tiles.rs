@@ -121,7 +121,7 @@ fn emit_tiles_twin(call: Call<'_, EmitTiles>) {
 }
 
 /// At most `count` tiles of an ellipse and their quadrants, row-major.
-fn tiles_of(e: &Ellipse, count: u32, frame: &Frame) -> Vec<(usize, u32)> {
+pub(super) fn tiles_of(e: &Ellipse, count: u32, frame: &Frame) -> Vec<(usize, u32)> {
     let mut tiles = Vec::new();
     let rows = e.tile_row_range(frame.size);
     for row in rows[0]..rows[1] {

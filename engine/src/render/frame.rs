@@ -52,10 +52,10 @@ crate::gpu_struct! {
         pub instance_capacity: u32,
         /// Tiles of the image.
         pub tile_count: u32,
+        /// Pairs that the list of each tile has room for; 0: `scan_tiles` says where the lists lie.
+        pub tile_room: u32,
         /// To a multiple of 16 bytes.
-        pub unused_0: u32,
-        /// To a multiple of 16 bytes.
-        pub unused_1: u32,
+        pub unused: u32,
     }
 }
 
@@ -152,8 +152,8 @@ impl Frame {
             second_key: interval.second,
             instance_capacity: options.instance_capacity,
             tile_count: tiles[0] * tiles[1],
-            unused_0: 0,
-            unused_1: 0,
+            tile_room: 0,
+            unused: 0,
         })
     }
 

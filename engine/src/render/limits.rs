@@ -37,10 +37,12 @@ pub const COUNT_INSTANCES_HIGH: u32 = 2;
 pub const COUNT_FAILED: u32 = 3;
 /// `counters[4]`: Gaussians rejected because they are not finite.
 pub const COUNT_REJECTED: u32 = 4;
-/// `counters[5]`: instances to process; 0 when the frame failed.
+/// `counters[5]`: instances to process; 0 when the frame failed; of frames with `scan_tiles`.
 pub const COUNT_INSTANCES: u32 = 5;
+/// `counters[6]`: pairs of the longest list, where it takes more than three quarters of its room (`Frame::tile_room`).
+pub const COUNT_LONGEST: u32 = 6;
 
-/// Failure bit: more instances than the buffers hold.
+/// Failure bit: more instances than the buffers hold, or than there is room for in a list.
 pub const FAILED_INSTANCES: u32 = 1;
 
 #[cfg(test)]
@@ -76,6 +78,7 @@ mod tests {
             ("COUNT_FAILED", COUNT_FAILED),
             ("COUNT_REJECTED", COUNT_REJECTED),
             ("COUNT_INSTANCES", COUNT_INSTANCES),
+            ("COUNT_LONGEST", COUNT_LONGEST),
             ("FAILED_INSTANCES", FAILED_INSTANCES),
         ] {
             assert_eq!(value(name), rust, "{name}");

@@ -1,7 +1,7 @@
 //! Scene(t) + camera → image, on the GPU.
 //!
 //! ```text
-//! [deform_network] → deform_project → scan_tiles → emit_tiles → sort_tiles → blend
+//! [deform_network] → deform_project → [scan_tiles → emit_tiles] → sort_tiles → blend
 //! ```
 //!
 //! A scene with a deformation field runs it first (`field_*`), one with network G `nonrigid_network`.

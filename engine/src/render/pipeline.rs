@@ -61,6 +61,8 @@ impl FrameBuffers {
 pub(crate) struct Shape {
     /// Tiles of the image.
     pub(crate) tiles: u32,
+    /// Pairs that each tile's list has room for; 0: the lists lie one behind the other, as `scan_tiles` says.
+    pub(crate) tile_room: u32,
     /// The weighted depth is rendered too.
     pub(crate) with_depth: bool,
     /// Tile lists of slots, for the backward pass.
@@ -124,9 +126,11 @@ pub(crate) fn record_forward(
     }
     let pose = frame.host_pose.as_ref().unwrap_or(&scene.deformation.pose);
     let offset = scene.deformation.record(gpu, r, scene, &frame.frame, pose)?;
-    deform_project(r, scene, work, frame, offset, &shape.quality)?;
-    scan_tiles(gpu, r, scene, work, frame)?;
-    emit_tiles(r, scene, work, frame, shape)?;
+    deform_project(r, scene, work, frame, offset, shape)?;
+    if shape.tile_room == 0 {
+        scan_tiles(gpu, r, scene, work, frame)?;
+        emit_tiles(r, scene, work, frame, shape)?;
+    }
     sort_tiles(gpu, r, scene, work, frame, shape)?;
     blend(gpu, r, work, frame, shape)
 }
@@ -137,8 +141,10 @@ fn deform_project(
     work: &WorkBuffers,
     frame: &FrameBuffers,
     nonrigid_offset: Option<Slice>,
-    quality: &Quality,
+    shape: &Shape,
 ) -> Result<()> {
+    let quality = &shape.quality;
+    let lists = shape.tile_room != 0;
     let nonrigid = u32::from(nonrigid_offset.is_some());
     let moves = scene.deformation.moves();
     let pose = frame.host_pose.as_ref().unwrap_or(&scene.deformation.pose);
@@ -162,7 +168,8 @@ fn deform_project(
         optional: scene.optional.as_ref().map(Buffer::whole),
         blend_index: scene.deformation.blend_index(),
         blend_weight: scene.deformation.blend_weight(),
-        tile_change: work.tile_counters.clone(),
+        tile_end: work.tile_counters.clone(),
+        pairs: lists.then(|| work.pairs.whole()),
     };
     let push = DeformProjectPush { block_capacity: work.block_capacity };
     let groups = Groups::Direct(scene.gaussians.div_ceil(DEFORM_PROJECT_THREADS).into());
@@ -178,6 +185,7 @@ fn deform_project(
         optional: scene.present.0,
         blend: scene.deformation.blend_slots(),
         antialiased: scene.antialiased.into(),
+        lists: lists.into(),
     };
     r.dispatch(&DEFORM_PROJECT, constants, push, buffers, groups)
 }
@@ -249,16 +257,21 @@ fn sort_tiles(
 ) -> Result<()> {
     let buffers = SortTilesBuffers {
         frame: frame.frame.whole(),
-        tile_start: work.tile_start.whole(),
+        tile_start: (shape.tile_room == 0).then(|| work.tile_start.whole()),
         pairs: work.pairs.whole(),
         values: work.values.whole(),
         tile_end: work.tile_counters.clone(),
         ranges: work.ranges.whole(),
+        counters: work.counters.clone(),
     };
     let (is_cpu, threads) = sort_workgroup(gpu);
-    for constants in sort_tiles::dispatches(is_cpu, threads, scene.gaussians, shape.slots.is_some()) {
+    // No Gaussian is twice in a list.
+    let most = if shape.tile_room == 0 { scene.gaussians } else { shape.tile_room.min(scene.gaussians) };
+    let all = Groups::Direct(shape.tiles.into());
+    for constants in sort_tiles::dispatches(is_cpu, threads, most, shape.slots.is_some()) {
         let (label, groups) = match constants.shortest {
-            1 => ("sort_tiles", Groups::Direct(shape.tiles.into())),
+            1 => ("sort_tiles", all.clone()),
+            _ if shape.tile_room != 0 => ("sort_tiles long", all.clone()),
             _ => ("sort_tiles long", Groups::Indirect(work.indirect.clone(), 0)),
         };
         r.dispatch_labelled(label, &SORT_TILES, constants, (), buffers.clone(), groups)?;

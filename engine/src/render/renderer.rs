@@ -11,14 +11,14 @@ use crate::gpu::{Buffer, Commands, Gpu, Memory, Suite, Timing};
 use crate::image::Image;
 use crate::scene::{Camera, MotionSource, Rejected, Scene};
 
-use super::capacity;
+use super::capacity::{self, Capacity, Lists};
 use super::frame::{Frame, FrameOptions};
-use super::limits::TILE_SIZE;
 use super::mean_storage;
 use super::pipeline::{self, FrameBuffers, Shape};
 use super::quality::Quality;
 use super::scene_buffers::SceneBuffers;
 use super::splat::splat_words;
+use super::tiles::tiles_of;
 use super::work_buffers::{COUNTER_WORDS, WorkBuffers};
 
 pub use live::Picked;
@@ -120,7 +120,7 @@ struct Targets {
     room: [u32; 2],
     /// Size of the latest frame.
     size: [u32; 2],
-    capacity: u32,
+    lists: Lists,
     /// Of the frames of a batch: as many as were drawn side by side.
     work: Vec<WorkBuffers>,
     /// Batches of one frame, and of more where there were some.
@@ -143,7 +143,7 @@ pub struct Renderer {
     options: RenderOptions,
     scene: SceneBuffers,
     targets: Option<Targets>,
-    capacity: u64,
+    capacity: Capacity,
     frames: u64,
     submissions: u64,
     /// Number of the targets among those of all renderers.
@@ -165,7 +165,7 @@ impl Renderer {
             gpu.ready_for(Suite::Packed)?;
         }
         let scene = SceneBuffers::new(gpu, scene, options.motion, &options.quality)?;
-        let capacity = capacity::first(scene.gaussians).min(capacity::limit(gpu, options.max_instances));
+        let capacity = Capacity::new(gpu, scene.gaussians, options.max_instances);
         let gpu = gpu.clone();
         let host_pose = Vec::new();
         Ok(Self {
@@ -253,7 +253,7 @@ impl Renderer {
         let batch = &mut targets.batches[K - 1][self.submissions as usize % FRAMES_IN_FLIGHT];
         self.gpu.wait_for(&batch.commands)?;
         for ((slot, frame), (_, time)) in batch.slots.iter().zip(&mut frames).zip(views) {
-            frame.instance_capacity = targets.capacity;
+            targets.lists.tell(frame);
             slot.buffers.frame.write(0, bytemuck::bytes_of(frame))?;
             if let Some(buffer) = &slot.buffers.host_pose {
                 self.scene.deformation.poses.write(time, self.scene.origin, &mut self.host_pose);
@@ -280,9 +280,7 @@ impl Renderer {
         slot.buffers.counters.read(0, &mut bytes)?;
         let counted = capacity::counted(&bytes);
         if counted.overflowed {
-            let limit = capacity::limit(&self.gpu, self.options.max_instances);
-            let needed = counted.statistics.instances;
-            self.capacity = capacity::grown(self.capacity, needed, limit, self.scene.gaussians)?;
+            self.capacity.learn(&counted)?;
             return Ok(None);
         }
         let refused = u64::from(counted.statistics.rejected).saturating_sub(self.scene.rejected.total() as u64);
@@ -354,14 +352,15 @@ impl Renderer {
     /// Amounts of work of a frame, from which kernels derive the bytes that they move.
     pub fn workload(&self, statistics: &FrameStatistics) -> Workload {
         let size = self.targets.as_ref().map_or([0, 0], |t| t.size);
-        let tiles = u64::from(size[0].div_ceil(TILE_SIZE)) * u64::from(size[1].div_ceil(TILE_SIZE));
+        let tile_room = self.targets.as_ref().map_or(0, |t| t.lists.tile_room);
         Workload(
             [
                 ("gaussians", u64::from(self.scene.gaussians)),
                 ("superpoints", u64::from(self.scene.deformation.superpoints)),
                 ("visible", u64::from(statistics.visible)),
                 ("instances", statistics.instances),
-                ("tiles", tiles),
+                ("tiles", tiles_of(size).into()),
+                ("tile_room", tile_room.into()),
                 ("pixels", u64::from(size[0]) * u64::from(size[1])),
                 ("sh_degree", u64::from(self.scene.sh_degree)),
                 ("sh_coefficients", u64::from((self.scene.sh_degree + 1) * (self.scene.sh_degree + 1))),
@@ -387,7 +386,7 @@ impl Renderer {
                 used.per_instance += instances;
             }
             used.images = targets.slots().map(|s| s.buffers.image_bytes()).sum();
-            used.instance_capacity = targets.capacity.into();
+            used.instance_capacity = targets.lists.instances.into();
         }
         used
     }
@@ -424,10 +423,23 @@ impl Renderer {
         self.scene.frame(camera, options)
     }
 
-    /// Makes targets with room for this size and capacity, and batches of so many frames, where there are none.
+    /// Makes targets with room for this size and capacity, and batches of so many frames, where there are none. Where memory is short
+    /// tile lists take less.
     fn prepare(&mut self, size: [u32; 2], asked: [u32; 2], beside: usize) -> Result<()> {
-        let capacity = self.capacity as u32;
-        let has_room = |t: &Targets| t.capacity == capacity && t.asked == asked && (0..2).all(|k| size[k] <= t.room[k]);
+        match self.make_room(size, asked, beside) {
+            Err(Error::OutOfMemory { .. }) if self.capacity.pack() => {
+                self.targets = None;
+                self.make_room(size, asked, beside)
+            }
+            done => done,
+        }
+    }
+
+    fn make_room(&mut self, size: [u32; 2], asked: [u32; 2], beside: usize) -> Result<()> {
+        let has_room = |t: &Targets| {
+            let lists = self.capacity.lists(tiles_of(t.room));
+            t.lists == lists && t.asked == asked && (0..2).all(|k| size[k] <= t.room[k])
+        };
         let mut targets = match self.targets.take() {
             Some(targets) if has_room(&targets) => Targets { size, ..targets },
             // Old buffers go before new ones come: the peak is the larger of the two, not the sum.
@@ -435,7 +447,8 @@ impl Renderer {
                 drop(old);
                 self.generation = NEXT_GENERATION.fetch_add(1, Ordering::Relaxed);
                 let (work, batches) = (Vec::new(), [const { Vec::new() }; MOST_BESIDE]);
-                let mut fresh = Targets { asked, room: size, size, capacity, work, batches, latest: 0, readback: None };
+                let lists = self.capacity.lists(tiles_of(size));
+                let mut fresh = Targets { asked, room: size, size, lists, work, batches, latest: 0, readback: None };
                 // The buffers of single frames are what windows know of.
                 self.add_batches(&mut fresh, 1)?;
                 fresh
@@ -448,15 +461,15 @@ impl Renderer {
     }
 
     fn add_batches(&self, targets: &mut Targets, beside: usize) -> Result<()> {
-        let [width, height] = targets.room;
-        let tiles = width.div_ceil(TILE_SIZE) * height.div_ceil(TILE_SIZE);
+        let (tiles, lists) = (tiles_of(targets.room), targets.lists);
         let quality = self.options.quality;
         while targets.work.len() < beside {
-            let work = WorkBuffers::new(&self.gpu, self.scene.gaussians, tiles, targets.capacity)?;
+            let work = WorkBuffers::new(&self.gpu, self.scene.gaussians, tiles, lists.instances)?;
             work.clear(&self.gpu)?;
             targets.work.push(work);
         }
-        let shape = Shape { tiles, with_depth: self.options.depth, cleared: true, quality, ..Shape::default() };
+        let (tile_room, with_depth) = (lists.tile_room, self.options.depth);
+        let shape = Shape { tiles, tile_room, with_depth, cleared: true, quality, ..Shape::default() };
         let (room, asked) = (targets.room, targets.asked);
         let slot = |_| Ok(Slot { buffers: self.frame_buffers(room)?, frame: 0, asked, size: room });
         let batch = |_| {

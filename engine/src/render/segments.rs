@@ -7,7 +7,7 @@
 
 use crate::error::Result;
 use crate::gpu::{Gpu, Memory, Slice};
-use crate::render::limits::TILE_SIZE;
+use crate::render::tiles::tiles_of;
 
 /// Splats by which the length of a segment grows: at every subgroup size a segment begins with a batch.
 pub const SEGMENT_STEP: u32 = 128;
@@ -64,7 +64,7 @@ impl States {
     /// # Errors
     /// `OutOfMemory`, `Limit`.
     pub(crate) fn of_device(gpu: &Gpu, [width, height]: [u32; 2]) -> Result<Option<Self>> {
-        let segments = Segments::of_tiles(width.div_ceil(TILE_SIZE) * height.div_ceil(TILE_SIZE));
+        let segments = Segments::of_tiles(tiles_of([width, height]));
         // A CPU has few subgroups at a time.
         if gpu.info().is_cpu() || segments.per_list == 1 {
             return Ok(None);

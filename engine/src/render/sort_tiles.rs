@@ -1,7 +1,7 @@
 //! Kernel `sort_tiles`: the order in which the list of each tile is blended.
 
 use super::frame::Frame;
-use super::limits::{INSTANCE_GAUSSIAN, TILE_PITCH};
+use super::limits::{COUNT_FAILED, INSTANCE_GAUSSIAN, TILE_PITCH};
 use super::twin;
 use crate::gpu::capability::DeviceInfo;
 use crate::gpu::interface::Call;
@@ -45,8 +45,9 @@ pub fn threads(info: &DeviceInfo, subgroup_size: u32) -> u32 {
     }
 }
 
-/// The dispatches that sort the lists of `gaussians`. On a GPU one; on a CPU device long lists have one of their own, with more threads.
-pub fn dispatches(is_cpu: bool, threads: u32, gaussians: u32, with_slots: bool) -> Vec<SortTilesConstants> {
+/// The dispatches that sort lists of at most so many pairs, which are the Gaussians. On a GPU one; on a CPU device long lists have one of
+/// their own, with more threads.
+pub fn dispatches(is_cpu: bool, threads: u32, most: u32, with_slots: bool) -> Vec<SortTilesConstants> {
     let tie_mask = tie_mask(with_slots);
     let all = SortTilesConstants { tie_mask, threads, shortest: 1, longest: u32::MAX, at_once: 4 };
     if !is_cpu {
@@ -55,14 +56,14 @@ pub fn dispatches(is_cpu: bool, threads: u32, gaussians: u32, with_slots: bool) 
     let longest = PAIRS_OF_FEW_THREADS * threads;
     let short = SortTilesConstants { longest, at_once: 1, ..all };
     let long = SortTilesConstants { shortest: longest + 1, threads: MAX_THREADS, ..all };
-    if long_from(is_cpu, threads, gaussians) == 0 { vec![short] } else { vec![short, long] }
+    if long_from(is_cpu, threads, most) == 0 { vec![short] } else { vec![short, long] }
 }
 
-/// Lists with more pairs than that have a dispatch of their own, with the arguments that `scan_tiles` writes; 0: there is none.
-pub fn long_from(is_cpu: bool, threads: u32, gaussians: u32) -> u32 {
+/// Lists with more pairs than that, of at most `most`, have a dispatch of their own, with the arguments that `scan_tiles` writes; 0:
+/// there is none.
+pub fn long_from(is_cpu: bool, threads: u32, most: u32) -> u32 {
     let longest = PAIRS_OF_FEW_THREADS * threads;
-    // No Gaussian is twice in a list.
-    if is_cpu && gaussians > longest { longest } else { 0 }
+    if is_cpu && most > longest { longest } else { 0 }
 }
 
 /// Of instances the Gaussian counts, of slots all bits.
@@ -74,8 +75,8 @@ crate::gpu_buffers! {
     /// Buffers of [`SORT_TILES`].
     pub struct SortTilesBuffers {
         frame: Read Struct(Frame),
-        /// `[T+1]`: where the list of each tile begins, and the room of the one before ends.
-        tile_start: Read U32,
+        /// `[T+1]`: where the list of each tile begins, and the room of the one before ends; without [`Frame::tile_room`].
+        tile_start: optional Read U32,
         /// `[instances][2]`: bits of the depth, and an instance or its slot, in any order within a tile.
         pairs: Read U32,
         /// `[instances]`: the second words by depth within each tile, ties by themselves.
@@ -84,6 +85,8 @@ crate::gpu_buffers! {
         tile_end: Read U32,
         /// `[T][2]`: first and last + 1 instance of each tile.
         ranges: Write U32,
+        /// With [`Frame::tile_room`]: whether there was too little of it.
+        counters: Read U32,
     }
 }
 
@@ -106,7 +109,17 @@ fn sort_tiles_twin(call: Call<'_, SortTiles>) {
     let Call { constants, buffers: b, .. } = call;
     let frame: Frame = twin::struct_at(b.frame, 0);
     for tile in 0..frame.tile_count as usize {
-        let range = [b.tile_start[tile], b.tile_end[tile * TILE_PITCH as usize].min(b.tile_start[tile + 1])];
+        let end = b.tile_end[tile * TILE_PITCH as usize];
+        let range = match frame.tile_room {
+            0 => {
+                let starts = b.tile_start.as_deref().unwrap_or_default();
+                [starts[tile], end.min(starts[tile + 1])]
+            }
+            room => {
+                let kept = if b.counters[COUNT_FAILED as usize] == 0 { end.min(room) } else { 0 };
+                [tile as u32 * room, tile as u32 * room + kept]
+            }
+        };
         b.ranges[2 * tile..2 * tile + 2].copy_from_slice(&range);
         let [first, end] = range.map(|at| at as usize);
         if !(constants.shortest as usize..=constants.longest as usize).contains(&(end - first)) {

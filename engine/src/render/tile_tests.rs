@@ -255,7 +255,15 @@ impl Chain {
             EMIT_TILES.run_twin(LANES, constants, push, buffers, gaussians.div_ceil(256));
         let values = vec![POISON; capacity as usize];
         let ranges = vec![POISON; 2 * frame.tile_count as usize];
-        let buffers = SortTilesBuffers { frame: words, tile_start, pairs, values, tile_end, ranges };
+        let buffers = SortTilesBuffers {
+            frame: words,
+            tile_start: Some(tile_start),
+            pairs,
+            values,
+            tile_end,
+            ranges,
+            counters: counters.clone(),
+        };
         let constants = sort_tiles::dispatches(false, 128, gaussians, false)[0];
         let SortTilesBuffers { ranges, values, .. } =
             SORT_TILES.run_twin(LANES, constants, (), buffers, frame.tile_count);

@@ -4,6 +4,11 @@ use super::limits::*;
 use crate::error::Result;
 use crate::gpu::{Buffer, Gpu, Memory};
 
+/// Tiles of an image of so many pixels.
+pub(crate) fn tiles_of([width, height]: [u32; 2]) -> u32 {
+    width.div_ceil(TILE_SIZE) * height.div_ceil(TILE_SIZE)
+}
+
 /// Words of `instance_block` for `elements` Gaussians, and its `block_capacity`.
 pub fn block_words(elements: u32) -> (u32, u32) {
     let blocks = elements.div_ceil(SCAN_BLOCK).max(1);

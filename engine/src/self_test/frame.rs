@@ -12,6 +12,7 @@ use crate::reference::{self, ReferenceOptions};
 use crate::render::frame::Frame;
 use crate::render::limits::TILE_PITCH;
 use crate::render::sort_tiles::{self, SORT_TILES, SORT_TILES_CAPACITY, SortTiles, SortTilesBuffers};
+use crate::render::work_buffers::COUNTER_WORDS;
 use crate::render::{RenderOptions, Renderer};
 use crate::scene::synthetic::{Random, moving_scene};
 use crate::scene::{Camera, Scene};
@@ -27,6 +28,8 @@ pub(super) const SIZE: [u32; 2] = [45, 29];
 /// The times that are drawn.
 pub(super) const TIMES: [f64; 2] = [0.3, 0.85];
 pub(super) const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.125];
+/// Tile instances for which there is no room of one size for each list: they lie one behind the other, as in large images.
+const PACKED: u64 = 6 * GAUSSIANS as u64;
 /// Pairs of a list at one depth: more than a bucket of `sort_tiles` is to have.
 const ALIKE: u32 = 300;
 /// Bounds against the f64 reference, as the tests have them.
@@ -37,6 +40,8 @@ const MAX_DIFFERENCE: f64 = 0.02;
 pub(super) fn test(gpu: &Gpu) -> Result<()> {
     let (scene, options) = (scene(), RenderOptions { background: BACKGROUND, ..RenderOptions::default() });
     watched_frames(gpu, &scene, &options)?;
+    let packed = RenderOptions { max_instances: Some(PACKED), ..options.clone() };
+    watched_frames(gpu, &scene, &packed)?;
     long_lists(gpu)?;
     whole_frame(gpu, &scene, &options)
 }
@@ -56,7 +61,8 @@ fn long_lists(gpu: &Gpu) -> Result<()> {
     let tiles = tile_start.len() as u32 - 1;
     let frame = bytemuck::cast_slice(&[Frame { tile_count: tiles, ..Frame::default() }]).to_vec();
     let (values, ranges) = (vec![0; pairs.len() / 2], vec![0; 2 * tiles as usize]);
-    let mut buffers = SortTilesBuffers { frame, tile_start, pairs, values, tile_end, ranges };
+    let (tile_start, counters) = (Some(tile_start), vec![0; COUNTER_WORDS as usize]);
+    let mut buffers = SortTilesBuffers { frame, tile_start, pairs, values, tile_end, ranges, counters };
     let threads = sort_tiles::threads(gpu.info(), gpu.subgroup_size_of(&SORT_TILES));
     for constants in sort_tiles::dispatches(gpu.info().is_cpu(), threads, u32::MAX, false) {
         let result = KernelCase::new(&SORT_TILES, constants, (), buffers, tiles).run(gpu)?;

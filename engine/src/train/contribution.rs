@@ -6,12 +6,11 @@ use crate::gpu::{Buffer, Gpu, Memory, Slice};
 use crate::render::RenderOptions;
 use crate::render::capacity;
 use crate::render::frame::{Frame, FrameOptions};
-use crate::render::limits::TILE_SIZE;
 use crate::render::pipeline::{FrameBuffers, Shape, record_forward};
 use crate::render::quality::Quality;
 use crate::render::scene_buffers::SceneBuffers;
 use crate::render::segments::States;
-use crate::render::tiles::SlotBuffers;
+use crate::render::tiles::{SlotBuffers, tiles_of};
 use crate::render::work_buffers::{COUNTER_WORDS, WorkBuffers};
 use crate::scene::{Camera, Scene};
 
@@ -88,7 +87,7 @@ impl Contributions {
 
     fn target(&self, size: [u32; 2]) -> Result<Target> {
         let (gpu, n) = (&self.gpu, self.scene.gaussians);
-        let tiles = size[0].div_ceil(TILE_SIZE) * size[1].div_ceil(TILE_SIZE);
+        let tiles = tiles_of(size);
         let capacity = u32::try_from(self.capacity).unwrap_or(u32::MAX);
         let pixels = u64::from(size[0]) * u64::from(size[1]);
         let device = |name: &str, words: u64| gpu.buffer(name, 4 * words.max(4), Memory::Device);
@@ -129,7 +128,7 @@ impl Contributions {
         if let Some(buffer) = &t.frame.host_pose {
             buffer.write(0, bytemuck::cast_slice(&self.host_pose))?;
         }
-        let tiles = t.size[0].div_ceil(TILE_SIZE) * t.size[1].div_ceil(TILE_SIZE);
+        let tiles = tiles_of(t.size);
         let shape = Shape { tiles, slots: Some(t.slots.clone()), states: t.states.clone(), ..Shape::default() };
         let mut r = gpu.recorder("contributions");
         record_forward(gpu, &mut r, scene, &t.work, &t.frame, &shape)?;

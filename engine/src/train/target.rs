@@ -6,10 +6,9 @@ use super::image_loss::{LOSS_WORDS, LossPass};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Commands, Gpu, Memory};
 use crate::render::frame::Frame;
-use crate::render::limits::TILE_SIZE;
 use crate::render::pipeline::{FrameBuffers, Shape};
 use crate::render::segments::States;
-use crate::render::tiles::SlotBuffers;
+use crate::render::tiles::{SlotBuffers, tiles_of};
 use crate::render::work_buffers::WorkBuffers;
 
 /// What a recording of the step depends on besides buffers; another one needs another recording.
@@ -63,7 +62,7 @@ impl Target {
         if width == 0 || height == 0 {
             return Err(Error::usage("training image", format!("{width}×{height}"), "at least 1×1 pixels"));
         }
-        let tiles = width.div_ceil(TILE_SIZE) * height.div_ceil(TILE_SIZE);
+        let tiles = tiles_of([width, height]);
         let pixels = u64::from(width) * u64::from(height);
         let device = |name: &str, bytes: u64| gpu.buffer(name, bytes, Memory::Device);
         let slots = size.with_slots.then(|| SlotBuffers::new(gpu, size.gaussians, size.capacity)).transpose()?;

@@ -9,9 +9,9 @@ use super::*;
 #[test]
 fn a_frame_that_does_not_fit_is_reported_and_the_next_ones_do() {
     let host = Host::new();
-    // Large Gaussians, near enough that each covers many tiles.
-    let scene = random_scene(400, 5, 1);
-    let eye = glam::DVec3::new(0.0, -2.2, 0.4);
+    // So far away that few tiles have them all.
+    let scene = random_scene(3000, 5, 1);
+    let eye = glam::DVec3::new(0.0, -20.0, 0.4);
     let camera = Camera::look_at(eye, glam::DVec3::ZERO, glam::DVec3::Z, 0.9, [320, 240]);
     let handle = SceneHandle::upload(host.gpu(), &scene, &SceneOptions::default()).unwrap();
     let mut view = View::new(host.gpu(), &handle, &ViewOptions { in_flight: 3, ..ViewOptions::default() }).unwrap();
@@ -35,7 +35,7 @@ fn a_frame_that_does_not_fit_is_reported_and_the_next_ones_do() {
     assert!(finished.serial == 8 && !finished.overflowed && finished.statistics.visible > 0);
 
     // A view that may not grow says so, and goes on with what fits.
-    let options = ViewOptions { max_instances: Some(5000), in_flight: 1, ..ViewOptions::default() };
+    let options = ViewOptions { max_instances: Some(1000), in_flight: 1, ..ViewOptions::default() };
     let mut small = View::new(host.gpu(), &handle, &options).unwrap();
     let error = small.warm_up(&camera, 0.0).unwrap_err();
     assert_eq!(error.exit_code(), 4, "{error}");

@@ -16,12 +16,13 @@ use engine::render::blend_rgba32f::BLEND_RGBA32F;
 use engine::render::deform_project::{DeformProjectBuffers, DeformProjectPush};
 use engine::render::emit_tiles::EmitTilesConstants;
 use engine::render::frame::Frame;
+use engine::render::sort_tiles::SortTilesBuffers;
 use engine::render::tiles::block_words;
 use engine::scene::Camera;
 use tests_harness::KernelCase;
 use tests_harness::model::{self, Options};
 use tests_harness::render_case::{RenderInput, test_camera};
-use tests_harness::tile_chain::{TileChain, TileLists};
+use tests_harness::tile_chain::{TileChain, TileLists, filled, sort};
 
 /// A kernel on the model, compared with its twin.
 fn check<I: Interface>(options: &Options, case: KernelCase<I>) -> I::Buffers<Vec<u32>> {
@@ -46,7 +47,7 @@ fn lists(options: &Options, input: &RenderInput, frame: &Frame, capacity: u32) -
     project.buffers.instance_block = vec![0; words as usize];
     project.push = DeformProjectPush { block_capacity };
     // A Gaussian at the edge of a tile may count otherwise than in the twin: here the picture decides.
-    let DeformProjectBuffers { splats, tile_count, instance_block, counters, tile_change, .. } =
+    let DeformProjectBuffers { splats, tile_count, instance_block, counters, tile_end, .. } =
         project.run_model(options).gpu;
     let constants = EmitTilesConstants::default();
     let chain = TileChain {
@@ -54,14 +55,27 @@ fn lists(options: &Options, input: &RenderInput, frame: &Frame, capacity: u32) -
         counters,
         tile_count,
         splats: splats.clone(),
-        tile_change,
+        tile_change: tile_end,
         instance_block,
         block_capacity,
         constants,
     };
-    let TileLists { counters, ranges, values } = chain.run(options);
-    assert_eq!(counters[3], 0, "the frame fits");
+    let packed = chain.run(options);
+    assert_eq!(packed.counters[3], 0, "the frame fits");
+    assert_filled(options, input, &frame, &packed);
+    let TileLists { ranges, values, .. } = packed;
     Lists { frame: chain.frame_words(), ranges, values, splats }
+}
+
+/// A frame whose lists `deform_project` fills itself has the same ones.
+fn assert_filled(options: &Options, input: &RenderInput, frame: &Frame, packed: &TileLists) {
+    let room = input.count.next_multiple_of(32) as u32;
+    let case = input.deform_project_with_lists(&Frame { tile_room: room, ..*frame });
+    let sorted = sort(options, filled(case.run_model(options).gpu), false);
+    let SortTilesBuffers { counters, ranges, values, .. } = sorted;
+    assert_eq!(counters[3], 0, "the lists fit");
+    let own = TileLists { counters, ranges, values };
+    assert!(own.lists().eq(packed.lists()), "{options:?}: other lists");
 }
 
 fn blend_case(options: &Options, stage: Stage, lists: &Lists, frame: &Frame) -> KernelCase<Blend> {

@@ -1,9 +1,11 @@
 //! Twin of `deform_project`.
 
 use super::super::ellipse::Ellipse;
+use super::super::emit_tiles::tiles_of;
 use super::super::frame::Frame;
 use super::super::limits::{
-    COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_REJECTED, COUNT_VISIBLE, SCAN_SUPER, TILE_PITCH,
+    COUNT_FAILED, COUNT_INSTANCES_HIGH, COUNT_INSTANCES_LOW, COUNT_LONGEST, COUNT_REJECTED, COUNT_VISIBLE,
+    FAILED_INSTANCES, INSTANCE_GAUSSIAN, INSTANCE_QUADRANT_SHIFT, SCAN_SUPER, TILE_PITCH,
 };
 use super::super::mean_storage;
 use super::super::quaternion::{self, dot};
@@ -255,6 +257,51 @@ fn project(b: &Inputs<'_>, frame: &Frame, constants: &DeformProjectConstants, g:
     Outcome::Visible { splat, ellipse: e }
 }
 
+/// Appends a Gaussian to the list of each tile that it reaches; how many these are.
+fn append(b: &mut Inputs<'_>, frame: &Frame, e: &Ellipse, g: usize, z: f32) -> u32 {
+    let room = frame.tile_room;
+    let tiles = tiles_of(e, u32::MAX, frame);
+    for &(tile, quadrants) in &tiles {
+        let count = &mut b.tile_end[tile * TILE_PITCH as usize];
+        if let Some(pairs) = b.pairs.as_deref_mut().filter(|_| *count < room) {
+            let at = 2 * (tile as u32 * room + *count) as usize;
+            pairs[at..at + 2].copy_from_slice(&[z.to_bits(), g as u32 | quadrants << INSTANCE_QUADRANT_SHIFT]);
+        }
+        *count += 1;
+        if *count > room / 4 * 3 {
+            let longest = &mut b.counters[COUNT_LONGEST as usize];
+            *longest = (*longest).max(*count);
+            b.counters[COUNT_FAILED as usize] |= if *count > room { FAILED_INSTANCES } else { 0 };
+        }
+    }
+    tiles.len() as u32
+}
+
+/// Sorts the pairs of each tile by Gaussian: they come in whatever order atomics had. Depths and quadrants, which follow from numbers
+/// that may be off in the last place, become whether the depth is the splat's.
+pub(super) fn arrange(buffers: &mut [Vec<u32>]) {
+    let [frame, _, _, _, _, _, _, _, _, _, _, splats, tile_count, _, _, _, _, _, _, ends, pairs] = buffers else {
+        return;
+    };
+    let frame: Frame = struct_at(frame, 0);
+    if pairs.is_empty() || frame.tile_room == 0 {
+        return;
+    }
+    let words = splats.len() / tile_count.len().max(1);
+    for (list, count) in
+        pairs.chunks_exact_mut(2 * frame.tile_room as usize).zip(ends.iter().step_by(TILE_PITCH as usize))
+    {
+        let mut sorted: Vec<[u32; 2]> = list.chunks_exact(2).take(*count as usize).map(|p| [p[0], p[1]]).collect();
+        for [depth, instance] in &mut sorted {
+            *instance &= INSTANCE_GAUSSIAN;
+            let own = splats.get(words * *instance as usize + 6).is_some_and(|z| z == depth);
+            *depth = own.into();
+        }
+        sorted.sort_unstable_by_key(|[_, gaussian]| *gaussian);
+        list[..2 * sorted.len()].copy_from_slice(sorted.as_flattened());
+    }
+}
+
 /// Counts a Gaussian for each tile that it reaches; how many these are.
 fn count_tiles(tile_change: &mut [u32], frame: &Frame, e: &Ellipse) -> u32 {
     let rows = e.tile_row_range(frame.size);
@@ -273,7 +320,7 @@ fn count_tiles(tile_change: &mut [u32], frame: &Frame, e: &Ellipse) -> u32 {
 
 pub(super) fn deform_project(call: Call<'_, DeformProject>) {
     let groups = call.group_count() as usize;
-    let Call { constants, push, buffers: b, .. } = call;
+    let Call { constants, push, buffers: mut b, .. } = call;
     let frame: Frame = struct_at(b.frame, 0);
     let words = splat_words(constants.packing);
     for group in 0..groups {
@@ -292,7 +339,10 @@ pub(super) fn deform_project(call: Call<'_, DeformProject>) {
                 Outcome::Visible { splat, ellipse } => {
                     let packed = pack_splat(constants.packing, splat);
                     b.splats[words * g..words * (g + 1)].copy_from_slice(&packed[..words]);
-                    let tiles = count_tiles(b.tile_change, &frame, &ellipse);
+                    let tiles = match constants.lists {
+                        0 => count_tiles(b.tile_end, &frame, &ellipse),
+                        _ => append(&mut b, &frame, &ellipse, g, splat[1][2]),
+                    };
                     b.tile_count[g] = tiles;
                     visible += u32::from(tiles > 0);
                     total += tiles;

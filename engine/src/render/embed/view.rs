@@ -2,12 +2,12 @@
 
 use std::collections::VecDeque;
 
-use super::super::capacity;
+use super::super::capacity::{self, Capacity, Lists};
 use super::super::frame::{Frame, FrameOptions};
-use super::super::limits::TILE_SIZE;
 use super::super::pipeline::{FrameBuffers, Shape, record_forward};
 use super::super::renderer::{FrameStatistics, MemoryUse};
 use super::super::scene_buffers::SceneBuffers;
+use super::super::tiles::tiles_of;
 use super::super::work_buffers::{COUNTER_WORDS, WorkBuffers};
 use super::check;
 use super::options::{Finished, MAX_IN_FLIGHT, Recorded, Target, ViewOptions};
@@ -34,7 +34,7 @@ struct Place {
 #[derive(Debug)]
 struct Targets {
     size: [u32; 2],
-    capacity: u32,
+    lists: Lists,
     work: WorkBuffers,
     buffers: FrameBuffers,
     sequence: Sequence,
@@ -67,7 +67,7 @@ pub struct View {
     retired: VecDeque<(u64, Targets)>,
     ring: Buffer,
     places: [Place; MAX_IN_FLIGHT as usize],
-    capacity: u64,
+    capacity: Capacity,
     /// How often commands were written.
     encodings: u64,
     /// Calls of `record`.
@@ -90,7 +90,7 @@ impl View {
         gpu.ready_for(Suite::Packed)?;
         let ring = gpu.buffer("counter ring", RING_BYTES * u64::from(options.in_flight), Memory::Readback)?;
         ring.write_readback(0, &vec![0; ring.bytes() as usize])?;
-        let capacity = capacity::first(scene.buffers.gaussians).min(capacity::limit(gpu, options.max_instances));
+        let capacity = Capacity::new(gpu, scene.buffers.gaussians, options.max_instances);
         Ok(Self {
             gpu: gpu.clone(),
             scene: scene.clone(),
@@ -190,8 +190,7 @@ impl View {
     pub fn set_scene(&mut self, scene: &SceneHandle) -> Result<()> {
         check::scene(&self.gpu, scene)?;
         self.scene = scene.clone();
-        let limit = capacity::limit(&self.gpu, self.options.max_instances);
-        self.capacity = self.capacity.max(capacity::first(scene.buffers.gaussians)).min(limit);
+        self.capacity.set_gaussians(scene.buffers.gaussians);
         self.retire();
         Ok(())
     }
@@ -231,7 +230,7 @@ impl View {
             used.per_instance += instances;
             used.images += targets.buffers.image_bytes();
         }
-        used.instance_capacity = self.targets.as_ref().map_or(0, |t| t.capacity.into());
+        used.instance_capacity = self.targets.as_ref().map_or(0, |t| t.lists.instances.into());
         used
     }
 
@@ -266,12 +265,7 @@ impl View {
         if serial > self.finished.map_or(0, |f| f.serial) {
             self.finished = Some(finished);
         }
-        if overflowed {
-            let limit = capacity::limit(&self.gpu, self.options.max_instances);
-            let grown = capacity::grown(self.capacity, statistics.instances, limit, self.scene.buffers.gaussians)?;
-            // A frame of before the last growth asks for nothing new.
-            self.capacity = grown.max(self.capacity);
-        }
+        self.capacity.learn(&counted)?;
         Ok(Some(finished))
     }
 
@@ -285,15 +279,22 @@ impl View {
         };
         let mut frame = self.scene.buffers.frame(camera, options)?;
         check::rigid(camera)?;
-        let (size, capacity) = ([camera.width, camera.height], self.capacity as u32);
-        if !self.targets.as_ref().is_some_and(|t| t.size == size && t.capacity == capacity) {
-            let made = self.make_targets(size, capacity)?;
+        let size = [camera.width, camera.height];
+        let mut lists = self.capacity.lists(tiles_of(size));
+        if !self.targets.as_ref().is_some_and(|t| t.size == size && t.lists == lists) {
+            let made = match self.make_targets(size, lists) {
+                Err(Error::OutOfMemory { .. }) if self.capacity.pack() => {
+                    lists = self.capacity.lists(tiles_of(size));
+                    self.make_targets(size, lists)?
+                }
+                made => made?,
+            };
             self.retire();
             self.targets = Some(made);
         }
         let scene = &self.scene.buffers;
         scene.deformation.poses.write(time, scene.origin, &mut self.host_pose);
-        frame.instance_capacity = capacity;
+        lists.tell(&mut frame);
         Ok(frame)
     }
 
@@ -316,12 +317,12 @@ impl View {
         }
     }
 
-    fn make_targets(&self, [width, height]: [u32; 2], capacity: u32) -> Result<Targets> {
+    fn make_targets(&self, [width, height]: [u32; 2], lists: Lists) -> Result<Targets> {
         let scene = &*self.scene.buffers;
-        let tiles = width.div_ceil(TILE_SIZE) * height.div_ceil(TILE_SIZE);
+        let tiles = tiles_of([width, height]);
         let pixels = u64::from(width) * u64::from(height);
         let quality = self.scene.quality;
-        let work = WorkBuffers::new(&self.gpu, scene.gaussians, tiles, capacity)?;
+        let work = WorkBuffers::new(&self.gpu, scene.gaussians, tiles, lists.instances)?;
         let device = |name: &str, bytes: u64| self.gpu.buffer(name, bytes, Memory::Device);
         let buffers = FrameBuffers {
             frame: device("frame", size_of::<Frame>() as u64)?,
@@ -331,10 +332,10 @@ impl View {
             counters: self.ring.clone(),
         };
         let format = Some(self.options.format);
-        let (with_depth, to_image) = (self.options.depth, self.options.storage);
-        let shape = Shape { tiles, with_depth, quality, format, to_image, ..Shape::default() };
+        let (with_depth, to_image, tile_room) = (self.options.depth, self.options.storage, lists.tile_room);
+        let shape = Shape { tiles, tile_room, with_depth, quality, format, to_image, ..Shape::default() };
         let sequence = self.sequence_of([width, height], scene, &work, &buffers, &shape)?;
-        Ok(Targets { size: [width, height], capacity, work, buffers, sequence })
+        Ok(Targets { size: [width, height], lists, work, buffers, sequence })
     }
 
     /// The frame with what a host's command buffer adds: camera and poses come with the commands, pixels and counters go.

@@ -139,7 +139,7 @@ fn dispatch(
     let subgroups = workgroups * (f64::from(local_size) / lanes).ceil();
     let compiled = table.compiled(name, constants)?;
     let known = Known { work: &r.work, subgroups, lanes, subtiles };
-    let usual = loops::usual_share(name) * compiled.instructions;
+    let usual = loops::usual_share(name, constants) * compiled.instructions;
     let (mut total, mut longest) = (subgroups * usual, usual);
     let (mut counted, mut longest_cycles, mut mean_cycles) = (0.0, 0.0, 0.0);
     let (mut round_trips, mut mean_round_trips) = (ROUND_TRIPS, ROUND_TRIPS);

@@ -163,6 +163,14 @@ fn sort_rounds_of(k: &Known<'_>, pairs: f64) -> Trips {
     }
 }
 
+/// Times that a thread waits for pairs.
+fn pair_loads(k: &Known<'_>) -> Trips {
+    let rounds = |splats: f64| (splats / SORT_TILES_AT_ONCE / sort_threads(k)).ceil().max(1.0);
+    let loads = |rounds: f64| if rounds > 1.0 { 3.0 * rounds } else { 1.0 };
+    let longest = loads(rounds(k.subtiles.longest * k.splats_per_tile()));
+    Trips { total: k.subgroups * loads(rounds(k.splats_per_tile())), longest }
+}
+
 /// The same with the buckets that a thread has: one for each pair, more or less.
 fn bucket_rounds(k: &Known<'_>) -> Trips {
     let rounds = |splats: f64| (splats.min(SORT_TILES_BUCKETS) / sort_threads(k)).ceil().max(1.0);
@@ -172,12 +180,33 @@ fn bucket_rounds(k: &Known<'_>) -> Trips {
     }
 }
 
+/// What a loop of `emit_tiles` makes in a `deform_project` that fills lists: as many rounds, or none.
+fn with_lists(k: &Known<'_>, rounds: f64) -> Trips {
+    each(k.subgroups, if k.of("tile_room") > 0.0 { rounds } else { 0.0 })
+}
+
+/// Rows of tiles of the splat that has most of a subgroup's.
+fn rows_of_busiest(k: &Known<'_>) -> f64 {
+    BUSIEST_LANE * k.tiles_per_splat().sqrt()
+}
+
 /// Shares of programs that their usual paths have, one round of each loop with it: counted in NAK's assembly for Turing. In
-/// `sort_tiles` the rest is for longer lists and for depths that are all alike, in `emit_tiles` for splats of more than 16 tiles.
-pub(super) const USUAL_PATHS: &[(&str, f64)] = &[("sort_tiles", 700.0 / 3073.0), ("emit_tiles", 500.0 / 1808.0)];
+/// `sort_tiles` the rest is for longer lists and for depths that are all alike, in `emit_tiles` for splats of more than 16 tiles; a
+/// `deform_project` that fills lists has its own program and that of `emit_tiles`.
+pub(super) const USUAL_PATHS: &[(&str, f64)] = &[
+    ("sort_tiles", 700.0 / 3433.0),
+    ("emit_tiles", 500.0 / 1808.0),
+    (PROJECT_WITH_LISTS, (1380.0 + 500.0 / 1808.0 * 2176.0) / 4004.0),
+];
+const PROJECT_WITH_LISTS: &str = "deform_project";
+/// Its constant LISTS.
+const LISTS_CONSTANT: usize = 11;
 
 /// The share of a kernel.
-pub(super) fn usual_share(kernel: &str) -> f64 {
+pub(super) fn usual_share(kernel: &str, constants: &[u32]) -> f64 {
+    if kernel == PROJECT_WITH_LISTS && constants.get(LISTS_CONSTANT) != Some(&1) {
+        return 1.0;
+    }
     USUAL_PATHS.iter().find(|(name, _)| *name == kernel).map_or(1.0, |(_, share)| *share)
 }
 
@@ -221,7 +250,7 @@ pub(super) const LOOPS: &[Loop] = &[
         body: Body::Of(100.0),
         alone: None,
         loads: 0.0,
-        trips: |k| each(k.subgroups, BUSIEST_LANE * k.tiles_per_splat().sqrt()),
+        trips: |k| each(k.subgroups, rows_of_busiest(k)),
     },
     Loop {
         kernels: &["emit_tiles"],
@@ -229,15 +258,31 @@ pub(super) const LOOPS: &[Loop] = &[
         body: Body::Of(160.0),
         alone: None,
         loads: 0.0,
-        trips: |k| each(k.subgroups, BUSIEST_LANE * k.tiles_per_splat().sqrt()),
+        trips: |k| each(k.subgroups, rows_of_busiest(k)),
+    },
+    Loop {
+        kernels: &["deform_project"],
+        round: "the same where it fills lists",
+        body: Body::Of(160.0),
+        alone: None,
+        loads: 0.0,
+        trips: |k| with_lists(k, rows_of_busiest(k)),
     },
     Loop {
         kernels: &["sort_tiles"],
         round: "four pairs of a thread ranged, counted and placed in buckets (counted)",
         body: Body::Of(240.0),
         alone: None,
-        loads: 3.0,
+        loads: 0.0,
         trips: |k| sort_rounds_of(k, SORT_TILES_AT_ONCE),
+    },
+    Loop {
+        kernels: &["sort_tiles"],
+        round: "four pairs of a thread from memory: once where it keeps them, else three times",
+        body: Body::Of(0.0),
+        alone: None,
+        loads: 1.0,
+        trips: pair_loads,
     },
     Loop {
         kernels: &["sort_tiles"],
@@ -264,12 +309,28 @@ pub(super) const LOOPS: &[Loop] = &[
         trips: |k| each(k.subgroups, (BUSIEST_LANE * k.tiles_per_splat()).min(SERIAL_TILES)),
     },
     Loop {
+        kernels: &["deform_project"],
+        round: "the same where it fills lists",
+        body: Body::Of(22.0),
+        alone: None,
+        loads: 0.0,
+        trips: |k| with_lists(k, (BUSIEST_LANE * k.tiles_per_splat()).min(SERIAL_TILES)),
+    },
+    Loop {
         kernels: &["emit_tiles"],
         round: "a tile instance taken from the queue and appended, an even share of the workgroup's",
         body: Body::Of(45.0),
         alone: None,
         loads: 1.0,
         trips: |k| each(k.subgroups, k.tiles_per_splat().ceil()),
+    },
+    Loop {
+        kernels: &["deform_project"],
+        round: "the same where it fills lists",
+        body: Body::Of(45.0),
+        alone: None,
+        loads: 1.0,
+        trips: |k| with_lists(k, k.tiles_per_splat().ceil()),
     },
     Loop {
         kernels: &["sort_scatter"],
@@ -362,6 +423,7 @@ pub(super) fn atomics(kernel: &str, constants: &[u32], k: &Known<'_>) -> f64 {
         "sort_scatter" if constants.get(1) == Some(&0) => 0.0,
         "sort_scatter" | "sort_histogram" => k.of("keys"),
         "emit_tiles" => k.of("instances"),
+        "deform_project" if k.of("tile_room") > 0.0 => k.of("instances"),
         // Two per row of tiles.
         "deform_project" => 2.0 * k.of("visible") * k.tiles_per_splat().sqrt(),
         // A pair twice, in shared memory, which is not slower.
@@ -406,6 +468,9 @@ mod tests {
         assert_eq!(batches(&known), Trips { total: 4.0 * 250.0, longest: 6.0 });
         assert_eq!(atomics("sort_scatter", &[1, 1, 1], &known), 5000.0);
         assert_eq!(atomics("sort_scatter", &[1, 0, 1], &known), 0.0);
+        assert_eq!(usual_share("deform_project", &[0; 12]), 1.0);
+        assert!(usual_share("deform_project", &[1; 12]) < 0.6);
+        assert_eq!(atomics("deform_project", &[], &known), 2.0 * 1600.0 * 2.0);
         assert_eq!(atomics("blend_backward_native", &[], &known), 10.0 * 9600.0);
         let partitions = of_kernel("sort_scatter").next().unwrap();
         // 5,000 keys are five partitions of 1,024: one round.

@@ -36,6 +36,8 @@ const COUNTS: [usize; 3] = [300, 8, 4];
 const MANY: u32 = 900;
 /// Superpoints of a Gaussian with soft ones.
 const SOFT: usize = 3;
+/// Tile instances for which there is no room of one size for each list: they lie one behind the other, as in large images.
+const PACKED: u64 = 12 * COUNTS[0] as u64;
 /// Keys of sorts with few and with many keys per thread, and of one that needs a spine.
 const KEYS: [usize; 3] = [100_000, 200_000, 600_000];
 
@@ -114,6 +116,7 @@ fn frames(gpu: &Gpu) -> Result<()> {
         let mut optional = moving.clone();
         optional.gaussians.optional = random_optional(optional.gaussians.len(), 1);
         draw(gpu, &optional, &options)?;
+        draw(gpu, &moving, &RenderOptions { max_instances: Some(PACKED), ..options.clone() })?;
         draw(gpu, &moving, &RenderOptions { depth: true, ..options })?;
     }
     Ok(())
@@ -126,7 +129,9 @@ fn knobs(gpu: &Gpu) -> Result<()> {
             let mut quality = Quality::EXACT;
             quality.set(knob.name, value)?;
             let motion = if knob.name == "network" { MotionSource::Network } else { MotionSource::Table };
-            draw(gpu, &scene, &RenderOptions { quality, motion, ..RenderOptions::default() })?;
+            let options = RenderOptions { quality, motion, ..RenderOptions::default() };
+            draw(gpu, &scene, &RenderOptions { max_instances: Some(PACKED), ..options.clone() })?;
+            draw(gpu, &scene, &options)?;
         }
     }
     Ok(())
