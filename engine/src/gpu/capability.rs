@@ -94,7 +94,7 @@ const DEVICE_UPLOAD: vk::MemoryPropertyFlags = vk::MemoryPropertyFlags::from_raw
 );
 
 /// Storage buffers of the kernel with the most of them, among those that render, and among those that train.
-pub const STORAGE_BUFFERS: u32 = 20;
+pub const STORAGE_BUFFERS: u32 = 21;
 /// See [`STORAGE_BUFFERS`].
 pub const TRAINING_STORAGE_BUFFERS: u32 = 29;
 
@@ -163,7 +163,7 @@ pub const REQUIREMENTS: &[Requirement] = &[
         met: |c| c.max_storage_buffers >= TRAINING_STORAGE_BUFFERS,
     },
     Requirement {
-        name: "20 storage buffers per stage",
+        name: "21 storage buffers per stage",
         required: true,
         why: "deform_project",
         met: |c| c.max_storage_buffers >= STORAGE_BUFFERS,

@@ -8,7 +8,7 @@ pub(super) const HISTORY: usize = 160;
 const WINDOW_S: f64 = 1.0;
 
 /// Parts of a frame, in its order.
-pub(super) const STAGES: [&str; 5] = ["deform, project", "scan tiles", "emit tiles", "sort tiles", "blend"];
+pub(super) const STAGES: [&str; 3] = ["project, tile lists", "sort tiles", "blend"];
 
 /// Which stage an operation of the frame belongs to.
 pub(super) fn stage_of(label: &str) -> usize {
@@ -18,11 +18,11 @@ pub(super) fn stage_of(label: &str) -> usize {
         ("field", 0),
         ("linear", 0),
         ("fill", 0),
-        ("scan", 1),
-        ("emit", 2),
-        ("sort", 3),
+        ("scan", 0),
+        ("emit", 0),
+        ("sort", 1),
     ];
-    found.iter().find(|(start, _)| label.starts_with(start)).map_or(4, |(_, stage)| *stage)
+    found.iter().find(|(start, _)| label.starts_with(start)).map_or(2, |(_, stage)| *stage)
 }
 
 /// Device milliseconds of each stage of one frame.
@@ -123,10 +123,10 @@ mod tests {
     #[test]
     fn every_operation_has_its_stage() {
         let expected =
-            [("deform_project", 0), ("scan_tiles", 1), ("emit_tiles", 2), ("sort_tiles long", 3), ("blend", 4)];
+            [("deform_project", 0), ("scan_tiles", 0), ("emit_tiles", 0), ("sort_tiles long", 1), ("blend", 2)];
         expected.iter().for_each(|(label, stage)| assert_eq!(stage_of(label), *stage, "{label}"));
         let mut s = Statistics::default();
-        (0..HISTORY + 5).for_each(|i| s.stages([i as f32; 5]));
+        (0..HISTORY + 5).for_each(|i| s.stages([i as f32; 3]));
         assert_eq!(s.history().count(), HISTORY);
         assert_eq!(s.history().next().unwrap()[0], 5.0);
     }

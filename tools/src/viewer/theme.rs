@@ -5,13 +5,8 @@ use egui::{Color32, CornerRadius, FontFamily, FontId, Margin, Stroke, TextStyle,
 /// Windows narrower than this start without the panel, points.
 pub(super) const PANEL_FROM: f32 = 900.0;
 /// Colours of the stages of a frame, in their order.
-pub(super) const STAGE_COLORS: [Color32; 5] = [
-    Color32::from_rgb(86, 156, 214),
-    Color32::from_rgb(78, 201, 176),
-    Color32::from_rgb(181, 206, 108),
-    Color32::from_rgb(230, 196, 84),
-    Color32::from_rgb(205, 92, 128),
-];
+pub(super) const STAGE_COLORS: [Color32; 3] =
+    [Color32::from_rgb(86, 156, 214), Color32::from_rgb(181, 206, 108), Color32::from_rgb(205, 92, 128)];
 /// What stands out.
 pub(super) const ACCENT: Color32 = Color32::from_rgb(96, 165, 250);
 /// Texts beside the main ones.

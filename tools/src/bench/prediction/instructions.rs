@@ -138,8 +138,8 @@ mod tests {
         // Recorded on a CPU: shuffles, eight pixels per lane; with slots, as in training.
         let found = Table::Nvidia.compiled("blend", &[0, 0, 8, 1, 0, 0, 0]).unwrap();
         assert_eq!(found.name, "blend[0 1 2 1 0 0 0]");
-        let found = Table::Amd.compiled("deform_project", &[3, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0]).unwrap();
-        assert_eq!(found.name, "deform_project[3 1 0 0 0 0 0 0 0 0 0]");
+        let found = Table::Amd.compiled("deform_project", &[3, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]).unwrap();
+        assert_eq!(found.name, "deform_project[3 1 0 0 0 0 0 0 0 0 0 0]");
         assert_eq!(Table::Nvidia.compiled("no_such_kernel", &[]), None);
     }
 
