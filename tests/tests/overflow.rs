@@ -102,35 +102,41 @@ fn images_past_the_device_are_a_limit() {
     assert_eq!(renderer.render(&camera(17, 3), 0.0).unwrap().width, 17);
 }
 
+/// Lets one allocation of a first frame after another fail: those whose failure is an error. The others leave the right image.
+fn failing_allocations(gpu: &tests_harness::TestGpu, scene: &Scene, max_instances: Option<u64>) -> Vec<u64> {
+    let options = RenderOptions { max_instances, ..RenderOptions::default() };
+    let frame = || Renderer::new(gpu, scene, &options).and_then(|mut r| r.render(&camera(64, 64), 0.0));
+    let truth = frame().unwrap();
+    let before = gpu.buffer_count();
+    // More than there are: the failure that is asked for does not come then.
+    let fails = |k: &u64| {
+        gpu.inject_allocation_failure(*k);
+        let result = frame();
+        gpu.inject_allocation_failure(0);
+        assert_eq!(gpu.buffer_count(), before, "allocation {k} leaked");
+        match result {
+            Err(Error::OutOfMemory { .. }) => true,
+            Err(other) => panic!("allocation {k}: {other}"),
+            Ok(image) => {
+                assert!(image == truth);
+                false
+            }
+        }
+    };
+    (1..100).filter(fails).collect()
+}
+
 #[test]
 fn every_failing_allocation_is_an_error_without_leaks() {
     let gpu = tests_harness::gpu();
     let scene = random_scene(500, 3, 1);
-    let frame = |gpu: &engine::gpu::Gpu| {
-        Renderer::new(gpu, &scene, &RenderOptions::default()).and_then(|mut r| r.render(&camera(64, 64), 0.0))
-    };
-    let truth = frame(&gpu).unwrap();
-    let before = gpu.buffer_count();
-    let (mut failures, mut unhurt) = (0, 0);
-    for k in 1..1000 {
-        gpu.inject_allocation_failure(k);
-        let result = frame(&gpu);
-        gpu.inject_allocation_failure(0);
-        assert_eq!(gpu.buffer_count(), before, "allocation {k} leaked");
-        match result {
-            Err(Error::OutOfMemory { .. }) => (failures, unhurt) = (failures + 1, 0),
-            Err(other) => panic!("allocation {k}: {other}"),
-            // Where buffers of the image's size fail, smaller ones are tried.
-            Ok(image) => {
-                assert!(image == truth);
-                unhurt += 1;
-            }
-        }
-        if unhurt > 40 {
-            break;
-        }
-    }
-    assert!(failures > 10, "only {failures} allocations failed");
+    // Lists that lie one behind the other are as small as can be: each failure is an error.
+    let failures = failing_allocations(&gpu, &scene, Some(8000));
+    assert!(failures.len() > 20 && failures.iter().copied().eq(1..=failures.len() as u64), "{failures:?}");
+    // Where each list has room of its own, smaller buffers are tried instead.
+    let others = failing_allocations(&gpu, &scene, None);
+    assert!((11..failures.len()).contains(&others.len()), "{others:?}");
+    let failures = failures.len();
     println!("{failures} allocations failed one by one, each an OutOfMemory, nothing leaked");
 }
 

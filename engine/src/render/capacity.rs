@@ -108,9 +108,11 @@ impl Capacity {
         Lists { instances: instances as u32, tile_room: room as u32 }
     }
 
-    /// Memory is short: lists lie one behind the other from now on. Whether they did not before.
-    pub(crate) fn pack(&mut self) -> bool {
-        !std::mem::replace(&mut self.packed, true)
+    /// Memory is short: lists lie one behind the other from now on. Whether those of an image of so many tiles did not before.
+    pub(crate) fn pack(&mut self, tiles: u32) -> bool {
+        let saves = self.lists(tiles).tile_room != 0;
+        self.packed |= saves;
+        saves
     }
 
     /// What a frame counted; the next buffers have more room where it was scarce.
@@ -179,7 +181,8 @@ mod tests {
         assert_eq!(capacity.lists(2500).tile_room, 3008);
         // Lists that lie one behind the other have the room that was asked for meanwhile.
         assert_eq!(capacity.lists(25_000), Lists { instances: 1_125_000, tile_room: 0 });
-        assert!(capacity.pack() && !capacity.pack());
+        // Where they do already, there is nothing to save.
+        assert!(!capacity.pack(25_000) && capacity.pack(2500) && !capacity.pack(2500));
         assert_eq!(capacity.lists(2500), Lists { instances: 1_125_000, tile_room: 0 });
     }
 

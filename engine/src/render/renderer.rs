@@ -427,7 +427,7 @@ impl Renderer {
     /// tile lists take less.
     fn prepare(&mut self, size: [u32; 2], asked: [u32; 2], beside: usize) -> Result<()> {
         match self.make_room(size, asked, beside) {
-            Err(Error::OutOfMemory { .. }) if self.capacity.pack() => {
+            Err(Error::OutOfMemory { .. }) if self.capacity.pack(tiles_of(size)) => {
                 self.targets = None;
                 self.make_room(size, asked, beside)
             }

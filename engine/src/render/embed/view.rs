@@ -283,7 +283,7 @@ impl View {
         let mut lists = self.capacity.lists(tiles_of(size));
         if !self.targets.as_ref().is_some_and(|t| t.size == size && t.lists == lists) {
             let made = match self.make_targets(size, lists) {
-                Err(Error::OutOfMemory { .. }) if self.capacity.pack() => {
+                Err(Error::OutOfMemory { .. }) if self.capacity.pack(tiles_of(size)) => {
                     lists = self.capacity.lists(tiles_of(size));
                     self.make_targets(size, lists)?
                 }
