@@ -49,11 +49,22 @@ impl Checkpoint {
         let stage = if self.stage == Stage::Nonrigid { 2 } else { 1 };
         let path = folder.join(format!("checkpoint-{stage}-{:09}.safetensors", self.iteration));
         tensors::write(&path, FORMAT, self.tensors(), &self.metadata()?)?;
-        let (kept, later): (Vec<_>, Vec<_>) = list(folder)?.into_iter().partition(|p| *p <= path);
-        for old in kept[..kept.len().saturating_sub(KEPT)].iter().chain(&later) {
-            std::fs::remove_file(old).map_err(|e| Error::io(old, "remove", e))?;
+        for later in list(folder)?.iter().filter(|p| **p > path) {
+            remove(later)?;
         }
+        Self::remove_old(folder, &path)?;
         Ok(path)
+    }
+
+    /// Removes all but the newest three of the checkpoints up to `newest`. A kill may have come between a checkpoint and
+    /// the removal of the oldest, and a run that goes on from its last iteration writes none that would make up for it.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn remove_old(folder: &Path, newest: &Path) -> Result<()> {
+        let mut kept = list(folder)?;
+        kept.retain(|p| p.as_path() <= newest);
+        kept[..kept.len().saturating_sub(KEPT)].iter().try_for_each(|old| remove(old))
     }
 
     fn metadata(&self) -> Result<BTreeMap<String, String>> {
@@ -167,6 +178,10 @@ fn parameters(mut saved: Saved, sh_degree: u32, antialiased: bool) -> Result<(Pa
     let own = parameter_tensors(&parameters);
     own.iter().for_each(|tensor| drop(saved.0.remove(tensor.name.as_ref())));
     Ok((parameters, saved))
+}
+
+fn remove(path: &Path) -> Result<()> {
+    std::fs::remove_file(path).map_err(|e| Error::io(path, "remove", e))
 }
 
 /// The checkpoints in a folder, oldest first.

@@ -89,6 +89,21 @@ fn succeed_and_compare(posed: &Posed, cut: &Path, whole: &Path) {
 }
 
 #[test]
+fn a_run_killed_before_it_removed_its_oldest_checkpoint_has_three_when_resumed() {
+    let posed = posed(&PosedOptions::default());
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let config = config_file(folder.path(), "iterations = 12\n[schedule]\nwarm_up = 100");
+    succeed(train(&posed, &out, &["--config", config.to_str().unwrap()]));
+    let whole = checkpoints(&out);
+    // What is there between the rename of the last checkpoint and the removal of the one before the last three.
+    std::fs::copy(&whole[0], whole[0].with_file_name("checkpoint-1-000000000.safetensors")).unwrap();
+    assert_eq!(checkpoints(&out).len(), 4);
+    succeed(train(&posed, &out, &["--resume"]));
+    assert_eq!(checkpoints(&out), whole);
+}
+
+#[test]
 fn ctrl_c_saves_and_resume_goes_on() {
     let posed = posed(&PosedOptions::default());
     let folder = tempfile::tempdir().unwrap();

@@ -111,9 +111,10 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
 
 /// The newest checkpoint of a folder.
 fn newest(folder: &Path) -> Result<Checkpoint> {
-    let (checkpoint, _, problems) = Checkpoint::newest(folder)?.ok_or_else(|| {
+    let (checkpoint, path, problems) = Checkpoint::newest(folder)?.ok_or_else(|| {
         Error::usage("--resume", format!("no checkpoint in {}", folder.display()), "the --out folder of an earlier run")
     })?;
+    Checkpoint::remove_old(folder, &path)?;
     problems.iter().for_each(|p| ::log::warn!("damaged checkpoint passed over: {p}"));
     Ok(checkpoint)
 }
