@@ -109,7 +109,7 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     run.finish(path, args.json)
 }
 
-/// The newest checkpoint of a folder.
+/// The newest checkpoint of a folder that a run goes on from; what a kill left beside the last three goes.
 fn newest(folder: &Path) -> Result<Checkpoint> {
     let (checkpoint, path, problems) = Checkpoint::newest(folder)?.ok_or_else(|| {
         Error::usage("--resume", format!("no checkpoint in {}", folder.display()), "the --out folder of an earlier run")
