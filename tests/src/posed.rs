@@ -30,8 +30,11 @@ pub struct PosedOptions {
     pub moving: bool,
     /// How far superpoints swing, world units; beside the scene's own rocking.
     pub swing: f32,
-    /// Whether the last superpoint is a ball that circles above the others, by more than its size from image to image.
-    pub ball: bool,
+    /// How many of the last superpoints are balls: a red one that circles above the others, by more than its size from image to
+    /// image, and a green one that does so the other way around, below them.
+    pub balls: usize,
+    /// Whether the images are opaque, white behind the scene; else they are cut out.
+    pub opaque: bool,
     /// Whether every other Gaussian is seen early, and the others late.
     pub comes_and_goes: bool,
 }
@@ -46,7 +49,8 @@ impl Default for PosedOptions {
             superpoints: 3,
             moving: true,
             swing: 0.3,
-            ball: false,
+            balls: 0,
+            opaque: false,
             comes_and_goes: false,
         }
     }
@@ -67,7 +71,9 @@ impl Posed {
     /// When rendering fails or a file cannot be written.
     pub fn new(gpu: &Gpu, options: &PosedOptions) -> Self {
         let scene = scene(options);
-        let mut renderer = Renderer::new(gpu, &scene, &RenderOptions::default()).unwrap();
+        let background = if options.opaque { [1.0; 3] } else { [0.0; 3] };
+        let mut renderer =
+            Renderer::new(gpu, &scene, &RenderOptions { background, ..RenderOptions::default() }).unwrap();
         let folder = write(options, |camera, time| renderer.render(camera, time).unwrap());
         Self { scene, folder }
     }
@@ -99,8 +105,8 @@ fn scene(options: &PosedOptions) -> Scene {
             translation[j % 3] += options.swing * (std::f32::consts::TAU * time).sin();
         }
     }
-    if options.ball {
-        throw_ball(&mut scene, options.superpoints - 1);
+    for ball in 0..options.balls {
+        throw_ball(&mut scene, options.superpoints - 1 - ball, ball);
     }
     if options.comes_and_goes {
         let lifespan = |i: usize| [[0.1_f32, -1.6], [0.9, -1.6]][i % 2];
@@ -110,10 +116,11 @@ fn scene(options: &PosedOptions) -> Scene {
 }
 
 /// Makes a ball of a superpoint's Gaussians: red, 0.2 in radius, on a circle of radius 0.9 above the others, once around in two
-/// thirds of the time.
-fn throw_ball(scene: &mut Scene, ball: usize) {
+/// thirds of the time; the second is green, goes the other way around, and below.
+fn throw_ball(scene: &mut Scene, ball: usize, which: usize) {
     let of_gaussian = scene.deformation.superpoint_of_gaussian().to_vec();
-    let start = DVec3::new(0.9, 1.15, 0.0);
+    let side = [1.0, -1.0][which];
+    let start = DVec3::new(0.9, 1.15 * side, 0.0);
     let k3 = scene.gaussians.sh_coefficients() * 3;
     let g = &mut scene.gaussians;
     for (at, i) in (0..g.len()).filter(|&i| of_gaussian[i] as usize == ball).enumerate() {
@@ -122,13 +129,14 @@ fn throw_ball(scene: &mut Scene, ball: usize) {
         g.mean[i] = (start + inside).as_vec3().to_array();
         (g.log_scale[i], g.opacity_logit[i]) = ([-2.8; 3], 3.0);
         g.sh[i * k3..(i + 1) * k3].fill(0.0);
-        g.sh[i * k3] = 1.5;
+        g.sh[i * k3 + which] = 1.5;
     }
     if let Some(motion) = scene.deformation.table_mut() {
         let superpoints = motion.translation.len() / motion.times.len();
         for (time, at) in motion.times.iter().zip((ball..).step_by(superpoints)) {
             let angle = 1.5 * std::f64::consts::TAU * f64::from(*time);
-            let place = DVec3::new(0.9 * angle.cos(), 1.15 + 0.15 * (2.0 * angle).sin(), 0.9 * angle.sin());
+            let place =
+                DVec3::new(0.9 * angle.cos(), side * (1.15 + 0.15 * (2.0 * angle).sin()), side * 0.9 * angle.sin());
             motion.rotation[at] = [0.0; 3];
             motion.translation[at] = (place - start).as_vec3().to_array();
         }
@@ -149,7 +157,8 @@ fn write(options: &PosedOptions, mut render: impl FnMut(&Camera, f64) -> Image) 
             let camera = camera(i, offset, options.sizes[i % options.sizes.len()]);
             let file = format!("{name}/r_{i:03}");
             let path = folder.path().join(format!("{file}.png"));
-            picture::write_png(&path, &render(&camera, time), Alpha::Straight).unwrap();
+            let alpha = if options.opaque { Alpha::Drop } else { Alpha::Straight };
+            picture::write_png(&path, &render(&camera, time), alpha).unwrap();
             frames.push(frame(&camera, time, &file));
         }
         let text = json!({ "camera_angle_x": FIELD_OF_VIEW, "frames": frames }).to_string();

@@ -3,15 +3,17 @@
 //! Parts follow network F within a bound ([`distill`](super::distill)); neighbours that move alike become one. Then key poses and Gaussians
 //! are trained ([`tune`]): a step does not run the network, and a part's pose is learnt from all that shows it.
 
-use super::tune::{Lessons, TuneOptions, tune};
+use super::tune::{Lessons, TuneOptions, Tuned, tune};
 use super::{Distilled, Options, Tick, distill};
 use crate::data::dataset::View;
+use crate::edit::{Placement, merge};
 use crate::error::{Error, Result};
 use crate::gpu::Gpu;
 use crate::reference::freeze;
 use crate::scene::{Camera, MotionSource, Scene};
 use crate::train::bake::Views;
 use crate::train::config::Config;
+use crate::train::lost::{LostObject, residual};
 use crate::train::trainer::StepReport;
 
 /// Cameras of a data set in which a bound is measured, at most.
@@ -26,6 +28,8 @@ pub struct Refitted {
     pub superpoints: [usize; 2],
     /// How far the parts were allowed to be off, pixels, and were off before they were trained; `None`: superpoints were kept.
     pub error_px: Option<[f64; 2]>,
+    /// Objects that the photos showed and the parts did not: each is one more part.
+    pub lost_objects: Vec<LostObject>,
     /// Mean loss of the first and of the last tenth of the steps.
     pub loss: [f64; 2],
     /// `[photos][40]`, where there were some.
@@ -81,20 +85,40 @@ pub fn refit(
     let views = views(photos, config);
     let most = config.refit.most_divided as usize;
     let fitted = parts(scene, &views, bound_px(photos, config), most, tick)?;
-    let student = fitted.as_ref().map_or(scene, |f| &f.scene);
+    let mut student = fitted.as_ref().map_or(scene, |f| &f.scene).clone();
+    let mut lost_objects = Vec::new();
+    if config.motion.lost_objects && exposures.is_none() {
+        tick("lost objects", 0, None);
+        lost_objects = add_lost_objects(gpu, &mut student, photos, config)?;
+    }
     let mut none = |_: &Camera| Err(Error::usage("refit", "an image of the teacher", "photos alone"));
     let (photos, cameras, times) = (photos.to_vec(), Vec::new(), scene.time_range());
     let lessons = Lessons { photos, cameras, times, draw: &mut none, exposures, transients };
     let (seed, background, near) = (config.seed, config.background, config.near);
     let how = TuneOptions { iterations, seed, background, near, rate_px: None, deterministic: config.deterministic };
-    let tuned = tune(gpu, student, &views, lessons, &how, watch)?;
+    let tuned = tune(gpu, &student, &views, lessons, &how, watch)?;
     let superpoints = [scene, &tuned.scene].map(|s| s.deformation.superpoint_count());
     let off = |f: &Distilled| -> Result<[f64; 2]> {
         let displacement = f.yardstick.measure(&f.scene, &views)?;
         Ok([displacement.bound_px, displacement.error_px.largest])
     };
     let error_px = fitted.as_ref().map(off).transpose()?;
-    Ok(Some(Refitted { scene: tuned.scene, superpoints, error_px, loss: tuned.loss, exposures: tuned.exposures }))
+    let Tuned { scene, loss, exposures, .. } = tuned;
+    Ok(Some(Refitted { scene, superpoints, error_px, lost_objects, loss, exposures }))
+}
+
+/// Adds what the photos show and the student does not; returns it.
+fn add_lost_objects(gpu: &Gpu, student: &mut Scene, photos: &[View], config: &Config) -> Result<Vec<LostObject>> {
+    let mut added = Vec::new();
+    for (object, part) in residual::find(gpu, student, photos, config)? {
+        match merge(student, part, &Placement::default()) {
+            // No more key times.
+            Err(Error::Limit { .. }) => break,
+            other => other?,
+        };
+        added.push(object);
+    }
+    Ok(added)
 }
 
 /// Rigid parts in place of the superpoints of a scene with a table; `None` where it has more than `most` Gaussians.

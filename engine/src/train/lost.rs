@@ -5,10 +5,15 @@
 //! of them in each photo is a line of sight; where most of these lie on one smooth path (`track`), there is an object. It
 //! gets points where the photos, moved along the path, are all opaque (`seed`), and their superpoints follow the path (`path`);
 //! network F learns what is left, as of all others.
+//!
+//! What is lost in front of something opaque leaves nothing empty. It is looked for again, in what differs, when network F has
+//! done its work (`residual`).
 
 pub mod add_path;
+mod colours;
 mod disc;
 pub(super) mod path;
+pub(crate) mod residual;
 mod seed;
 mod track;
 
@@ -18,8 +23,8 @@ use glam::{DVec2, DVec3};
 
 use self::disc::Disc;
 use self::path::Path;
-use self::seed::Shown;
-use self::track::{Candidate, Sight, Track};
+use self::seed::{Carving, Shown};
+use self::track::{Candidate, Rule, Sight, Track};
 use super::init::{Point, from_points};
 use super::parameters::{ParameterState, Parameters, with_sh_degree};
 use super::trainer::Trainer;
@@ -44,6 +49,10 @@ const OPAQUE: f32 = 0.9;
 const EMPTY: f32 = 0.5;
 /// The object moves by this many of its radii, or the warm-up does not lose it.
 const MOVES: f64 = 2.0;
+/// When a path counts.
+const RULE: Rule = Rule { near: 0.5, share: 0.6 };
+/// A point is the object's if so many of the photos are opaque there; its superpoints are within as many of its radii.
+const CARVING: Carving = Carving { reach: 1.6, share: 0.9 };
 /// Opacity of its first Gaussians: it is known to be there.
 const OPACITY: f32 = 0.5;
 /// Fewest Gaussians of an object, and most of them as a share of all.
@@ -63,6 +72,16 @@ pub struct LostObject {
     pub path: f64,
     /// Gaussians that it starts with.
     pub gaussians: usize,
+}
+
+impl std::fmt::Display for LostObject {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { seen, photos, radius, path, gaussians } = self;
+        write!(
+            f,
+            "lost object: in {seen} of {photos} photos, radius {radius:.3}, path {path:.3}, {gaussians} Gaussians"
+        )
+    }
 }
 
 /// A photo that is looked at, and what is missing in it.
@@ -91,23 +110,25 @@ impl Trainer {
         times.dedup();
         let looks = self.looks(&times)?;
         let sights: Vec<Sight> = looks.iter().map(Look::sight).collect();
-        let found = track::track(&sights, times.len()).map(|track| (extent(&track.places), track));
+        let found = track::track(&sights, times.len(), RULE).map(|track| (extent(&track.places), track));
         let Some((path, track)) = found.filter(|(path, track)| *path >= MOVES * track.radius) else { return Ok(None) };
         let state = self.parameters.download(&self.gpu)?;
         let reference = loneliest(&track, &looks, &state.gaussians);
         let room = self.config.budget.max_gaussians.saturating_sub(self.parameters.count()) as usize;
         let most = most_gaussians(&track, &looks, state.gaussians.len()).min(room);
         let images: Vec<Shown> = track.seen.iter().map(|(i, _)| looks[*i].shown()).collect();
-        let points = seed::points(&track, &images, reference, most, self.config.seed);
-        if points.len() < FEWEST {
+        let found = seed::carve(&track, &images, reference, &CARVING, most, self.config.seed);
+        if found.len() < FEWEST {
             return Ok(None);
         }
+        let color = seed::mean_colour(&track, &images);
+        let points: Vec<Point> = found.iter().map(|at| Point { position: at.as_vec3().to_array(), color }).collect();
         self.add_points(state, &points)?;
         let centre = track.places[reference];
         let (seen, photos, gaussians) = (track.seen.len(), looks.len(), points.len());
         let offsets = track.places.iter().map(|place| (*place - centre).as_vec3().to_array()).collect();
         let object = LostObject { seen, photos, radius: track.radius, path, gaussians };
-        Ok(Some((object, Path { centre, reach: seed::REACH * track.radius, times, offsets })))
+        Ok(Some((object, Path { centre, reach: CARVING.reach * track.radius, times, offsets })))
     }
 
     fn add_points(&mut self, mut state: ParameterState, points: &[Point]) -> Result<()> {
@@ -162,18 +183,22 @@ impl Look {
     }
 
     fn shown(&self) -> Shown {
-        Shown { camera: self.camera.clone(), photo: self.photo.clone(), time: self.time }
+        let mask = self.photo.rgba.iter().map(|p| alpha(*p) >= EMPTY).collect();
+        Shown { camera: self.camera.clone(), photo: self.photo.clone(), mask, time: self.time }
     }
+}
+
+fn alpha(rgba: u32) -> f32 {
+    f32::from(rgba.to_le_bytes()[3]) / 255.0
 }
 
 /// `[H,W]` pixels of the photo that are opaque and that the model leaves empty, and how many are opaque; none of a photo
 /// that is not cut out.
 fn missing(rendered: &Image, photo: &Pixels) -> (Vec<bool>, usize) {
-    let alpha = |p: &u32| f32::from(p.to_le_bytes()[3]) / 255.0;
-    let opaque = photo.rgba.iter().filter(|p| alpha(p) >= OPAQUE).count();
-    let is_cut_out = photo.rgba.iter().any(|p| alpha(p) < EMPTY);
+    let opaque = photo.rgba.iter().filter(|p| alpha(**p) >= OPAQUE).count();
+    let is_cut_out = photo.rgba.iter().any(|p| alpha(*p) < EMPTY);
     let ours = rendered.rgba.as_chunks::<4>().0;
-    let missing = photo.rgba.iter().zip(ours).map(|(p, [.., ours])| is_cut_out && alpha(p) >= OPAQUE && *ours < EMPTY);
+    let missing = photo.rgba.iter().zip(ours).map(|(p, [.., ours])| is_cut_out && alpha(*p) >= OPAQUE && *ours < EMPTY);
     (missing.collect(), opaque)
 }
 

@@ -1,7 +1,10 @@
 //! An object that moves by more than its size between photos is found, and followed.
 
-use engine::scene::Gaussians;
+use engine::distill::{OfPhotos, Refitted, refit};
+use engine::render::RenderOptions;
+use engine::scene::{Gaussians, Scene};
 use engine::train::checkpoint::Checkpoint;
+use engine::train::evaluate;
 use engine::train::lost::LostObject;
 use engine::train::trainer::Trainer;
 
@@ -19,16 +22,20 @@ superpoints = 20
 enabled = false
 ";
 
-fn scene(ball: bool) -> Posed {
+fn scene(balls: usize) -> Posed {
     let sizes = vec![[96, 96]];
-    posed(&PosedOptions { sizes, train: 30, test: 0, gaussians: 150, swing: 0.0, ball, ..PosedOptions::default() })
+    posed(&PosedOptions { sizes, train: 30, test: 0, gaussians: 150, swing: 0.0, balls, ..PosedOptions::default() })
 }
 
 /// All of the scene's Gaussians but the ball's.
 fn without_ball(posed: &Posed) -> Gaussians {
+    posed.scene.gaussians.selected(&others(posed, 2))
+}
+
+/// Gaussians of the superpoints below this one.
+fn others(posed: &Posed, below: u32) -> Vec<usize> {
     let superpoints = posed.scene.deformation.superpoint_of_gaussian();
-    let others: Vec<usize> = (0..superpoints.len()).filter(|&i| superpoints[i] != 2).collect();
-    posed.scene.gaussians.selected(&others)
+    (0..superpoints.len()).filter(|&i| superpoints[i] < below).collect()
 }
 
 fn trainer(posed: &Posed, over: &str) -> Trainer {
@@ -37,7 +44,7 @@ fn trainer(posed: &Posed, over: &str) -> Trainer {
 
 #[test]
 fn a_ball_that_the_warm_up_loses_is_found_and_followed() {
-    let posed = scene(true);
+    let posed = scene(1);
     let mut run = trainer(&posed, RUN);
     let before = run.gaussians();
     advance(&mut run, 3).unwrap();
@@ -62,7 +69,7 @@ fn a_ball_that_the_warm_up_loses_is_found_and_followed() {
 
 #[test]
 fn where_nothing_is_lost_nothing_is_found() {
-    let posed = scene(false);
+    let posed = scene(0);
     let mut run = trainer(&posed, RUN);
     let before = run.gaussians();
     advance(&mut run, 4).unwrap();
@@ -71,7 +78,7 @@ fn where_nothing_is_lost_nothing_is_found() {
 
 #[test]
 fn a_run_that_follows_a_path_is_resumed_with_the_same_bits() {
-    let posed = scene(true);
+    let posed = scene(1);
     let data = load(&posed).1;
     let mut whole = trainer(&posed, RUN);
     advance(&mut whole, 6).unwrap();
@@ -88,4 +95,42 @@ fn a_run_that_follows_a_path_is_resumed_with_the_same_bits() {
         advance(trainer, 12).unwrap();
     }
     assert!(bytes(&whole.checkpoint().unwrap()) == bytes(&resumed.checkpoint().unwrap()));
+}
+
+/// Photos without alpha, and the last steps of a run whose model has no ball.
+fn refitted(posed: &Posed, over: &str, student: &Scene) -> (Refitted, f64) {
+    let (data, gpu) = (load(posed).0, gpu());
+    let mut config = config(over);
+    config.background = [1.0; 3];
+    let found = refit(&gpu, student, &data.train, &config, OfPhotos::default(), &mut |_, _, _| {}, &mut |_| {});
+    let found = found.unwrap().unwrap();
+    let loader = engine::data::loader::ImageLoader::new(data.train.into(), 1 << 30, 0).unwrap();
+    let indices: Vec<usize> = (0..loader.views().len()).collect();
+    let options = RenderOptions { background: [1.0; 3], ..RenderOptions::default() };
+    let scores = evaluate::evaluate(&gpu, &found.scene, &loader, &indices, &options, |_, _, _| Ok(())).unwrap();
+    (found, evaluate::mean(&scores)[0])
+}
+
+#[test]
+fn two_balls_that_leave_nothing_empty_are_found_at_the_end() {
+    const LATE: &str = "iterations = 120\n[motion]\nlost_objects = true\n[refit]\niterations = 100\nerror = 0.02";
+    let sizes = vec![[96, 96]];
+    let options = PosedOptions { sizes, train: 40, test: 0, gaussians: 150, swing: 0.0, ..PosedOptions::default() };
+    let posed = posed(&PosedOptions { balls: 2, opaque: true, ..options });
+    let kept = others(&posed, 1);
+    let mut student = Scene { gaussians: posed.scene.gaussians.selected(&kept), ..posed.scene.clone() };
+    student.deformation.superpoint_deformation_mut().unwrap().superpoints.of_gaussian = vec![0; kept.len()];
+    let (found, with) = refitted(&posed, LATE, &student);
+    let (lost, without) = refitted(&posed, &LATE.replace("true", "false"), &student);
+    println!("{:?}, {with:.2} dB with the balls, {without:.2} dB without", found.lost_objects);
+    assert_eq!((found.lost_objects.len(), lost.lost_objects.len()), (2, 0));
+    for object in &found.lost_objects {
+        assert!(object.seen > 25 && object.photos == 40, "{object}");
+        assert!((0.1..0.4).contains(&object.radius) && (1.5..3.0).contains(&object.path), "{object}");
+    }
+    let superpoints = |found: &Refitted| found.scene.deformation.superpoint_count();
+    assert_eq!(superpoints(&found), superpoints(&lost) + 2);
+    assert!(with > without + 3.0, "with the balls {with:.2} dB, without {without:.2} dB");
+    // Nothing more is found in what has them.
+    assert_eq!(refitted(&posed, LATE, &found.scene).0.lost_objects, []);
 }

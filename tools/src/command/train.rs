@@ -10,7 +10,7 @@ pub mod report;
 mod run;
 mod transients;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use engine::data::dataset::{self, Dataset, DatasetOptions};
 use engine::data::loader::ImageLoader;
@@ -45,6 +45,7 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     let checkpoints = out.join("checkpoints");
     // The non-rigid stage begins with what the rigid one left.
     let saved = if args.resume || args.nonrigid { Some(newest(&checkpoints)?) } else { None };
+    let (saved, newest) = saved.unzip();
     let (data, config) = match &saved {
         Some(c) => (load(path, &c.config.data, args)?, decide::resumed(args, &c.config)?),
         None => begin(path, args)?,
@@ -74,6 +75,10 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     };
     let trainer = trainer.with_profile(Profile::Logged);
     create_folder(out)?;
+    if let Some(newest) = newest {
+        // What a kill left beside the last three.
+        Checkpoint::remove_old(&checkpoints, &newest)?;
+    }
     let text = trainer.config().to_toml()?;
     write_atomic(&out.join("config.toml"), |f| f.write_all(text.as_bytes()))?;
     if say {
@@ -109,14 +114,13 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     run.finish(path, args.json)
 }
 
-/// The newest checkpoint of a folder that a run goes on from; what a kill left beside the last three goes.
-fn newest(folder: &Path) -> Result<Checkpoint> {
+/// The newest checkpoint of a folder that a run goes on from, and its file.
+fn newest(folder: &Path) -> Result<(Checkpoint, PathBuf)> {
     let (checkpoint, path, problems) = Checkpoint::newest(folder)?.ok_or_else(|| {
         Error::usage("--resume", format!("no checkpoint in {}", folder.display()), "the --out folder of an earlier run")
     })?;
-    Checkpoint::remove_old(folder, &path)?;
     problems.iter().for_each(|p| ::log::warn!("damaged checkpoint passed over: {p}"));
-    Ok(checkpoint)
+    Ok((checkpoint, path))
 }
 
 /// The data set of a new run, and its configuration, which depends on the data's format.

@@ -51,8 +51,9 @@ pub struct MotionConfig {
     /// Noise on time (annealed smooth training). Paper: not mentioned; code: yes unless `--is_blender`. Default yes for real
     /// captures, no for synthetic data (see the presets), where times are exact.
     pub time_noise: bool,
-    /// Whether an object that the static warm-up loses is looked for when motion begins (photos that are cut out only): what
-    /// goes far beyond its size in the course of the photos is otherwise never found. Not in paper or code.
+    /// Whether objects that the static warm-up loses are looked for: what goes far beyond its size in the course of the photos
+    /// is otherwise never found. When motion begins, one, where cut-out photos show that something is missing; before the last
+    /// iterations without network F ([`RefitConfig`](super::RefitConfig)), where photos differ from the images. Not in paper or code.
     pub lost_objects: bool,
     /// Size of that noise at the start, in units of the frame spacing (code: 0.1).
     pub time_noise_scale: f64,

@@ -16,15 +16,21 @@ const ROUNDS: usize = 15;
 const STEPS: usize = 3000;
 /// Radii beyond which two lines of sight of neighbours show different things, however far apart they pass.
 const APART: f64 = 2.0;
-/// A line of sight belongs to the path if it passes within so many of the object's radii.
-const NEAR: f64 = 0.5;
-/// Images that must show it: so many, and this share of those that show something, and of all.
+/// Images that must show it: so many, and this share of all.
 const FEWEST: usize = 12;
-const SHARE_OF_SIGHTS: f64 = 0.6;
 const SHARE_OF_IMAGES: f64 = 0.4;
 /// Share of them in which it must be about as large as in the middle one, and how much that is.
 const SHARE_OF_SIZES: f64 = 0.6;
 const ABOUT: f64 = 0.35;
+
+/// When a path counts.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Rule {
+    /// A line of sight belongs to it if it passes within so many of the object's radii.
+    pub(super) near: f64,
+    /// Share of the sights with candidates of which one must belong to it.
+    pub(super) share: f64,
+}
 
 /// A direction in which an image shows something.
 #[derive(Debug, Clone, Copy)]
@@ -67,7 +73,7 @@ impl Candidate {
 }
 
 /// The path through `times` times of what most sights show; `None` where they show no one thing.
-pub(super) fn track(sights: &[Sight], times: usize) -> Option<Track> {
+pub(super) fn track(sights: &[Sight], times: usize, rule: Rule) -> Option<Track> {
     let shown = sights.iter().filter(|s| !s.candidates.is_empty()).count();
     if shown < FEWEST || times < 3 {
         return None;
@@ -78,10 +84,10 @@ pub(super) fn track(sights: &[Sight], times: usize) -> Option<Track> {
         places = smoothest(sights, &lines, places);
         reweigh(sights, &places, &mut lines);
     }
-    let found = judge(sights, &places)?;
+    let found = judge(sights, &places, rule.near)?;
     let images = sights.len() as f64;
     let enough = found.seen.len() >= FEWEST
-        && found.seen.len() as f64 >= SHARE_OF_SIGHTS * shown as f64
+        && found.seen.len() as f64 >= rule.share * shown as f64
         && found.seen.len() as f64 >= SHARE_OF_IMAGES * images;
     enough.then_some(Track { places, ..found })
 }
@@ -140,7 +146,7 @@ fn reweigh(sights: &[Sight], places: &[DVec3], lines: &mut [Option<(usize, f64)>
 }
 
 /// The sights that the path passes through; `None` where what they show has no one size.
-fn judge(sights: &[Sight], places: &[DVec3]) -> Option<Track> {
+fn judge(sights: &[Sight], places: &[DVec3], near_radii: f64) -> Option<Track> {
     let mut near = Vec::new();
     for (i, sight) in sights.iter().enumerate() {
         let of = |(k, c): (usize, &Candidate)| {
@@ -153,7 +159,7 @@ fn judge(sights: &[Sight], places: &[DVec3]) -> Option<Track> {
         );
     }
     let radius = median(near.iter().map(|n| n.3));
-    near.retain(|n| n.2 <= NEAR * radius);
+    near.retain(|n| n.2 <= near_radii * radius);
     // What is half hidden looks smaller: of those that belong, the size of the larger half.
     let radius = median(near.iter().map(|n| n.3).filter(|r| *r >= radius));
     let alike = near.iter().filter(|n| (n.3 / radius - 1.0).abs() <= ABOUT).count();
@@ -246,6 +252,7 @@ mod tests {
 
     const TIMES: usize = 80;
     const RADIUS: f64 = 0.25;
+    const RULE: Rule = Rule { near: 0.5, share: 0.6 };
 
     /// A ball that circles and bounces.
     fn place(time: usize) -> DVec3 {
@@ -274,7 +281,7 @@ mod tests {
 
     #[test]
     fn a_bouncing_ball_is_followed_past_what_else_is_shown() {
-        let found = track(&sights(90), TIMES).unwrap();
+        let found = track(&sights(90), TIMES, RULE).unwrap();
         let far: Vec<f64> = (0..TIMES).map(|t| (found.places[t] - place(t)).length()).collect();
         assert!(median(far.iter().copied()) < 0.3 * RADIUS, "{far:?}");
         assert!(far.iter().filter(|d| **d > RADIUS).count() < TIMES / 20, "{far:?}");
@@ -284,8 +291,8 @@ mod tests {
 
     #[test]
     fn images_that_show_no_one_thing_give_no_path() {
-        assert!(track(&sights(0), TIMES).is_none());
-        assert!(track(&sights(90)[..8], TIMES).is_none());
-        assert!(track(&[], TIMES).is_none());
+        assert!(track(&sights(0), TIMES, RULE).is_none());
+        assert!(track(&sights(90)[..8], TIMES, RULE).is_none());
+        assert!(track(&[], TIMES, RULE).is_none());
     }
 }

@@ -66,8 +66,8 @@ impl End<'_> {
     fn finish(mut self, exported: Exported, data_path: &Path, as_json: bool) -> Result<()> {
         let Exported { mut scene, mut decisions } = exported;
         let mut i = self.reached;
-        let (refitted, line) = self.refit(&scene)?;
-        decisions.extend(line);
+        let (refitted, lines) = self.refit(&scene)?;
+        decisions.extend(lines);
         decisions.extend(exposures::write(&self.out, &self.data.train, self.of_photos.exposures.as_deref())?);
         decisions.extend(transients::write(&self.out, &self.data.train, self.of_photos.transients.as_deref())?);
         if let Some(refitted) = refitted {

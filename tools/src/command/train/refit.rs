@@ -10,11 +10,11 @@ use super::finish::End;
 use crate::cli::progress;
 
 impl End<'_> {
-    /// What the last iterations of a run that moves make of its model, and a line on them: see [`distill::refit()`].
-    pub(super) fn refit(&mut self, scene: &Scene) -> Result<(Option<Scene>, Option<String>)> {
+    /// What the last iterations of a run that moves make of its model, and lines on them: see [`distill::refit()`].
+    pub(super) fn refit(&mut self, scene: &Scene) -> Result<(Option<Scene>, Vec<String>)> {
         let (config, begin) = (self.schedule.config(), self.reached);
         if self.schedule.stage() != Stage::Rigid || config.refit_iterations() == 0 {
-            return Ok((None, None));
+            return Ok((None, Vec::new()));
         }
         let bar = progress::training(config.refit_iterations(), 0, self.quiet);
         let mut logged = Ok(());
@@ -51,7 +51,7 @@ impl End<'_> {
         };
         let iterations = config.refit_iterations();
         let Some(r) = refitted else {
-            return Ok((None, Some(format!("refit: the last {iterations} iterations are left out"))));
+            return Ok((None, vec![format!("refit: the last {iterations} iterations are left out")]));
         };
         self.of_photos.exposures = r.exposures;
         let ([before, after], [first, last]) = (r.superpoints, r.loss);
@@ -61,9 +61,13 @@ impl End<'_> {
             }
             None => format!("{after} superpoints, as before, for there are many Gaussians;"),
         };
-        let line = format!(
+        let mut lines = vec![format!(
             "refit: {parts} trained for {iterations} iterations without network F: loss {first:.4} → {last:.4}"
-        );
-        Ok((Some(r.scene), Some(line)))
+        )];
+        for found in r.lost_objects {
+            self.log.line(begin + 1, json!({ "lost_object": found }))?;
+            lines.push(found.to_string());
+        }
+        Ok((Some(r.scene), lines))
     }
 }

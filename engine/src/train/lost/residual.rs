@@ -1,0 +1,253 @@
+//! The same late in a run, when all else is in place: what photos show and the model does not is an object there, also in front of
+//! what is opaque.
+//!
+//! Pixels that differ fall into classes by colour ([`Colours`]); the discs of each class are followed by themselves, because several
+//! objects, and what is merely blurred, would be taken for each other. What most photos show is taken out of them, and the rest
+//! looked at again. What is found becomes a rigid part: key poses from its path, points where the photos, moved along, differ.
+
+use std::sync::Arc;
+
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+use super::colours::Colours;
+use super::seed::{Carving, Shown, carve, colour_of, mean_colour};
+use super::track::{Rule, Sight, Track, track};
+use super::{FEWEST, LARGEST_SHARE, Look, LostObject, MOST_PHOTOS, MOVES, OPACITY, SIDE, SMALLEST, disc, extent};
+use crate::data::dataset::View;
+use crate::data::loader::ImageLoader;
+use crate::data::pixels::{LEFT_OUT, Pixels};
+use crate::error::{Error, Result};
+use crate::gpu::Gpu;
+use crate::image::Image;
+use crate::render::{RenderOptions, Renderer};
+use crate::scene::{Camera, Deformation, Gaussians, Motion, Scene, SuperpointDeformation, Superpoints};
+use crate::train::config::Config;
+use crate::train::init::{Point, from_points};
+use crate::train::parameters::with_sh_degree;
+
+/// A pixel differs if a channel does by more than this.
+const DIFFERS: f32 = 0.25;
+/// Into so many classes of colour pixels fall; each number is tried. With one they are all alike: objects of many colours.
+const CLASSES: [usize; 4] = [1, 2, 3, 6];
+/// When a path counts.
+const RULE: Rule = Rule { near: 0.75, share: 0.8 };
+/// Most objects.
+const MOST: usize = 8;
+/// Pixels of one colour are a part of the object: it may be larger. Points differ in most of the photos.
+const CARVING: Carving = Carving { reach: 2.0, share: 0.8 };
+/// Radii by which key poses may be off the path.
+const OFF_PATH: f64 = 0.25;
+
+/// A photo, and where the model's image is another one.
+struct Difference {
+    camera: Camera,
+    photo: Arc<Pixels>,
+    /// Index of its time.
+    time: usize,
+    mask: Arc<[bool]>,
+    /// `[H,W]` of that, what no object that was found explains.
+    left: Vec<bool>,
+    /// `[H,W,3]` over the background.
+    rgb: Vec<[f32; 3]>,
+}
+
+/// A path, and the photos with the discs that it was found from.
+struct Followed {
+    track: Track,
+    looks: Vec<Look>,
+}
+
+/// The objects that these photos show and a scene of rigid parts does not, each as a scene of one more part. None where there is
+/// no room to look, or for them.
+pub(crate) fn find(gpu: &Gpu, scene: &Scene, photos: &[View], config: &Config) -> Result<Vec<(LostObject, Scene)>> {
+    let parts = scene.deformation.superpoint_deformation();
+    if !parts.is_some_and(|p| p.blend.is_none() && p.network.is_none() && p.table.is_some()) {
+        return Ok(Vec::new());
+    }
+    let (times, mut differences) = match differences(gpu, scene, photos, config) {
+        Err(Error::OutOfMemory { .. } | Error::Limit { .. }) => return Ok(Vec::new()),
+        other => other?,
+    };
+    let mut objects: Vec<(LostObject, Scene)> = Vec::new();
+    for _ in 0..MOST {
+        let Some(found) = follow(&differences, times.len()) else { break };
+        differences.iter_mut().for_each(|d| d.take_out(&found.track));
+        let count = scene.gaussians.len() + objects.iter().map(|(object, _)| object.gaussians).sum::<usize>();
+        objects.extend(part(&found, &differences, &times, (&scene.gaussians, count), config));
+    }
+    Ok(objects)
+}
+
+/// Times of the photos, ascending, and what differs in each; of many photos some, of large ones reduced.
+fn differences(gpu: &Gpu, scene: &Scene, photos: &[View], config: &Config) -> Result<(Vec<f32>, Vec<Difference>)> {
+    let shorter = photos.iter().map(|v| v.camera.width.min(v.camera.height)).min().unwrap_or(0);
+    let halvings = (0..u32::BITS).take_while(|k| shorter >> k >= SIDE).last().unwrap_or(0);
+    let step = photos.len().div_ceil(MOST_PHOTOS).max(1);
+    let views: Arc<[View]> = photos.iter().step_by(step).map(|v| v.reduced(1 << halvings)).collect();
+    let mut times: Vec<f32> = views.iter().map(|v| v.time as f32).collect();
+    times.sort_by(f32::total_cmp);
+    times.dedup();
+    let options = RenderOptions { near: config.near, background: config.background, ..RenderOptions::default() };
+    let mut renderer = Renderer::new(gpu, scene, &options)?;
+    let loader = ImageLoader::for_training(views.clone(), config.budget.image_bytes, 1)?;
+    let mut found = Vec::with_capacity(views.len());
+    for (place, view) in views.iter().enumerate() {
+        loader.prefetch(&[place, place + 1]);
+        let photo = loader.get(place)?;
+        let rendered = renderer.render(&view.camera, view.time)?;
+        let time = times.partition_point(|t| *t < view.time as f32);
+        found.push(Difference::new(view.camera.clone(), photo, &rendered, time, config.background));
+    }
+    Ok((times, found))
+}
+
+impl Difference {
+    /// `rendered` is over the background.
+    fn new(camera: Camera, photo: Arc<Pixels>, rendered: &Image, time: usize, background: [f32; 3]) -> Self {
+        let [ours, theirs] = [rendered, &photo.over(background)].map(|image| image.rgba.as_chunks::<4>().0.to_vec());
+        let differs = |(a, b): (&[f32; 4], &[f32; 4])| (0..3).any(|c| (a[c] - b[c]).abs() > DIFFERS);
+        let takes_part = photo.rgba.iter().map(|p| *p != LEFT_OUT);
+        let mask = ours.iter().zip(&theirs).zip(takes_part).map(|(pair, takes_part)| takes_part && differs(pair));
+        let left: Vec<bool> = mask.collect();
+        let rgb = theirs.iter().map(|[r, g, b, _]| [*r, *g, *b]).collect();
+        Self { camera, mask: left.as_slice().into(), left, rgb, photo, time }
+    }
+
+    /// Colours of what is left.
+    fn colours(&self) -> impl Iterator<Item = [f32; 3]> + '_ {
+        self.rgb.iter().zip(&self.left).filter_map(|(rgb, left)| left.then_some(*rgb))
+    }
+
+    /// The discs of what is left and of a class.
+    fn look(&self, colours: &Colours, class: usize) -> Look {
+        let size = [self.camera.width, self.camera.height];
+        let is_it = |(left, rgb): (&bool, &[f32; 3])| *left && colours.of(*rgb) == class;
+        let mask: Vec<bool> = self.left.iter().zip(&self.rgb).map(is_it).collect();
+        let discs = disc::largest(&mask, size, SMALLEST * f64::from(size[0].min(size[1])));
+        let (camera, photo) = (self.camera.clone(), self.photo.clone());
+        Look { camera, photo, time: self.time, discs, opaque: 0 }
+    }
+
+    /// Leaves no more what is within reach of an object.
+    fn take_out(&mut self, track: &Track) {
+        let centre = track.places[self.time];
+        let Some(at) = self.camera.project(centre) else { return };
+        let depth = (self.camera.rotation * (centre - self.camera.position)).z;
+        let reach = CARVING.reach * track.radius / depth * self.camera.fx;
+        let width = self.camera.width as usize;
+        for (i, left) in self.left.iter_mut().enumerate() {
+            let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+            *left &= (pixel - at).length() > reach;
+        }
+    }
+
+    fn shown(&self) -> Shown {
+        let (camera, photo) = (self.camera.clone(), self.photo.clone());
+        Shown { camera, photo, mask: self.mask.clone(), time: self.time }
+    }
+}
+
+/// What moves and is of one class of what is left: of all that do, what most photos show.
+fn follow(differences: &[Difference], times: usize) -> Option<Followed> {
+    let pixels: Vec<[f32; 3]> = differences.iter().flat_map(Difference::colours).collect();
+    let divisions = CLASSES.map(|count| Colours::new(&pixels, count));
+    let classes: Vec<(&Colours, usize)> = divisions
+        .iter()
+        .zip(CLASSES)
+        .flat_map(|(colours, count)| (0..count).map(move |class| (colours, class)))
+        .collect();
+    let path = |(colours, class): &(&Colours, usize)| {
+        let looks: Vec<Look> = differences.iter().map(|d| d.look(colours, *class)).collect();
+        let sights: Vec<Sight> = looks.iter().map(Look::sight).collect();
+        let track = track(&sights, times, RULE)?;
+        (extent(&track.places) >= MOVES * track.radius).then_some(Followed { track, looks })
+    };
+    let found: Vec<Option<Followed>> = classes.par_iter().map(path).collect();
+    found.into_iter().flatten().rev().max_by_key(|f| f.track.seen.len())
+}
+
+/// The object as a scene of one part, beside so many Gaussians like `others`; `None` where too few points are its own.
+fn part(
+    Followed { track, looks }: &Followed,
+    differences: &[Difference],
+    times: &[f32],
+    (others, count): (&Gaussians, usize),
+    config: &Config,
+) -> Option<(LostObject, Scene)> {
+    let radius = |(i, disc): &(usize, usize)| looks[*i].discs[*disc].radius;
+    let largest = track.seen.iter().max_by(|a, b| radius(a).total_cmp(&radius(b)))?;
+    let reference = looks[largest.0].time;
+    let images: Vec<Shown> = track.seen.iter().map(|(i, _)| differences[*i].shown()).collect();
+    let room = config.budget.max_gaussians.saturating_sub(count as u32) as usize;
+    // As many as the pixels of its largest disc: no fewer show its edge.
+    let pixels = std::f64::consts::PI * radius(largest).powi(2);
+    let most = (pixels.min(LARGEST_SHARE * count as f64) as usize).max(FEWEST).min(room);
+    let found = carve(track, &images, reference, &CARVING, most, config.seed);
+    if found.len() < FEWEST {
+        return None;
+    }
+    let mean = mean_colour(track, &images);
+    let point = |at: &DVec3| {
+        let color = colour_of(*at, track, &images, reference).unwrap_or(mean);
+        Point { position: at.as_vec3().to_array(), color }
+    };
+    let points: Vec<Point> = found.iter().map(point).collect();
+    let mut gaussians = with_sh_degree(&from_points(&points, 0), others.sh_degree);
+    gaussians.opacity_logit.fill((OPACITY / (1.0 - OPACITY)).ln());
+    gaussians.antialiased = others.antialiased;
+    let centre = track.places[reference];
+    let superpoints = Superpoints { position: vec![centre.as_vec3().to_array()], of_gaussian: vec![0; points.len()] };
+    let keys = key_places(&track.places, times, OFF_PATH * track.radius);
+    let table = Motion {
+        times: keys.iter().map(|&k| times[k]).collect(),
+        rotation: vec![[0.0; 3]; keys.len()],
+        translation: keys.iter().map(|&k| (track.places[k] - centre).as_vec3().to_array()).collect(),
+    };
+    let deformation = Deformation::Superpoints(Box::new(SuperpointDeformation::of_table(superpoints, table)));
+    let object = LostObject {
+        seen: track.seen.len(),
+        photos: differences.len(),
+        radius: track.radius,
+        path: extent(&track.places),
+        gaussians: points.len(),
+    };
+    Some((object, Scene { gaussians, deformation, ..Scene::default() }))
+}
+
+/// Ascending indices of places between which straight lines stay within `off` of the others (Ramer, Douglas, Peucker).
+fn key_places(places: &[DVec3], times: &[f32], off: f64) -> Vec<usize> {
+    let mut keys = vec![0, places.len() - 1];
+    keys.dedup();
+    let mut k = 1;
+    while k < keys.len() {
+        let (a, b) = (keys[k - 1], keys[k]);
+        let distance = |i: usize| {
+            let share = f64::from(times[i] - times[a]) / f64::from(times[b] - times[a]);
+            (places[i] - places[a].lerp(places[b], share)).length()
+        };
+        let farthest = (a + 1..b).map(|i| (i, distance(i))).max_by(|x, y| x.1.total_cmp(&y.1));
+        match farthest {
+            Some((i, far)) if far > off => keys.insert(k, i),
+            _ => k += 1,
+        }
+    }
+    keys
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_lie_where_a_path_bends() {
+        let times: Vec<f32> = (0..11).map(|i| i as f32 / 10.0).collect();
+        let bent = |i: usize| DVec3::new(i as f64, (i as f64 - 4.0).abs(), 0.0);
+        let places: Vec<DVec3> = (0..11).map(bent).collect();
+        assert_eq!(key_places(&places, &times, 0.01), [0, 4, 10]);
+        assert_eq!(key_places(&places, &times, 10.0), [0, 10]);
+        assert_eq!(key_places(&places[..1], &times, 0.01), [0]);
+        let round: Vec<DVec3> = (0..11).map(|i| DVec3::new((i as f64).cos(), (i as f64).sin(), 0.0)).collect();
+        assert_eq!(key_places(&round, &times, 1e-9), (0..11).collect::<Vec<_>>());
+    }
+}
