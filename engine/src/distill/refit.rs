@@ -3,6 +3,8 @@
 //! Parts follow network F within a bound ([`distill`](super::distill)); neighbours that move alike become one. Then key poses and Gaussians
 //! are trained ([`tune`]): a step does not run the network, and a part's pose is learnt from all that shows it.
 
+use std::borrow::Cow;
+
 use super::tune::{Lessons, TuneOptions, Tuned, tune};
 use super::{Distilled, Options, Tick, distill};
 use crate::data::dataset::View;
@@ -24,7 +26,7 @@ pub const CAMERAS: usize = 12;
 pub struct Refitted {
     /// The model.
     pub scene: Scene,
-    /// Superpoints before and after.
+    /// Superpoints before and after, lost objects apart.
     pub superpoints: [usize; 2],
     /// How far the parts were allowed to be off, pixels, and were off before they were trained; `None`: superpoints were kept.
     pub error_px: Option<[f64; 2]>,
@@ -85,7 +87,8 @@ pub fn refit(
     let views = views(photos, config);
     let most = config.refit.most_divided as usize;
     let fitted = parts(scene, &views, bound_px(photos, config), most, tick)?;
-    let mut student = fitted.as_ref().map_or(scene, |f| &f.scene).clone();
+    let mut student = Cow::Borrowed(fitted.as_ref().map_or(scene, |f| &f.scene));
+    let superpoints = [scene, &*student].map(|s| s.deformation.superpoint_count());
     let mut lost_objects = Vec::new();
     if config.motion.lost_objects && exposures.is_none() {
         tick("lost objects", 0, None);
@@ -97,7 +100,6 @@ pub fn refit(
     let (seed, background, near) = (config.seed, config.background, config.near);
     let how = TuneOptions { iterations, seed, background, near, rate_px: None, deterministic: config.deterministic };
     let tuned = tune(gpu, &student, &views, lessons, &how, watch)?;
-    let superpoints = [scene, &tuned.scene].map(|s| s.deformation.superpoint_count());
     let off = |f: &Distilled| -> Result<[f64; 2]> {
         let displacement = f.yardstick.measure(&f.scene, &views)?;
         Ok([displacement.bound_px, displacement.error_px.largest])
@@ -108,10 +110,15 @@ pub fn refit(
 }
 
 /// Adds what the photos show and the student does not; returns it.
-fn add_lost_objects(gpu: &Gpu, student: &mut Scene, photos: &[View], config: &Config) -> Result<Vec<LostObject>> {
+fn add_lost_objects(
+    gpu: &Gpu,
+    student: &mut Cow<'_, Scene>,
+    photos: &[View],
+    config: &Config,
+) -> Result<Vec<LostObject>> {
     let mut added = Vec::new();
     for (object, part) in residual::find(gpu, student, photos, config)? {
-        match merge(student, part, &Placement::default()) {
+        match merge(student.to_mut(), part, &Placement::default()) {
             // No more key times.
             Err(Error::Limit { .. }) => break,
             other => other?,

@@ -28,6 +28,7 @@ use self::track::{Candidate, Rule, Sight, Track};
 use super::init::{Point, from_points};
 use super::parameters::{ParameterState, Parameters, with_sh_degree};
 use super::trainer::Trainer;
+use crate::data::dataset::View;
 use crate::data::pixels::Pixels;
 use crate::error::{Error, Result};
 use crate::gpu::kernel::Kernel;
@@ -105,9 +106,7 @@ impl Trainer {
     }
 
     fn find_and_add(&mut self) -> Result<Option<(LostObject, Path)>> {
-        let mut times: Vec<f32> = self.looked_at().map(|place| self.pyramid.views[place].time as f32).collect();
-        times.sort_by(f32::total_cmp);
-        times.dedup();
+        let times = distinct_times(self.looked_at().map(|place| &self.pyramid.views[place]));
         let looks = self.looks(&times)?;
         let sights: Vec<Sight> = looks.iter().map(Look::sight).collect();
         let found = track::track(&sights, times.len(), RULE).map(|track| (extent(&track.places), track));
@@ -200,6 +199,14 @@ fn missing(rendered: &Image, photo: &Pixels) -> (Vec<bool>, usize) {
     let ours = rendered.rgba.as_chunks::<4>().0;
     let missing = photo.rgba.iter().zip(ours).map(|(p, [.., ours])| is_cut_out && alpha(*p) >= OPAQUE && *ours < EMPTY);
     (missing.collect(), opaque)
+}
+
+/// Ascending.
+fn distinct_times<'a>(views: impl Iterator<Item = &'a View>) -> Vec<f32> {
+    let mut times: Vec<f32> = views.map(|v| v.time as f32).collect();
+    times.sort_by(f32::total_cmp);
+    times.dedup();
+    times
 }
 
 /// Longest side of the box around places.

@@ -53,7 +53,8 @@ pub struct MotionConfig {
     pub time_noise: bool,
     /// Whether objects that the static warm-up loses are looked for: what goes far beyond its size in the course of the photos
     /// is otherwise never found. When motion begins, one, where cut-out photos show that something is missing; before the last
-    /// iterations without network F ([`RefitConfig`](super::RefitConfig)), where photos differ from the images. Not in paper or code.
+    /// iterations without network F ([`RefitConfig`](super::RefitConfig)), where photos differ from the images, unless
+    /// each has an exposure of its own. Not in paper or code.
     pub lost_objects: bool,
     /// Size of that noise at the start, in units of the frame spacing (code: 0.1).
     pub time_noise_scale: f64,

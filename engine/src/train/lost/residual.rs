@@ -13,7 +13,9 @@ use rayon::prelude::*;
 use super::colours::Colours;
 use super::seed::{Carving, Shown, carve, colour_of, mean_colour};
 use super::track::{Rule, Sight, Track, track};
-use super::{FEWEST, LARGEST_SHARE, Look, LostObject, MOST_PHOTOS, MOVES, OPACITY, SIDE, SMALLEST, disc, extent};
+use super::{
+    FEWEST, LARGEST_SHARE, Look, LostObject, MOST_PHOTOS, MOVES, OPACITY, SIDE, SMALLEST, disc, distinct_times, extent,
+};
 use crate::data::dataset::View;
 use crate::data::loader::ImageLoader;
 use crate::data::pixels::{LEFT_OUT, Pixels};
@@ -22,6 +24,7 @@ use crate::gpu::Gpu;
 use crate::image::Image;
 use crate::render::{RenderOptions, Renderer};
 use crate::scene::{Camera, Deformation, Gaussians, Motion, Scene, SuperpointDeformation, Superpoints};
+use crate::train::bake::fewest_keys;
 use crate::train::config::Config;
 use crate::train::init::{Point, from_points};
 use crate::train::parameters::with_sh_degree;
@@ -85,9 +88,7 @@ fn differences(gpu: &Gpu, scene: &Scene, photos: &[View], config: &Config) -> Re
     let halvings = (0..u32::BITS).take_while(|k| shorter >> k >= SIDE).last().unwrap_or(0);
     let step = photos.len().div_ceil(MOST_PHOTOS).max(1);
     let views: Arc<[View]> = photos.iter().step_by(step).map(|v| v.reduced(1 << halvings)).collect();
-    let mut times: Vec<f32> = views.iter().map(|v| v.time as f32).collect();
-    times.sort_by(f32::total_cmp);
-    times.dedup();
+    let times = distinct_times(views.iter());
     let options = RenderOptions { near: config.near, background: config.background, ..RenderOptions::default() };
     let mut renderer = Renderer::new(gpu, scene, &options)?;
     let loader = ImageLoader::for_training(views.clone(), config.budget.image_bytes, 1)?;
@@ -215,24 +216,15 @@ fn part(
     Some((object, Scene { gaussians, deformation, ..Scene::default() }))
 }
 
-/// Ascending indices of places between which straight lines stay within `off` of the others (Ramer, Douglas, Peucker).
+/// Ascending indices of places between which straight lines stay within `off` of the others.
 fn key_places(places: &[DVec3], times: &[f32], off: f64) -> Vec<usize> {
-    let mut keys = vec![0, places.len() - 1];
-    keys.dedup();
-    let mut k = 1;
-    while k < keys.len() {
-        let (a, b) = (keys[k - 1], keys[k]);
+    fewest_keys(places.len() - 1, |a, b| {
         let distance = |i: usize| {
             let share = f64::from(times[i] - times[a]) / f64::from(times[b] - times[a]);
             (places[i] - places[a].lerp(places[b], share)).length()
         };
-        let farthest = (a + 1..b).map(|i| (i, distance(i))).max_by(|x, y| x.1.total_cmp(&y.1));
-        match farthest {
-            Some((i, far)) if far > off => keys.insert(k, i),
-            _ => k += 1,
-        }
-    }
-    keys
+        (a + 1..b).all(|i| distance(i) <= off)
+    })
 }
 
 #[cfg(test)]
