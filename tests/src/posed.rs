@@ -33,6 +33,8 @@ pub struct PosedOptions {
     /// How many of the last superpoints are balls: a red one that circles above the others, by more than its size from image to
     /// image, and a green one that does so the other way around, below them.
     pub balls: usize,
+    /// Whether the last superpoint is a hand that swings a stick: its every other Gaussian is the stick's.
+    pub stick: bool,
     /// Whether the images are opaque, white behind the scene; else they are cut out.
     pub opaque: bool,
     /// Whether every other Gaussian is seen early, and the others late.
@@ -50,6 +52,7 @@ impl Default for PosedOptions {
             moving: true,
             swing: 0.3,
             balls: 0,
+            stick: false,
             opaque: false,
             comes_and_goes: false,
         }
@@ -108,6 +111,9 @@ fn scene(options: &PosedOptions) -> Scene {
     for ball in 0..options.balls {
         throw_ball(&mut scene, options.superpoints - 1 - ball, ball);
     }
+    if options.stick {
+        hold_stick(&mut scene, options.superpoints - 1);
+    }
     if options.comes_and_goes {
         let lifespan = |i: usize| [[0.1_f32, -1.6], [0.9, -1.6]][i % 2];
         scene.gaussians.optional.set(LIFESPAN, (0..options.gaussians).flat_map(lifespan).collect());
@@ -141,6 +147,46 @@ fn throw_ball(scene: &mut Scene, ball: usize, which: usize) {
             motion.translation[at] = (place - start).as_vec3().to_array();
         }
     }
+}
+
+/// Gives the last 80 Gaussians to a superpoint that has no others: a red hand, 0.1 in radius, that moves a little above the others, and a black stick of 0.6 in it, which swings by 60°
+/// to either side twice.
+fn hold_stick(scene: &mut Scene, superpoint: usize) {
+    let first = scene.gaussians.len() - 80;
+    if let Some(moved) = scene.deformation.superpoint_deformation_mut() {
+        let of_gaussian = &mut moved.superpoints.of_gaussian;
+        of_gaussian.iter_mut().filter(|j| **j as usize == superpoint).for_each(|j| *j = 0);
+        of_gaussian[first..].fill(superpoint as u32);
+    }
+    let hand = DVec3::new(0.0, 1.1, 0.0);
+    let k3 = scene.gaussians.sh_coefficients() * 3;
+    let g = &mut scene.gaussians;
+    for (at, i) in (first..g.len()).enumerate() {
+        let angles = DVec3::new(1.0, 2.3, 3.7) * at as f64;
+        let knob = 0.06 * DVec3::new(angles.x.sin(), angles.y.sin(), angles.z.sin());
+        let along = DVec3::Y * (0.1 + 0.5 * at as f64 / 80.0);
+        let (place, size, color) =
+            if is_of_stick(at) { (along, -4.3, [-1.6; 3]) } else { (knob, -3.2, [1.6, -0.6, -0.6]) };
+        g.mean[i] = (hand + place).as_vec3().to_array();
+        (g.log_scale[i], g.opacity_logit[i]) = ([size; 3], 3.0);
+        g.sh[i * k3..(i + 1) * k3].fill(0.0);
+        g.sh[i * k3..i * k3 + 3].copy_from_slice(&color);
+    }
+    if let Some(motion) = scene.deformation.table_mut() {
+        let superpoints = motion.translation.len() / motion.times.len();
+        for (time, at) in motion.times.iter().zip((superpoint..).step_by(superpoints)) {
+            let angle = std::f64::consts::TAU * f64::from(*time);
+            let turn = 1.05 * (2.0 * angle).sin();
+            let place = hand + DVec3::new(0.3 * angle.sin(), 0.1 * angle.cos(), 0.1 * angle.sin());
+            motion.rotation[at] = [0.0, 0.0, turn as f32];
+            motion.translation[at] = (place - DMat3::from_rotation_z(turn) * hand).as_vec3().to_array();
+        }
+    }
+}
+
+/// Whether the so many-th Gaussian of a hand with a stick is the stick's.
+pub fn is_of_stick(at: usize) -> bool {
+    at % 2 == 1
 }
 
 /// Writes both splits with the pictures that `render` makes.

@@ -18,6 +18,7 @@
 //! the range that the Gaussian has in the part's frame. All distances are pixels on cameras, as [`crate::train::bake`] measures them.
 //! Rigid parts cannot follow changes of size: each Gaussian gets its mean size, and the report says how far off that is.
 
+mod attached;
 mod build;
 mod divide;
 mod measure;

@@ -5,6 +5,7 @@
 
 use std::borrow::Cow;
 
+use super::attached::take_attached;
 use super::tune::{Lessons, TuneOptions, Tuned, tune};
 use super::{Distilled, Options, Tick, distill};
 use crate::data::dataset::View;
@@ -15,7 +16,8 @@ use crate::reference::freeze;
 use crate::scene::{Camera, MotionSource, Scene};
 use crate::train::bake::Views;
 use crate::train::config::Config;
-use crate::train::lost::{LostObject, residual};
+use crate::train::lost::LostObject;
+use crate::train::lost::residual::Residual;
 use crate::train::trainer::StepReport;
 
 /// Cameras of a data set in which a bound is measured, at most.
@@ -117,7 +119,10 @@ fn add_lost_objects(
     config: &Config,
 ) -> Result<Vec<LostObject>> {
     let mut added = Vec::new();
-    for (object, part) in residual::find(gpu, student, photos, config)? {
+    let Some(mut residual) = Residual::new(gpu, student, photos, config)? else { return Ok(added) };
+    let mut found = residual.take_objects(student, config);
+    found.extend(take_attached(&mut residual, student, config));
+    for (object, part) in found {
         match merge(student.to_mut(), part, &Placement::default()) {
             // No more key times.
             Err(Error::Limit { .. }) => break,

@@ -11,7 +11,7 @@
 
 pub mod add_path;
 mod colours;
-mod disc;
+pub(crate) mod disc;
 pub(super) mod path;
 pub(crate) mod residual;
 mod seed;
@@ -57,7 +57,7 @@ const CARVING: Carving = Carving { reach: 1.6, share: 0.9 };
 /// Opacity of its first Gaussians: it is known to be there.
 const OPACITY: f32 = 0.5;
 /// Fewest Gaussians of an object, and most of them as a share of all.
-const FEWEST: usize = 100;
+pub(crate) const FEWEST: usize = 100;
 const LARGEST_SHARE: f64 = 0.2;
 
 /// An object that was found.
@@ -73,15 +73,19 @@ pub struct LostObject {
     pub path: f64,
     /// Gaussians that it starts with.
     pub gaussians: usize,
+    /// The superpoint that it is fixed to, where it is found by that and not by a path of its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub attached_to: Option<usize>,
 }
 
 impl std::fmt::Display for LostObject {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { seen, photos, radius, path, gaussians } = self;
+        let Self { seen, photos, radius, path, gaussians, attached_to } = self;
         write!(
             f,
             "lost object: in {seen} of {photos} photos, radius {radius:.3}, path {path:.3}, {gaussians} Gaussians"
-        )
+        )?;
+        attached_to.map_or(Ok(()), |part| write!(f, ", fixed to superpoint {part}"))
     }
 }
 
@@ -126,7 +130,7 @@ impl Trainer {
         let centre = track.places[reference];
         let (seen, photos, gaussians) = (track.seen.len(), looks.len(), points.len());
         let offsets = track.places.iter().map(|place| (*place - centre).as_vec3().to_array()).collect();
-        let object = LostObject { seen, photos, radius: track.radius, path, gaussians };
+        let object = LostObject { seen, photos, radius: track.radius, path, gaussians, attached_to: None };
         Ok(Some((object, Path { centre, reach: CARVING.reach * track.radius, times, offsets })))
     }
 

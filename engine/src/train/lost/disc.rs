@@ -7,6 +7,9 @@ const MOST: usize = 3;
 /// Steps of the distance to a side's and to a corner's neighbour: √2 to 0.2 %.
 const STEPS: [u32; 2] = [12, 17];
 
+/// Farther than any pixel, in steps.
+const FAR: u32 = u32::MAX / 2;
+
 /// Times that a disc moves to the middle of what it covers.
 const CENTRINGS: usize = 4;
 
@@ -23,7 +26,7 @@ pub(super) struct Disc {
 /// on. What is beyond the image's edge is outside.
 pub(super) fn largest(mask: &[bool], size: [u32; 2], smallest: f64) -> Vec<Disc> {
     let [width, height] = size.map(|s| s as usize);
-    let mut depth = distance_inside(mask, width, height);
+    let mut depth = distance_inside(mask, width, height, 0);
     let mut found = Vec::new();
     while found.len() < MOST {
         let deepest = depth.iter().enumerate().max_by(|a, b| a.1.cmp(b.1).then(b.0.cmp(&a.0)));
@@ -58,9 +61,18 @@ fn centre_around(mask: &[bool], width: usize, middle: DVec2, radius: f64) -> DVe
     if count > 0.0 { sum / count } else { middle }
 }
 
-/// Of each pixel of the mask its distance to what is not mask, in [`STEPS`]; 0 elsewhere. (Borgefors 1986: two passes.)
-fn distance_inside(mask: &[bool], width: usize, height: usize) -> Vec<u32> {
-    let mut distance: Vec<u32> = mask.iter().map(|m| if *m { u32::MAX / 2 } else { 0 }).collect();
+/// `[H,W]` distance of each pixel of an image of this size to the next one of a mask, px; infinite where there is none.
+pub(crate) fn distance_to(mask: &[bool], size: [u32; 2]) -> Vec<f32> {
+    let [width, height] = size.map(|s| s as usize);
+    let outside: Vec<bool> = mask.iter().map(|m| !m).collect();
+    let steps = distance_inside(&outside, width, height, FAR);
+    steps.iter().map(|&s| if s < FAR { s as f32 / STEPS[0] as f32 } else { f32::INFINITY }).collect()
+}
+
+/// Of each pixel of the mask its distance to what is not mask, in [`STEPS`]; 0 elsewhere. Beyond the image's edge that of the mask's
+/// pixels there is `beyond`. (Borgefors 1986: two passes.)
+fn distance_inside(mask: &[bool], width: usize, height: usize, beyond: u32) -> Vec<u32> {
+    let mut distance: Vec<u32> = mask.iter().map(|m| if *m { FAR } else { 0 }).collect();
     let order = |i: usize, back: bool| if back { width * height - 1 - i } else { i };
     for back in [false, true] {
         for i in 0..width * height {
@@ -71,7 +83,7 @@ fn distance_inside(mask: &[bool], width: usize, height: usize) -> Vec<u32> {
             for (dx, dy, corner) in neighbours {
                 let (nx, ny) = (x + dx, y + dy);
                 let inside = nx >= 0 && ny >= 0 && nx < width as i64 && ny < height as i64;
-                let from = if inside { distance[ny as usize * width + nx as usize] } else { 0 };
+                let from = if inside { distance[ny as usize * width + nx as usize] } else { beyond };
                 distance[at] = distance[at].min(from + STEPS[corner]);
             }
         }
@@ -98,6 +110,18 @@ mod tests {
             assert!((disc.centre - DVec2::new(x, y)).length() < 0.5, "{disc:?}");
             assert!((disc.radius / r - 1.0).abs() < 0.15, "{disc:?}");
         }
+    }
+
+    #[test]
+    fn distances_are_those_to_the_next_pixel() {
+        let size = [30_u32, 20];
+        let one: Vec<bool> = (0..600).map(|i| i == 10 * 30 + 12).collect();
+        let found = distance_to(&one, size);
+        for (i, distance) in found.iter().enumerate() {
+            let exact = (pixel(i, 30) - pixel(10 * 30 + 12, 30)).length();
+            assert!((f64::from(*distance) - exact).abs() <= 0.09 * exact, "{i}: {distance} {exact}");
+        }
+        assert!(distance_to(&[false; 600], size).iter().all(|d| d.is_infinite()));
     }
 
     #[test]

@@ -43,14 +43,16 @@ const CARVING: Carving = Carving { reach: 2.0, share: 0.8 };
 const OFF_PATH: f64 = 0.25;
 
 /// A photo, and where the model's image is another one.
-struct Difference {
-    camera: Camera,
-    photo: Arc<Pixels>,
+pub(crate) struct Difference {
+    pub(crate) camera: Camera,
+    pub(crate) photo: Arc<Pixels>,
     /// Index of its time.
-    time: usize,
+    pub(crate) time: usize,
+    /// `[H,W]` largest difference of a channel.
+    pub(crate) amount: Vec<f32>,
     mask: Arc<[bool]>,
     /// `[H,W]` of that, what no object that was found explains.
-    left: Vec<bool>,
+    pub(crate) left: Vec<bool>,
     /// `[H,W,3]` over the background.
     rgb: Vec<[f32; 3]>,
 }
@@ -61,25 +63,37 @@ struct Followed {
     looks: Vec<Look>,
 }
 
-/// The objects that these photos show and a scene of rigid parts does not, each as a scene of one more part. None where there is
-/// no room to look, or for them.
-pub(crate) fn find(gpu: &Gpu, scene: &Scene, photos: &[View], config: &Config) -> Result<Vec<(LostObject, Scene)>> {
-    let parts = scene.deformation.superpoint_deformation();
-    if !parts.is_some_and(|p| p.blend.is_none() && p.network.is_none() && p.table.is_some()) {
-        return Ok(Vec::new());
+/// What photos show and the images of a scene of rigid parts do not.
+pub(crate) struct Residual {
+    /// Times of the photos, ascending.
+    pub(crate) times: Vec<f32>,
+    pub(crate) differences: Vec<Difference>,
+}
+
+impl Residual {
+    /// `None` for a scene of other motion, and where there is no room to look.
+    pub(crate) fn new(gpu: &Gpu, scene: &Scene, photos: &[View], config: &Config) -> Result<Option<Self>> {
+        let parts = scene.deformation.superpoint_deformation();
+        if !parts.is_some_and(|p| p.blend.is_none() && p.network.is_none() && p.table.is_some()) {
+            return Ok(None);
+        }
+        match differences(gpu, scene, photos, config) {
+            Err(Error::OutOfMemory { .. } | Error::Limit { .. }) => Ok(None),
+            other => other.map(|(times, differences)| Some(Self { times, differences })),
+        }
     }
-    let (times, mut differences) = match differences(gpu, scene, photos, config) {
-        Err(Error::OutOfMemory { .. } | Error::Limit { .. }) => return Ok(Vec::new()),
-        other => other?,
-    };
-    let mut objects: Vec<(LostObject, Scene)> = Vec::new();
-    for _ in 0..MOST {
-        let Some(found) = follow(&differences, times.len()) else { break };
-        differences.iter_mut().for_each(|d| d.take_out(&found.track));
-        let count = scene.gaussians.len() + objects.iter().map(|(object, _)| object.gaussians).sum::<usize>();
-        objects.extend(part(&found, &differences, &times, (&scene.gaussians, count), config));
+
+    /// Objects that follow paths of their own, each as a scene of one more part; they are taken out of what is left.
+    pub(crate) fn take_objects(&mut self, scene: &Scene, config: &Config) -> Vec<(LostObject, Scene)> {
+        let mut objects: Vec<(LostObject, Scene)> = Vec::new();
+        for _ in 0..MOST {
+            let Some(found) = follow(&self.differences, self.times.len()) else { break };
+            self.differences.iter_mut().for_each(|d| d.take_out(&found.track));
+            let count = scene.gaussians.len() + objects.iter().map(|(object, _)| object.gaussians).sum::<usize>();
+            objects.extend(part(&found, &self.differences, &self.times, (&scene.gaussians, count), config));
+        }
+        objects
     }
-    Ok(objects)
 }
 
 /// Times of the photos, ascending, and what differs in each; of many photos some, of large ones reduced.
@@ -107,12 +121,14 @@ impl Difference {
     /// `rendered` is over the background.
     fn new(camera: Camera, photo: Arc<Pixels>, rendered: &Image, time: usize, background: [f32; 3]) -> Self {
         let [ours, theirs] = [rendered, &photo.over(background)].map(|image| image.rgba.as_chunks::<4>().0.to_vec());
-        let differs = |(a, b): (&[f32; 4], &[f32; 4])| (0..3).any(|c| (a[c] - b[c]).abs() > DIFFERS);
+        let difference = |(a, b): (&[f32; 4], &[f32; 4])| (0..3).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
         let takes_part = photo.rgba.iter().map(|p| *p != LEFT_OUT);
-        let mask = ours.iter().zip(&theirs).zip(takes_part).map(|(pair, takes_part)| takes_part && differs(pair));
-        let left: Vec<bool> = mask.collect();
+        let pairs = ours.iter().zip(&theirs).zip(takes_part);
+        let amount: Vec<f32> =
+            pairs.map(|(pair, takes_part)| if takes_part { difference(pair) } else { 0.0 }).collect();
+        let left: Vec<bool> = amount.iter().map(|a| *a > DIFFERS).collect();
         let rgb = theirs.iter().map(|[r, g, b, _]| [*r, *g, *b]).collect();
-        Self { camera, mask: left.as_slice().into(), left, rgb, photo, time }
+        Self { camera, mask: left.as_slice().into(), amount, left, rgb, photo, time }
     }
 
     /// Colours of what is left.
@@ -194,9 +210,7 @@ fn part(
         Point { position: at.as_vec3().to_array(), color }
     };
     let points: Vec<Point> = found.iter().map(point).collect();
-    let mut gaussians = with_sh_degree(&from_points(&points, 0), others.sh_degree);
-    gaussians.opacity_logit.fill((OPACITY / (1.0 - OPACITY)).ln());
-    gaussians.antialiased = others.antialiased;
+    let gaussians = like(&points, others);
     let centre = track.places[reference];
     let superpoints = Superpoints { position: vec![centre.as_vec3().to_array()], of_gaussian: vec![0; points.len()] };
     let keys = key_places(&track.places, times, OFF_PATH * track.radius);
@@ -212,8 +226,17 @@ fn part(
         radius: track.radius,
         path: extent(&track.places),
         gaussians: points.len(),
+        attached_to: None,
     };
     Some((object, Scene { gaussians, deformation, ..Scene::default() }))
+}
+
+/// First Gaussians at these points, like others of a scene.
+pub(crate) fn like(points: &[Point], others: &Gaussians) -> Gaussians {
+    let mut gaussians = with_sh_degree(&from_points(points, 0), others.sh_degree);
+    gaussians.opacity_logit.fill((OPACITY / (1.0 - OPACITY)).ln());
+    gaussians.antialiased = others.antialiased;
+    gaussians
 }
 
 /// Ascending indices of places between which straight lines stay within `off` of the others.

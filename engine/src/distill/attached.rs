@@ -1,0 +1,266 @@
+//! What is fixed to a part and was lost: a blade in a hand, the stick of a pendulum. It is thin, and fast at its far end: no disc shows
+//! where it goes, and nothing of it stands long enough to be built up. But it goes with a part that the model has.
+//!
+//! In the frame of a part, what is fixed to it stands still: cells where most photos differ, wherever the part goes, belong to it. How a
+//! small part turns is known badly, so that this holds near it only. From there the object grows cell by cell ([`Shape`]), and in turn
+//! the part's poses are corrected so that its cells lie where photos differ ([`Path`]). Every fourth time is left out of all that: what
+//! is found must lie where its photos differ, too.
+
+mod band;
+mod look;
+mod path;
+mod shape;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeSet;
+
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+use self::look::Look;
+use self::path::Path;
+use self::shape::{Cell, Shape};
+use super::rigid::Frame;
+use crate::edit::unwrapped;
+use crate::reference::{exp_quaternion, table_poses};
+use crate::scene::{Motion, Scene, SuperpointDeformation, Superpoints};
+use crate::train::bake::fewest_keys;
+use crate::train::config::Config;
+use crate::train::init::Point;
+use crate::train::lost::residual::{Residual, like};
+use crate::train::lost::{FEWEST, LostObject};
+use crate::train::rng;
+
+/// Fewest times that tell how something moves.
+const FEWEST_TIMES: usize = 16;
+/// One time of so many is left out, and judges.
+const HELD: usize = 4;
+/// Most objects, and parts that are tried for one.
+const MOST: usize = 8;
+const TRIED: usize = 4;
+/// Gaussians of a part that count, and fewest of them.
+const VISIBLE_LOGIT: f32 = -2.2;
+const FEWEST_OF_PART: usize = 5;
+/// Cells around a part at which photos are looked at first: so far from its Gaussians, in steps of so many cells.
+const AROUND: i32 = 4;
+const STRIDE: i32 = 2;
+/// Share of the photos that differ there, at least.
+const FIRST_SHARE: f64 = 0.5;
+/// Share of an object's cells that lie where a photo that was left out differs, on average over these; and how many times as many as
+/// with the poses of another time, or it is a place where all photos differ.
+const HELD_SHARE: f64 = 0.6;
+const TIMES_CHANCE: f64 = 2.0;
+/// Pixels within which a cell lies where a photo differs: while the object grows, and at the end.
+const GROWING: f32 = 2.0;
+const GROWN: f32 = 1.0;
+/// Rounds of growth; it ends where so many add nothing. Rounds at the end.
+const MOST_ROUNDS: usize = 60;
+const IDLE_ROUNDS: usize = 8;
+const LAST_ROUNDS: usize = 6;
+/// An object reaches at least this far, cells: less is an edge that is blurred.
+const SHORTEST: f64 = 6.0;
+/// Pixels around an object that it explains.
+const EXPLAINED: f32 = 2.0;
+/// Pixels by which key poses may be off the path, at the ends of the object.
+const OFF_PATH: f64 = 0.25;
+/// Standard deviation of its first Gaussians, cells.
+const SIZE: f64 = 0.5;
+/// A share of the photos' cells that lie where one differs: the photo shows the object.
+const SHOWN: f64 = 0.5;
+/// Stream of random numbers used here.
+const STREAM: u32 = 0x4154_5443;
+
+/// A place that moves with a part, and around which something may be fixed to it.
+#[derive(Debug, Clone, Copy)]
+struct Pivot {
+    part: usize,
+    /// In the part's frame.
+    at: DVec3,
+    /// Side of a cell, world units: a pixel.
+    cell: f64,
+    share: f64,
+}
+
+struct Found {
+    pivot: Pivot,
+    shape: Shape,
+    path: Path,
+}
+
+/// The objects that are fixed to parts of a scene, each as a scene of one more part; they are taken out of what is left.
+pub(super) fn take_attached(residual: &mut Residual, scene: &Scene, config: &Config) -> Vec<(LostObject, Scene)> {
+    let mut objects: Vec<(LostObject, Scene)> = Vec::new();
+    let Some(table) = scene.deformation.table().filter(|_| residual.times.len() >= FEWEST_TIMES) else {
+        return objects;
+    };
+    let frames = frames(table, &residual.times);
+    while objects.len() < MOST {
+        let looks: Vec<Look> = residual.differences.iter().map(Look::new).collect();
+        let pivots = pivots(scene, &frames, &looks);
+        let found = pivots.iter().take(TRIED).find_map(|pivot| attached(*pivot, &frames, &looks, &residual.times));
+        let Some(found) = found else { break };
+        for (difference, look) in residual.differences.iter_mut().zip(&looks) {
+            let cells = found.cells(look.time);
+            look.near(&cells, EXPLAINED).into_iter().for_each(|i| difference.left[i] = false);
+        }
+        let count = scene.gaussians.len() + objects.iter().map(|(object, _)| object.gaussians).sum::<usize>();
+        let room = config.budget.max_gaussians.saturating_sub(count as u32) as usize;
+        objects.extend(found.part(&looks, &residual.times, scene, room, config.seed));
+    }
+    objects
+}
+
+/// `[times][M]` how the parts stand.
+fn frames(table: &Motion, times: &[f32]) -> Vec<Vec<Frame>> {
+    let of_time = |time: &f32| {
+        let poses = table_poses(table, f64::from(*time));
+        poses
+            .iter()
+            .map(|p| Frame { turn: DMat3::from_quat(exp_quaternion(p.rotation)), shift: p.translation })
+            .collect()
+    };
+    times.iter().map(of_time).collect()
+}
+
+/// Of each part the place around it where most photos differ, the best first.
+fn pivots(scene: &Scene, frames: &[Vec<Frame>], looks: &[Look]) -> Vec<Pivot> {
+    let Some(moved) = scene.deformation.superpoint_deformation() else { return Vec::new() };
+    let g = &scene.gaussians;
+    let mut of_part: Vec<Vec<DVec3>> = vec![Vec::new(); moved.superpoints.position.len()];
+    for (i, &part) in moved.superpoints.of_gaussian.iter().enumerate() {
+        let mean = DVec3::from_array(g.mean[i].map(f64::from));
+        if g.opacity_logit[i] > VISIBLE_LOGIT && mean.is_finite() {
+            of_part[part as usize].push(mean);
+        }
+    }
+    let pivot = |(part, points): (usize, &Vec<DVec3>)| {
+        if points.len() < FEWEST_OF_PART {
+            return None;
+        }
+        let path = Path::of_part(frames, part, points[0]);
+        let cell = path.pixel(looks)?;
+        let step = f64::from(STRIDE) * cell;
+        let around = |p: &DVec3| Cell::of((*p - points[0]) / step).within(AROUND / STRIDE);
+        let cells: BTreeSet<Cell> = points.iter().flat_map(around).collect();
+        let shares = cells.iter().map(|c| (path.share(c.middle() * step, looks, GROWING, 0.5), c));
+        let (share, best) = shares.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        (share >= FIRST_SHARE).then(|| Pivot { part, at: points[0] + best.middle() * step, cell, share })
+    };
+    let mut found: Vec<Pivot> = of_part.par_iter().enumerate().filter_map(pivot).collect();
+    found.sort_by(|a, b| b.share.total_cmp(&a.share).then(a.part.cmp(&b.part)));
+    found
+}
+
+/// What is fixed to a part at a pivot; `None` where photos that were left out do not show it.
+fn attached(pivot: Pivot, frames: &[Vec<Frame>], looks: &[Look], times: &[f32]) -> Option<Found> {
+    let is_held = |look: &&Look| look.time % HELD == 1;
+    let (held, used): (Vec<&Look>, Vec<&Look>) = looks.iter().partition(is_held);
+    let mut path = Path::of_part(frames, pivot.part, pivot.at);
+    let mut shape = Shape::at(pivot.cell);
+    let (mut reach, mut idle) = (0.0, 0);
+    for _ in 0..MOST_ROUNDS {
+        shape.grow(&path, &used, GROWING)?;
+        path.correct(&shape, &used, times);
+        idle = if shape.reach() > reach + 0.5 { 0 } else { idle + 1 };
+        reach = shape.reach().max(reach);
+        if idle == IDLE_ROUNDS {
+            break;
+        }
+    }
+    for _ in 0..LAST_ROUNDS {
+        shape.grow(&path, &used, GROWN)?;
+        path.correct(&shape, &used, times);
+    }
+    let points = shape.points();
+    let held_share = path.held_share(&points, &held, GROWN, 0);
+    let chance = path.held_share(&points, &held, GROWN, times.len() / 2);
+    if held_share < HELD_SHARE.max(TIMES_CHANCE * chance) || shape.reach() < SHORTEST {
+        return None;
+    }
+    let all: Vec<&Look> = looks.iter().collect();
+    for _ in 0..LAST_ROUNDS {
+        shape.grow(&path, &all, GROWN)?;
+        path.correct(&shape, &all, times);
+    }
+    shape.thin(&path, &all);
+    Some(Found { pivot, shape, path })
+}
+
+impl Found {
+    /// Where its cells are at a time.
+    fn cells(&self, time: usize) -> Vec<DVec3> {
+        self.shape.points().iter().map(|p| self.path.place(time, *p)).collect()
+    }
+
+    /// A scene of it alone.
+    fn part(
+        &self,
+        looks: &[Look],
+        times: &[f32],
+        beside: &Scene,
+        room: usize,
+        seed: u64,
+    ) -> Option<(LostObject, Scene)> {
+        let cells = self.shape.points();
+        let each = FEWEST.div_ceil(cells.len());
+        let jitter = |i: usize, axis: usize| rng::uniform(seed, STREAM, (3 * i + axis) as u64) - 0.5;
+        let beside_cell = |i: usize| self.pivot.cell * DVec3::new(jitter(i, 0), jitter(i, 1), jitter(i, 2));
+        let place = |i: usize| cells[i / each] + if each > 1 { beside_cell(i) } else { DVec3::ZERO };
+        let points: Vec<DVec3> = (0..cells.len() * each).map(place).take(room).collect();
+        if points.len() < FEWEST {
+            return None;
+        }
+        let point = |p: &DVec3| {
+            let position = (self.pivot.at + *p).as_vec3().to_array();
+            Point { position, color: self.path.colour(*p, looks) }
+        };
+        let colored: Vec<Point> = points.par_iter().map(point).collect();
+        let superpoints =
+            Superpoints { position: vec![self.pivot.at.as_vec3().to_array()], of_gaussian: vec![0; points.len()] };
+        let deformation = SuperpointDeformation::of_table(superpoints, self.table(times)).into();
+        let seen = looks.iter().filter_map(|look| self.path.share_of(&cells, look, GROWN, 0)).filter(|s| *s >= SHOWN);
+        let middle = cells.iter().sum::<DVec3>() / cells.len() as f64;
+        let places: Vec<DVec3> = (0..times.len()).map(|time| self.path.place(time, middle)).collect();
+        let sides = |points: &[DVec3]| {
+            let low = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
+            points.iter().copied().reduce(DVec3::max).unwrap_or_default() - low
+        };
+        let object = LostObject {
+            seen: seen.count(),
+            photos: looks.len(),
+            radius: 0.5 * sides(&cells).length(),
+            path: sides(&places).max_element(),
+            gaussians: points.len(),
+            attached_to: Some(self.pivot.part),
+        };
+        let mut gaussians = like(&colored, &beside.gaussians);
+        gaussians.log_scale.fill([(SIZE * self.pivot.cell).ln() as f32; 3]);
+        Some((object, Scene { gaussians, deformation, ..Scene::default() }))
+    }
+
+    /// The fewest key poses between which it stays within [`OFF_PATH`] of its path.
+    fn table(&self, times: &[f32]) -> Motion {
+        let mut before = DVec3::ZERO;
+        let pose = |time: usize| {
+            let turn = self.path.turn(time);
+            before = unwrapped(turn, before);
+            (before, self.path.place(time, DVec3::ZERO) - turn * self.pivot.at)
+        };
+        let poses: Vec<(DVec3, DVec3)> = (0..times.len()).map(pose).collect();
+        let farthest = self.shape.farthest();
+        let moved = |(r, shift): (DVec3, DVec3), p: DVec3| exp_quaternion(r) * (self.pivot.at + p) + shift;
+        let distance = |a: usize, b: usize, i: usize| {
+            let share = f64::from(times[i] - times[a]) / f64::from(times[b] - times[a]);
+            let between = (poses[a].0.lerp(poses[b].0, share), poses[a].1.lerp(poses[b].1, share));
+            farthest.iter().map(|p| moved(between, *p).distance(moved(poses[i], *p))).fold(0.0, f64::max)
+        };
+        let off = OFF_PATH * self.pivot.cell;
+        let keys = fewest_keys(times.len() - 1, |a, b| (a + 1..b).all(|i| distance(a, b, i) <= off));
+        Motion {
+            times: keys.iter().map(|&k| times[k]).collect(),
+            rotation: keys.iter().map(|&k| poses[k].0.as_vec3().to_array()).collect(),
+            translation: keys.iter().map(|&k| poses[k].1.as_vec3().to_array()).collect(),
+        }
+    }
+}
