@@ -51,7 +51,7 @@ const EMPTY: f32 = 0.5;
 /// The object moves by this many of its radii, or the warm-up does not lose it.
 const MOVES: f64 = 2.0;
 /// When a path counts.
-const RULE: Rule = Rule { near: 0.5, share: 0.6 };
+const RULE: Rule = Rule { near: 0.5, share: 0.6, of_all: 0.4 };
 /// A point is the object's if so many of the photos are opaque there; its superpoints are within as many of its radii.
 const CARVING: Carving = Carving { reach: 1.6, share: 0.9 };
 /// Opacity of its first Gaussians: it is known to be there.

@@ -33,8 +33,11 @@ use crate::train::parameters::with_sh_degree;
 const DIFFERS: f32 = 0.25;
 /// Into so many classes of colour pixels fall; each number is tried. With one they are all alike: objects of many colours.
 const CLASSES: [usize; 4] = [1, 2, 3, 6];
-/// When a path counts.
-const RULE: Rule = Rule { near: 0.75, share: 0.8 };
+/// When a path counts: of an object of several colours not all photos show each.
+const RULE: Rule = Rule { near: 0.75, share: 0.65, of_all: 0.0 };
+/// Then so many of all photos must differ on it, of whatever colour, and so many times as many as with the places of another time.
+const DIFFER: f64 = 0.8;
+const TIMES_CHANCE: f64 = 2.0;
 /// Most objects.
 const MOST: usize = 8;
 /// Pixels of one colour are a part of the object: it may be larger. Points differ in most of the photos.
@@ -146,6 +149,14 @@ impl Difference {
         Look { camera, photo, time: self.time, discs, opaque: 0 }
     }
 
+    /// Whether a place (world) differs; `None` where the photo does not have it.
+    fn differs_at(&self, place: DVec3) -> Option<bool> {
+        let at = self.camera.project(place)?;
+        let inside =
+            at.x >= 0.0 && at.y >= 0.0 && at.x < f64::from(self.camera.width) && at.y < f64::from(self.camera.height);
+        inside.then(|| self.mask[at.y as usize * self.camera.width as usize + at.x as usize])
+    }
+
     /// Leaves no more what is within reach of an object.
     fn take_out(&mut self, track: &Track) {
         let centre = track.places[self.time];
@@ -178,10 +189,22 @@ fn follow(differences: &[Difference], times: usize) -> Option<Followed> {
         let looks: Vec<Look> = differences.iter().map(|d| d.look(colours, *class)).collect();
         let sights: Vec<Sight> = looks.iter().map(Look::sight).collect();
         let track = track(&sights, times, RULE)?;
-        (extent(&track.places) >= MOVES * track.radius).then_some(Followed { track, looks })
+        let counts = extent(&track.places) >= MOVES * track.radius && differ_on(&track, differences);
+        counts.then_some(Followed { track, looks })
     };
     let found: Vec<Option<Followed>> = classes.par_iter().map(path).collect();
     found.into_iter().flatten().rev().max_by_key(|f| f.track.seen.len())
+}
+
+/// Whether photos differ on a path, whatever their colours there, and because it is there then.
+fn differ_on(track: &Track, differences: &[Difference]) -> bool {
+    let times = track.places.len();
+    let share = |later: usize| {
+        let differs = |d: &Difference| d.differs_at(track.places[(d.time + later) % times]);
+        let seen: Vec<bool> = differences.iter().filter_map(differs).collect();
+        seen.iter().filter(|d| **d).count() as f64 / seen.len().max(1) as f64
+    };
+    share(0) >= DIFFER.max(TIMES_CHANCE * share(times / 2))
 }
 
 /// The object as a scene of one part, beside so many Gaussians like `others`; `None` where too few points are its own.

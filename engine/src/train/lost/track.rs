@@ -16,9 +16,8 @@ const ROUNDS: usize = 15;
 const STEPS: usize = 3000;
 /// Radii beyond which two lines of sight of neighbours show different things, however far apart they pass.
 const APART: f64 = 2.0;
-/// Images that must show it: so many, and this share of all.
+/// Images that must show it.
 const FEWEST: usize = 12;
-const SHARE_OF_IMAGES: f64 = 0.4;
 /// Share of them in which it must be about as large as in the middle one, and how much that is.
 const SHARE_OF_SIZES: f64 = 0.6;
 const ABOUT: f64 = 0.35;
@@ -30,6 +29,8 @@ pub(super) struct Rule {
     pub(super) near: f64,
     /// Share of the sights with candidates of which one must belong to it.
     pub(super) share: f64,
+    /// Share of all sights that must.
+    pub(super) of_all: f64,
 }
 
 /// A direction in which an image shows something.
@@ -88,7 +89,7 @@ pub(super) fn track(sights: &[Sight], times: usize, rule: Rule) -> Option<Track>
     let images = sights.len() as f64;
     let enough = found.seen.len() >= FEWEST
         && found.seen.len() as f64 >= rule.share * shown as f64
-        && found.seen.len() as f64 >= SHARE_OF_IMAGES * images;
+        && found.seen.len() as f64 >= rule.of_all * images;
     enough.then_some(Track { places, ..found })
 }
 
@@ -252,7 +253,7 @@ mod tests {
 
     const TIMES: usize = 80;
     const RADIUS: f64 = 0.25;
-    const RULE: Rule = Rule { near: 0.5, share: 0.6 };
+    const RULE: Rule = Rule { near: 0.5, share: 0.6, of_all: 0.4 };
 
     /// A ball that circles and bounces.
     fn place(time: usize) -> DVec3 {
