@@ -149,8 +149,8 @@ fn throw_ball(scene: &mut Scene, ball: usize, which: usize) {
     }
 }
 
-/// Gives the last 80 Gaussians to a superpoint that has no others: a red hand, 0.1 in radius, that moves a little above the others, and a black stick of 0.6 in it, which swings by 60°
-/// to either side twice.
+/// Gives the last 80 Gaussians to a superpoint that has no others: a red hand, 0.1 in radius, that moves a little above the others, and
+/// a black stick of 0.6 in it, which swings by 60° to either side twice.
 fn hold_stick(scene: &mut Scene, superpoint: usize) {
     let first = scene.gaussians.len() - 80;
     if let Some(moved) = scene.deformation.superpoint_deformation_mut() {

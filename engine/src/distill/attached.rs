@@ -20,16 +20,16 @@ use rayon::prelude::*;
 
 use self::look::Look;
 use self::path::Path;
-use self::shape::{Cell, Shape};
+use self::shape::{Cell, HAVE, Shape};
 use super::rigid::Frame;
 use crate::edit::unwrapped;
 use crate::reference::{exp_quaternion, table_poses};
 use crate::scene::{Motion, Scene, SuperpointDeformation, Superpoints};
 use crate::train::bake::fewest_keys;
 use crate::train::config::Config;
-use crate::train::init::Point;
+use crate::train::init::{MID_GREY, Point};
 use crate::train::lost::residual::{Residual, like};
-use crate::train::lost::{FEWEST, LostObject};
+use crate::train::lost::{FEWEST, LostObject, extent};
 use crate::train::rng;
 
 /// Fewest times that tell how something moves.
@@ -141,9 +141,9 @@ fn pivots(scene: &Scene, frames: &[Vec<Frame>], looks: &[Look]) -> Vec<Pivot> {
         let path = Path::of_part(frames, part, points[0]);
         let cell = path.pixel(looks)?;
         let step = f64::from(STRIDE) * cell;
-        let around = |p: &DVec3| Cell::of((*p - points[0]) / step).within(AROUND / STRIDE);
-        let cells: BTreeSet<Cell> = points.iter().flat_map(around).collect();
-        let shares = cells.iter().map(|c| (path.share(c.middle() * step, looks, GROWING, 0.5), c));
+        let own: BTreeSet<Cell> = points.iter().map(|p| Cell::of((*p - points[0]) / step)).collect();
+        let cells: BTreeSet<Cell> = own.into_iter().flat_map(|c| c.within(AROUND / STRIDE)).collect();
+        let shares = cells.iter().map(|c| (path.share(c.middle() * step, looks, GROWING, HAVE), c));
         let (share, best) = shares.max_by(|a, b| a.0.total_cmp(&b.0))?;
         (share >= FIRST_SHARE).then(|| Pivot { part, at: points[0] + best.middle() * step, cell, share })
     };
@@ -173,8 +173,8 @@ fn attached(pivot: Pivot, frames: &[Vec<Frame>], looks: &[Look], times: &[f32]) 
         path.correct(&shape, &used, times);
     }
     let points = shape.points();
-    let held_share = path.held_share(&points, &held, GROWN, 0);
-    let chance = path.held_share(&points, &held, GROWN, times.len() / 2);
+    let held_share = path.mean_share(&points, &held, GROWN, 0);
+    let chance = path.mean_share(&points, &held, GROWN, times.len() / 2);
     if held_share < HELD_SHARE.max(TIMES_CHANCE * chance) || shape.reach() < SHORTEST {
         return None;
     }
@@ -213,7 +213,7 @@ impl Found {
         }
         let point = |p: &DVec3| {
             let position = (self.pivot.at + *p).as_vec3().to_array();
-            Point { position, color: self.path.colour(*p, looks) }
+            Point { position, color: self.path.colour(*p, looks).unwrap_or(MID_GREY) }
         };
         let colored: Vec<Point> = points.par_iter().map(point).collect();
         let superpoints =
@@ -222,15 +222,11 @@ impl Found {
         let seen = looks.iter().filter_map(|look| self.path.share_of(&cells, look, GROWN, 0)).filter(|s| *s >= SHOWN);
         let middle = cells.iter().sum::<DVec3>() / cells.len() as f64;
         let places: Vec<DVec3> = (0..times.len()).map(|time| self.path.place(time, middle)).collect();
-        let sides = |points: &[DVec3]| {
-            let low = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
-            points.iter().copied().reduce(DVec3::max).unwrap_or_default() - low
-        };
         let object = LostObject {
             seen: seen.count(),
             photos: looks.len(),
-            radius: 0.5 * sides(&cells).length(),
-            path: sides(&places).max_element(),
+            radius: 0.5 * extent(&cells),
+            path: extent(&places),
             gaussians: points.len(),
             attached_to: Some(self.pivot.part),
         };

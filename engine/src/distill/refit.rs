@@ -120,8 +120,15 @@ fn add_lost_objects(
 ) -> Result<Vec<LostObject>> {
     let mut added = Vec::new();
     let Some(mut residual) = Residual::new(gpu, student, photos, config)? else { return Ok(added) };
-    let mut found = residual.take_objects(student, config);
-    found.extend(take_attached(&mut residual, student, config));
+    let found = residual.take_objects(student, config);
+    join(student, found, &mut added)?;
+    let found = take_attached(&mut residual, student, config);
+    join(student, found, &mut added)?;
+    Ok(added)
+}
+
+/// Merges objects into the student, as far as there is room for their key times.
+fn join(student: &mut Cow<'_, Scene>, found: Vec<(LostObject, Scene)>, added: &mut Vec<LostObject>) -> Result<()> {
     for (object, part) in found {
         match merge(student.to_mut(), part, &Placement::default()) {
             // No more key times.
@@ -130,7 +137,7 @@ fn add_lost_objects(
         };
         added.push(object);
     }
-    Ok(added)
+    Ok(())
 }
 
 /// Rigid parts in place of the superpoints of a scene with a table; `None` where it has more than `most` Gaussians.

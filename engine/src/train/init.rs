@@ -15,7 +15,7 @@ const MIN_SQUARED_DISTANCE: f64 = 1.0e-7;
 const STREAM_POSITION: u32 = 0x1717_0001;
 /// Colour of points that come from no picture. Random colours would leave near-black points on a black background: nothing
 /// sees them, so nothing prunes them, and superpoints are spent on them (1.9 to 3.7 dB at 2,000 to 3,000 iterations).
-const MID_GREY: [u8; 3] = [128; 3];
+pub(crate) const MID_GREY: [u8; 3] = [128; 3];
 
 /// A coloured point.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -14,7 +14,7 @@ mod colours;
 pub(crate) mod disc;
 pub(super) mod path;
 pub(crate) mod residual;
-mod seed;
+pub(crate) mod seed;
 mod track;
 
 use std::sync::Arc;
@@ -214,7 +214,7 @@ fn distinct_times<'a>(views: impl Iterator<Item = &'a View>) -> Vec<f32> {
 }
 
 /// Longest side of the box around places.
-fn extent(places: &[DVec3]) -> f64 {
+pub(crate) fn extent(places: &[DVec3]) -> f64 {
     let low = places.iter().copied().reduce(DVec3::min).unwrap_or_default();
     let high = places.iter().copied().reduce(DVec3::max).unwrap_or_default();
     (high - low).max_element()

@@ -8,6 +8,7 @@ use super::band::Band;
 use super::look::Look;
 use super::shape::Shape;
 use crate::reference::exp_quaternion;
+use crate::train::lost::seed::median_colour;
 
 /// Cells of an object that pull at its poses.
 const MOST_PULLING: usize = 300;
@@ -78,20 +79,15 @@ impl Path {
     }
 
     /// The same on average over photos.
-    pub(super) fn held_share(&self, points: &[DVec3], looks: &[&Look], within: f32, later: usize) -> f64 {
+    pub(super) fn mean_share(&self, points: &[DVec3], looks: &[&Look], within: f32, later: usize) -> f64 {
         let shares: Vec<f64> = looks.iter().filter_map(|l| self.share_of(points, l, within, later)).collect();
         shares.iter().sum::<f64>() / shares.len().max(1) as f64
     }
 
-    /// The median colour of a point of the part, where photos that differ have it; grey where none does.
-    pub(super) fn colour(&self, point: DVec3, looks: &[Look]) -> [u8; 3] {
+    /// The median colour of a point of the part, where photos that differ have it; `None` where none does.
+    pub(super) fn colour(&self, point: DVec3, looks: &[Look]) -> Option<[u8; 3]> {
         let seen: Vec<[f32; 4]> = looks.iter().filter_map(|l| l.colour(self.place(l.time, point))).collect();
-        let channel = |c: usize| {
-            let mut values: Vec<f32> = seen.iter().map(|rgba| rgba[c]).collect();
-            values.sort_by(f32::total_cmp);
-            values.get(values.len() / 2).map_or(128, |v| (255.0 * v).round() as u8)
-        };
-        std::array::from_fn(channel)
+        median_colour(&seen)
     }
 
     /// One step of Gauss and Newton: the cells of an object come to lie where these photos differ. Times without photos lie between

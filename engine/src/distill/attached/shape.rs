@@ -13,7 +13,7 @@ const FIRST: i32 = 5;
 const STEP: i32 = 3;
 /// A cell is the object's where so many of the photos differ that have it, and so many of all have it.
 const SHARE: f64 = 0.6;
-const HAVE: f64 = 0.5;
+pub(super) const HAVE: f64 = 0.5;
 /// Of the cells as far from the pivot, those are that have at least this much of the best one's share: it is thin.
 const OF_BEST: f64 = 0.9;
 /// Fewest cells.
@@ -44,7 +44,9 @@ impl Cell {
     /// Those at most so far along each axis.
     pub(super) fn within(self, far: i32) -> impl Iterator<Item = Self> {
         let all = -far..=far;
-        let beside = move |x: i32, y: i32, z: i32| Self([self.0[0] + x, self.0[1] + y, self.0[2] + z]);
+        let beside = move |x: i32, y: i32, z: i32| {
+            Self([self.0[0].saturating_add(x), self.0[1].saturating_add(y), self.0[2].saturating_add(z)])
+        };
         let rows = all.clone().flat_map(move |x| (-far..=far).map(move |y| (x, y)));
         rows.flat_map(move |(x, y)| all.clone().map(move |z| beside(x, y, z)))
     }

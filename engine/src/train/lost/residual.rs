@@ -149,14 +149,6 @@ impl Difference {
         Look { camera, photo, time: self.time, discs, opaque: 0 }
     }
 
-    /// Whether a place (world) differs; `None` where the photo does not have it.
-    fn differs_at(&self, place: DVec3) -> Option<bool> {
-        let at = self.camera.project(place)?;
-        let inside =
-            at.x >= 0.0 && at.y >= 0.0 && at.x < f64::from(self.camera.width) && at.y < f64::from(self.camera.height);
-        inside.then(|| self.mask[at.y as usize * self.camera.width as usize + at.x as usize])
-    }
-
     /// Leaves no more what is within reach of an object.
     fn take_out(&mut self, track: &Track) {
         let centre = track.places[self.time];
@@ -185,11 +177,12 @@ fn follow(differences: &[Difference], times: usize) -> Option<Followed> {
         .zip(CLASSES)
         .flat_map(|(colours, count)| (0..count).map(move |class| (colours, class)))
         .collect();
+    let images: Vec<Shown> = differences.iter().map(Difference::shown).collect();
     let path = |(colours, class): &(&Colours, usize)| {
         let looks: Vec<Look> = differences.iter().map(|d| d.look(colours, *class)).collect();
         let sights: Vec<Sight> = looks.iter().map(Look::sight).collect();
         let track = track(&sights, times, RULE)?;
-        let counts = extent(&track.places) >= MOVES * track.radius && differ_on(&track, differences);
+        let counts = extent(&track.places) >= MOVES * track.radius && differ_on(&track.places, &images);
         counts.then_some(Followed { track, looks })
     };
     let found: Vec<Option<Followed>> = classes.par_iter().map(path).collect();
@@ -197,11 +190,11 @@ fn follow(differences: &[Difference], times: usize) -> Option<Followed> {
 }
 
 /// Whether photos differ on a path, whatever their colours there, and because it is there then.
-fn differ_on(track: &Track, differences: &[Difference]) -> bool {
-    let times = track.places.len();
+fn differ_on(places: &[DVec3], images: &[Shown]) -> bool {
+    let times = places.len();
     let share = |later: usize| {
-        let differs = |d: &Difference| d.differs_at(track.places[(d.time + later) % times]);
-        let seen: Vec<bool> = differences.iter().filter_map(differs).collect();
+        let differs = |image: &Shown| image.has(image.camera.project(places[(image.time + later) % times])?);
+        let seen: Vec<bool> = images.iter().filter_map(differs).collect();
         seen.iter().filter(|d| **d).count() as f64 / seen.len().max(1) as f64
     };
     share(0) >= DIFFER.max(TIMES_CHANCE * share(times / 2))
@@ -287,5 +280,33 @@ mod tests {
         assert_eq!(key_places(&places[..1], &times, 0.01), [0]);
         let round: Vec<DVec3> = (0..11).map(|i| DVec3::new((i as f64).cos(), (i as f64).sin(), 0.0)).collect();
         assert_eq!(key_places(&round, &times, 1e-9), (0..11).collect::<Vec<_>>());
+    }
+
+    /// Photos that differ in a square around a place.
+    fn images(shown: impl Fn(usize) -> DVec3) -> Vec<Shown> {
+        let image = |time: usize| {
+            let angle = 2.3 * time as f64;
+            let eye = DVec3::new(4.0 * angle.cos(), 1.0, 4.0 * angle.sin());
+            let camera = Camera::look_at(eye, DVec3::ZERO, DVec3::Y, 0.8, [64, 64]);
+            let at = camera.project(shown(time)).unwrap_or_default();
+            let near =
+                |i: usize| (at - DVec2::new((i % 64) as f64 + 0.5, (i / 64) as f64 + 0.5)).abs().max_element() < 3.0;
+            let photo = Arc::new(Pixels { width: 64, height: 64, rgba: vec![0; 64 * 64] });
+            Shown { camera, photo, mask: (0..64 * 64).map(near).collect(), time }
+        };
+        (0..20).map(image).collect()
+    }
+
+    #[test]
+    fn all_photos_judge_a_path() {
+        let circle = |time: usize| {
+            let angle = std::f64::consts::TAU * time as f64 / 20.0;
+            DVec3::new(angle.cos(), 0.3, angle.sin())
+        };
+        let places: Vec<DVec3> = (0..20).map(circle).collect();
+        assert!(differ_on(&places, &images(circle)));
+        // Not where every fourth photo shows something else, nor where they differ at all times.
+        assert!(!differ_on(&places, &images(|time| circle(if time % 4 == 1 { time + 10 } else { time }))));
+        assert!(!differ_on(&[DVec3::ZERO; 20], &images(|_| DVec3::ZERO)));
     }
 }

@@ -36,7 +36,7 @@ pub(super) struct Carving {
 }
 
 impl Shown {
-    fn has(&self, at: DVec2) -> Option<bool> {
+    pub(super) fn has(&self, at: DVec2) -> Option<bool> {
         let inside =
             at.x >= 0.0 && at.y >= 0.0 && at.x < f64::from(self.photo.width) && at.y < f64::from(self.photo.height);
         inside.then(|| self.mask[at.y as usize * self.photo.width as usize + at.x as usize])
@@ -84,7 +84,11 @@ pub(super) fn colour_of(point: DVec3, track: &Track, images: &[Shown], reference
         let faces = outward.dot((image.camera.position - centre).normalize_or_zero()) >= FACES;
         (faces && image.has(at)?).then(|| sample(&image.photo, at))?
     };
-    let seen: Vec<[f32; 4]> = images.iter().filter_map(shows).collect();
+    median_colour(&images.iter().filter_map(shows).collect::<Vec<_>>())
+}
+
+/// The median of each channel of premultiplied colours; `None` of none.
+pub(crate) fn median_colour(seen: &[[f32; 4]]) -> Option<[u8; 3]> {
     let channel = |c: usize| {
         let mut values: Vec<f32> = seen.iter().map(|rgba| rgba[c]).collect();
         values.sort_by(f32::total_cmp);
