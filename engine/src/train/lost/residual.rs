@@ -33,9 +33,11 @@ use crate::train::parameters::with_sh_degree;
 const DIFFERS: f32 = 0.25;
 /// Into so many classes of colour pixels fall; each number is tried. With one they are all alike: objects of many colours.
 const CLASSES: [usize; 4] = [1, 2, 3, 6];
-/// When a path counts: of an object of several colours not all photos show each.
-const RULE: Rule = Rule { near: 0.75, share: 0.65, of_all: 0.0 };
-/// Then so many of all photos must differ on it, of whatever colour, and so many times as many as with the places of another time.
+/// When a path counts at once: most photos show a disc on it.
+const BY_DISCS: Rule = Rule { near: 0.75, share: 0.8, of_all: 0.4 };
+/// Of an object of several colours not all photos show each. Such a path counts if so many of all photos differ on it, of whatever colour,
+/// and so many times as many as with the places of another time.
+const BY_ALL: Rule = Rule { near: 0.75, share: 0.65, of_all: 0.0 };
 const DIFFER: f64 = 0.8;
 const TIMES_CHANCE: f64 = 2.0;
 /// Most objects.
@@ -181,9 +183,10 @@ fn follow(differences: &[Difference], times: usize) -> Option<Followed> {
     let path = |(colours, class): &(&Colours, usize)| {
         let looks: Vec<Look> = differences.iter().map(|d| d.look(colours, *class)).collect();
         let sights: Vec<Sight> = looks.iter().map(Look::sight).collect();
-        let track = track(&sights, times, RULE)?;
-        let counts = extent(&track.places) >= MOVES * track.radius && differ_on(&track.places, &images);
-        counts.then_some(Followed { track, looks })
+        let track = track(&sights, times, BY_ALL)?;
+        let shown = looks.iter().filter(|look| !look.discs.is_empty()).count();
+        let counts = BY_DISCS.holds(track.seen.len(), shown, looks.len()) || differ_on(&track.places, &images);
+        (counts && extent(&track.places) >= MOVES * track.radius).then_some(Followed { track, looks })
     };
     let found: Vec<Option<Followed>> = classes.par_iter().map(path).collect();
     found.into_iter().flatten().rev().max_by_key(|f| f.track.seen.len())

@@ -33,6 +33,14 @@ pub(super) struct Rule {
     pub(super) of_all: f64,
 }
 
+impl Rule {
+    /// Of a path with so many sights, of so many with candidates, and of all.
+    pub(super) fn holds(&self, seen: usize, shown: usize, all: usize) -> bool {
+        let is_share = |share: f64, of: usize| seen as f64 >= share * of as f64;
+        seen >= FEWEST && is_share(self.share, shown) && is_share(self.of_all, all)
+    }
+}
+
 /// A direction in which an image shows something.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Candidate {
@@ -86,11 +94,7 @@ pub(super) fn track(sights: &[Sight], times: usize, rule: Rule) -> Option<Track>
         reweigh(sights, &places, &mut lines);
     }
     let found = judge(sights, &places, rule.near)?;
-    let images = sights.len() as f64;
-    let enough = found.seen.len() >= FEWEST
-        && found.seen.len() as f64 >= rule.share * shown as f64
-        && found.seen.len() as f64 >= rule.of_all * images;
-    enough.then_some(Track { places, ..found })
+    rule.holds(found.seen.len(), shown, sights.len()).then_some(Track { places, ..found })
 }
 
 /// The candidate of each image with which lines of sight pass nearest to those of the images before and after (Viterbi's
