@@ -70,11 +70,13 @@ impl Bodies {
 
     /// The poses `[M]` of superpoints that stand so, with rotation vectors next to those of `near`.
     pub fn poses(&self, stands: &[Stand], near: &[Pose]) -> Vec<Pose> {
-        let pose = |((center, stand), near): ((&DVec3, &Stand), &Pose)| Pose {
-            rotation: unwrapped(stand.turn, near.rotation),
-            translation: stand.place - stand.turn * *center,
-        };
-        self.center.iter().zip(stands).zip(near).map(pose).collect()
+        stands.iter().zip(near).enumerate().map(|(j, (stand, near))| self.pose_of(j, stand, near)).collect()
+    }
+
+    /// The pose of one superpoint.
+    pub(super) fn pose_of(&self, j: usize, stand: &Stand, near: &Pose) -> Pose {
+        let rotation = unwrapped(stand.turn, near.rotation);
+        Pose { rotation, translation: stand.place - stand.turn * self.center[j] }
     }
 }
 

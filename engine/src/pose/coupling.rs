@@ -9,9 +9,10 @@
 //! with the reach ρ of the smaller one and u world units per pixel. (Sorkine and Alexa 2007, with a rest state from the motion
 //! instead of one shape, so that pairs which training has never seen apart stay together however they stand canonically.)
 
-use glam::{DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 
 use super::bodies::{Bodies, Stand};
+use super::gauss_newton::{Normal, Numbers};
 use super::information::Block;
 use crate::edit::unwrapped;
 use crate::reference::table_poses;
@@ -87,6 +88,30 @@ impl Coupling {
 }
 
 impl Coupling {
+    /// Adds `scale` times the Hessian of the energy, as Gauss–Newton has it.
+    pub(super) fn add_hessian(&self, stands: &[Stand], numbers: &Numbers, scale: f64, normal: &mut Normal) {
+        for p in &self.pairs {
+            let [[turn_j, shift_j], [turn_k, shift_k]] = [numbers.units[p.j], numbers.units[p.k]];
+            let weight = 2.0 * scale * p.weight / shift_j.powi(2);
+            let arm = numbers.axes * (stands[p.j].turn * p.offset);
+            // Changes of the gap and of the twist by the numbers of j and of k.
+            let cross = DMat3::from_cols(arm.cross(DVec3::X), arm.cross(DVec3::Y), arm.cross(DVec3::Z));
+            let gap = [(-cross * turn_j, shift_j), (DMat3::ZERO, -shift_k)];
+            let twist = [-turn_j * p.reach, turn_k * p.reach];
+            for (a, j) in [p.j, p.k].into_iter().enumerate() {
+                for (b, k) in [p.j, p.k].into_iter().enumerate().skip(a) {
+                    let stiff = DMat3::from_diagonal(DVec3::splat(twist[a] * twist[b]));
+                    let parts = [
+                        [gap[a].0.transpose() * gap[b].0 + stiff, gap[a].0.transpose() * gap[b].1],
+                        [gap[b].0 * gap[a].1, DMat3::from_diagonal(DVec3::splat(gap[a].1 * gap[b].1))],
+                    ];
+                    let value = |r: usize, c: usize| weight * parts[r / 3][c / 3].col(c % 3)[r % 3];
+                    normal.add_block(j, k, &std::array::from_fn(|r| std::array::from_fn(|c| value(r, c))));
+                }
+            }
+        }
+    }
+
     /// Adds `scale` times the curvature of the energy to the blocks of turn and shift in units `[turn, shift]`, with the neighbours
     /// held.
     pub(super) fn add_curvature(&self, units: &[[f64; 2]], scale: f64, blocks: &mut [Block]) {
@@ -135,6 +160,7 @@ fn rest(stands: &[Vec<Stand>], j: usize, k: usize) -> (DVec3, DQuat, f64) {
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
+    use crate::pose::information::scaled;
     use crate::scene::synthetic::{Random, moving_scene};
 
     fn energy(coupling: &Coupling, stands: &[Stand], unit: &[f64]) -> f64 {
@@ -168,6 +194,38 @@ mod tests {
                 let close = |a: f64, b: f64| assert!((a - b).abs() <= 1e-6 * (1.0 + a.abs()), "{j} {axis}: {a} {b}");
                 close(by_turn, gradient[j].rotation.dot(axis));
                 close(by_shift, gradient[j].translation.dot(axis));
+            }
+        }
+    }
+
+    /// Where nothing pulls, the gradient is H times a small change.
+    #[test]
+    fn the_hessian_is_that_of_differences_of_the_gradient() {
+        let scene = moving_scene(400, 9, 6, 5, false);
+        let (bodies, motion) = (Bodies::new(&scene), scene.deformation.table().unwrap());
+        let mut coupling = Coupling::new(&bodies, motion);
+        let stands = bodies.stands(&table_poses(motion, 0.4));
+        // At rest: offsets and turns are those of this moment.
+        for p in &mut coupling.pairs {
+            let (a, b) = (stands[p.j], stands[p.k]);
+            (p.offset, p.turn) = (a.turn.conjugate() * (b.place - a.place), a.turn.conjugate() * b.turn);
+        }
+        let mut random = Random::new(8);
+        let axes = DMat3::from_quat(random.rotation());
+        let units: Vec<[f64; 2]> = (0..9).map(|j| [0.03 + 0.001 * f64::from(j), 0.01 + 0.002 * f64::from(j)]).collect();
+        let numbers = Numbers { axes, units };
+        let mut normal = Normal::new(9);
+        coupling.add_hessian(&stands, &numbers, 0.7, &mut normal);
+        let change: Vec<[f64; 6]> = (0..9).map(|_| std::array::from_fn(|_| 1e-4 * random.normal())).collect();
+        let moved: Vec<Stand> = stands.iter().enumerate().map(|(j, s)| numbers.moved(j, s, change[j])).collect();
+        let unit: Vec<f64> = numbers.units.iter().map(|u| u[1]).collect();
+        let mut gradient = vec![Twist::default(); 9];
+        coupling.add(&moved, &unit, 0.7, &mut gradient);
+        let expected = normal.times(&change);
+        for (j, expected) in expected.iter().enumerate() {
+            let found = scaled(gradient[j], axes, &numbers.units[j]);
+            for (found, expected) in found.iter().zip(expected) {
+                assert!((found - expected).abs() <= 3e-4 * (1e-4 + expected.abs()), "{j}: {found} for {expected}");
             }
         }
     }

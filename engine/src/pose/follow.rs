@@ -57,6 +57,7 @@ pub fn follow(
         loss: PhotoLoss::new(gpu, &carrier, loss_options)?,
         coupling: Coupling::new(&bodies, table),
         outline: Outline::new(&carrier),
+        scene: &carrier,
         bodies,
         options,
         table: table.clone(),
@@ -125,6 +126,7 @@ fn carrier(scene: &Scene, solve: Solve) -> Result<Cow<'_, Scene>> {
 
 struct Follower<'a> {
     loss: PhotoLoss<'a>,
+    scene: &'a Scene,
     bodies: Bodies,
     outline: Outline,
     coupling: Coupling,
@@ -153,11 +155,12 @@ impl Follower<'_> {
         let sight = |&i: &usize| Sight::new(&self.loss, &views[i], smallest.unwrap_or(0), &outline);
         let sights = photos.iter().map(sight).collect::<Result<Vec<_>>>()?;
         let mut state = State { stands, sights, poses: start.clone(), start };
-        let mut progress = Progress { time, moment: index, iteration: 0, loss: 0.0 };
+        let mut progress = Progress { time, moment: index, iteration: 0, round: 0, loss: 0.0 };
         let first: Vec<Camera> = state.sights.iter().map(|s| s.camera.clone()).collect();
         let stood = state.stands.clone();
         let mut solver = Solver {
             loss: &mut self.loss,
+            scene: self.scene,
             bodies: &self.bodies,
             coupling: &self.coupling,
             options: self.options,

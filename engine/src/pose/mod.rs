@@ -13,12 +13,15 @@
 //! A superpoint steps in the metric of its own block of Gauss–Newton's JᵀJ and of its coupling, at most by so many pixels of
 //! the size that is looked at, and not further than Newton's step: directions that photos hardly tell (depth in a single one) do not
 //! drift, and those that they tell are not slowed down.
+//!
+//! Where photos then fit well, rounds of Gauss–Newton with derivatives by differences of images go on to the end.
 
 mod adam;
 mod bodies;
 mod coupling;
 mod follow;
 mod gauge;
+mod gauss_newton;
 mod information;
 mod keys;
 mod sight;
@@ -60,6 +63,8 @@ pub struct Options {
     pub init: Option<f64>,
     /// Iterations per time, over all sizes of its photos.
     pub iterations: u32,
+    /// Most rounds of Gauss–Newton after them, where photos fit well and superpoints alone are searched for.
+    pub rounds: u32,
     /// λ_A. It is 30 times as large while photos are small, and less at the end where they fit well.
     pub coupling: f64,
     /// λ_v.
@@ -82,6 +87,7 @@ impl Default for Options {
             solve: Solve::default(),
             init: None,
             iterations: 600,
+            rounds: 8,
             coupling: 3.0,
             smoothness: 0.003,
             lambda_dssim: 0.2,
@@ -102,6 +108,8 @@ pub struct Progress {
     pub moment: usize,
     /// Iterations of this time, from 1.
     pub iteration: u32,
+    /// The round of Gauss–Newton, from 1; 0 before them.
+    pub round: u32,
     /// The latest loss, summed over the photos of this time.
     pub loss: f64,
 }

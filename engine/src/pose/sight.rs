@@ -3,7 +3,9 @@
 use glam::{DMat3, DVec3};
 
 use super::adam::Adam;
+use super::solver::LEAST_DIFFERENCE;
 use crate::data::dataset::View;
+use crate::data::pixels::LEFT_OUT;
 use crate::error::Result;
 use crate::reference::exp;
 use crate::scene::Camera;
@@ -19,6 +21,46 @@ const MOST_HALVINGS: u32 = 4;
 pub(super) struct Size {
     pub(super) pixels: [u32; 2],
     pub(super) photo: DevicePhoto,
+    /// `[H,W]` of the photo.
+    rgba: Vec<u32>,
+}
+
+/// What a photo and an image differ by.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Residual {
+    /// `[H,W,3]` image less photo; 0 where a mask leaves a pixel out.
+    pub(super) difference: Vec<f32>,
+    /// `[H,W,3]` weights with which a sum of squares is that of absolute differences, a third per channel.
+    pub(super) weight: Vec<f32>,
+}
+
+impl Residual {
+    /// Mean square of the values that differ at all; 0 where none does.
+    pub(super) fn mean_square(&self) -> f64 {
+        let differ = self.difference.iter().filter(|d| **d != 0.0);
+        let (sum, count) = differ.fold((0.0, 0.0), |(sum, count), d| (sum + f64::from(*d).powi(2), count + 1.0));
+        sum / f64::max(count, 1.0)
+    }
+}
+
+impl Size {
+    /// From an image `[H,W,3]` over a background.
+    pub(super) fn residual(&self, image: &[f32], background: [f32; 3]) -> Residual {
+        residual(&self.rgba, image, background)
+    }
+}
+
+fn residual(rgba: &[u32], image: &[f32], background: [f32; 3]) -> Residual {
+    let photo = rgba.iter().flat_map(|&pixel| {
+        let [r, g, b, a] = pixel.to_le_bytes().map(f32::from);
+        let values = [0, 1, 2].map(|c| ([r, g, b][c] + (255.0 - a) * background[c]) / 255.0);
+        values.map(|value| (pixel != LEFT_OUT).then_some(value))
+    });
+    let difference: Vec<f32> = image.iter().zip(photo).map(|(i, p)| p.map_or(0.0, |p| i - p)).collect();
+    let mean = difference.iter().map(|d| f64::from(d.abs())).sum::<f64>() / difference.len().max(1) as f64;
+    let smallest = mean.max(LEAST_DIFFERENCE).powi(2);
+    let weight = |d: &f32| (1.0 / (3.0 * (f64::from(*d).powi(2) + smallest).sqrt())) as f32;
+    Residual { weight: difference.iter().map(weight).collect(), difference }
 }
 
 /// A photo, and the camera that is thought to have taken it.
@@ -46,7 +88,7 @@ impl Sight {
         let size = |k: u32| {
             let view = if k == 0 { view.clone() } else { view.reduced(1 << k) };
             let pixels = view.image.decode_for_training()?;
-            Ok(Size { pixels: [pixels.width, pixels.height], photo: loss.photo(&pixels)? })
+            Ok(Size { pixels: [pixels.width, pixels.height], photo: loss.photo(&pixels)?, rgba: pixels.rgba })
         };
         let sizes = (0..=halvings).map(size).collect::<Result<_>>()?;
         let camera = Camera { time: view.time, name: view.name.clone(), ..view.camera.clone() };
@@ -147,4 +189,28 @@ fn is_inside(camera: &Camera, x: DVec3) -> bool {
 
 fn orthonormal(matrix: DMat3) -> DMat3 {
     DMat3::from_quat(glam::DQuat::from_mat3(&matrix).normalize())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn residuals_are_over_the_background_and_without_what_is_left_out() {
+        // Opaque, half transparent (premultiplied), left out.
+        let rgba = [0xff00_80ff, 0x8000_0040, LEFT_OUT];
+        let image = [1.0, 0.5, 0.25, 0.5, 0.5, 0.5, 0.9, 0.9, 0.9];
+        let found = residual(&rgba, &image, [1.0, 0.0, 0.5]);
+        let expected = [0.0, 0.5 - 128.0 / 255.0, 0.25, 0.5 - 191.0 / 255.0, 0.5, 0.5 - 63.5 / 255.0, 0.0, 0.0, 0.0];
+        for (found, expected) in found.difference.iter().zip(expected) {
+            assert!((f64::from(*found) - expected).abs() < 1e-6, "{found} for {expected}");
+        }
+        let mean = found.difference.iter().map(|d| d.abs()).sum::<f32>() / 9.0;
+        for (weight, d) in found.weight.iter().zip(&found.difference) {
+            assert!((weight * 3.0 * d.hypot(mean) - 1.0).abs() < 1e-5, "{weight} at {d}");
+        }
+        let squares: f32 = found.difference.iter().map(|d| d * d).sum();
+        assert!((found.mean_square() - f64::from(squares) / 5.0).abs() < 1e-7);
+        assert_eq!(Residual::default().mean_square(), 0.0);
+    }
 }

@@ -11,6 +11,7 @@ use super::sight::Sight;
 use super::{Options, Progress, Solve, Watch};
 use crate::error::Result;
 use crate::reference::Pose;
+use crate::scene::Scene;
 use crate::train::photo_loss::{PhotoLoss, Twist};
 
 /// Steps in pixels of a size: at the beginning of the smallest and of the others, at their ends, and at the very end.
@@ -25,17 +26,18 @@ const LARGEST_SHIFT: f64 = 2.0;
 /// ones begin. At the end, where photos differ by less than `WELL` (their loss), what they say counts more, by the square.
 const SMALL: &[f64] = &[30.0, 30.0];
 const FULL: &[f64] = &[30.0, 10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003];
-const WELL: f64 = 0.03;
+pub(super) const WELL: f64 = 0.03;
 /// Random images per photo for the metric of steps.
 const METRIC_PROBES: u32 = 16;
 /// What is known least of a superpoint counts as this share of what is known best.
 const RIDGE: f64 = 3e-3;
 /// Least difference of values that a photo of 8 bits leaves.
-const LEAST_DIFFERENCE: f64 = 0.5 / 255.0;
+pub(super) const LEAST_DIFFERENCE: f64 = 0.5 / 255.0;
 
 /// What is searched for at a moment, and what it is searched with.
 pub(super) struct Solver<'s, 'a> {
     pub(super) loss: &'s mut PhotoLoss<'a>,
+    pub(super) scene: &'s Scene,
     pub(super) bodies: &'s Bodies,
     pub(super) coupling: &'s Coupling,
     pub(super) options: &'s Options,
@@ -131,7 +133,7 @@ impl Solver<'_, '_> {
                 gauge::fix(self.bodies, state, self.expected);
             }
         }
-        Ok(true)
+        if self.options.solve == Solve::Superpoints { self.refine(state, progress, watch) } else { Ok(true) }
     }
 
     /// Every photo at full size, where things stand.
@@ -203,12 +205,7 @@ impl Solver<'_, '_> {
 
     /// In which metric each superpoint steps, from what photos of a size say of it, and its neighbours.
     fn metric(&mut self, state: &State, size: usize, loss: f64) -> Result<Vec<Metric>> {
-        let nearest = |x: DVec3| state.sights.iter().map(|s| s.unit_at(size, x)).fold(f64::INFINITY, f64::min);
-        let unit = |(stand, reach): (&Stand, &f64)| {
-            let shift = nearest(stand.place);
-            [(shift / reach).min(LARGEST_TURN), shift]
-        };
-        let units: Vec<[f64; 2]> = state.stands.iter().zip(&self.bodies.reach).map(unit).collect();
+        let units = self.units(state, size);
         let (axes, probes) = (DMat3::IDENTITY, METRIC_PROBES);
         let poses = self.bodies.poses(&state.stands, &state.poses);
         let mut blocks = information(self.loss, &state.stands, &poses, &state.sights, size, axes, &units, probes)?;
@@ -224,13 +221,27 @@ impl Solver<'_, '_> {
         Ok(blocks.iter().zip(&units).map(|pair| metric(pair).unwrap_or_else(|| Metric::plain(*pair.1))).collect())
     }
 
-    /// Adds the gradient of λ Σ (‖x − x̂‖² + ρ²‖log R R̂ᵀ‖²)/u²: what is expected goes on as it went.
-    fn stay_smooth(&self, stands: &[Stand], unit: &[f64], gradient: &mut [Twist]) {
-        let Some(expected) = self.expected else { return };
+    /// Of turn, radians, and shift, world units, of each superpoint: what moves its rim by a pixel of a size.
+    pub(super) fn units(&self, state: &State, size: usize) -> Vec<[f64; 2]> {
+        let nearest = |x: DVec3| state.sights.iter().map(|s| s.unit_at(size, x)).fold(f64::INFINITY, f64::min);
+        let unit = |(stand, reach): (&Stand, &f64)| {
+            let shift = nearest(stand.place);
+            [(shift / reach).min(LARGEST_TURN), shift]
+        };
+        state.stands.iter().zip(&self.bodies.reach).map(unit).collect()
+    }
+
+    /// λ Σ (‖x − x̂‖² + ρ²‖log R R̂ᵀ‖²)/u², whose gradient is added: what is expected goes on as it went.
+    pub(super) fn stay_smooth(&self, stands: &[Stand], unit: &[f64], gradient: &mut [Twist]) -> f64 {
+        let Some(expected) = self.expected else { return 0.0 };
+        let mut energy = 0.0;
         for (j, (stand, expected)) in stands.iter().zip(expected).enumerate() {
             let weight = 2.0 * self.options.smoothness / unit[j].powi(2);
-            let turn = stand.turn_from(expected) * self.bodies.reach[j].powi(2) * weight;
-            gradient[j] = gradient[j] + Twist { rotation: turn, translation: (stand.place - expected.place) * weight };
+            let (turn, way) = (stand.turn_from(expected), stand.place - expected.place);
+            let stiff = self.bodies.reach[j].powi(2) * weight;
+            energy += 0.5 * (stiff * turn.length_squared() + weight * way.length_squared());
+            gradient[j] = gradient[j] + Twist { rotation: turn * stiff, translation: way * weight };
         }
+        energy
     }
 }

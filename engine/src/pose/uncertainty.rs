@@ -15,7 +15,7 @@ use crate::train::photo_loss::PhotoLoss;
 
 /// Change of the image, summed over its values, that a shift by a pixel must make for a superpoint to count as seen: a step of
 /// 8 bits.
-const LEAST_CHANGE: f64 = 1.0 / 255.0;
+pub(super) const LEAST_CHANGE: f64 = 1.0 / 255.0;
 
 /// What photos say of one superpoint.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]

@@ -74,6 +74,13 @@ impl Camera {
         Self { width, height, fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy, ..self.clone() }
     }
 
+    /// A part of the view, from pixel `first` on.
+    #[must_use]
+    pub fn cropped(&self, first: [u32; 2], [width, height]: [u32; 2]) -> Self {
+        let [x, y] = first.map(f64::from);
+        Self { width, height, cx: self.cx - x, cy: self.cy - y, ..self.clone() }
+    }
+
     /// Where the camera sees a point (world units), pixels; `None` behind it.
     pub fn project(&self, point: DVec3) -> Option<DVec2> {
         let p = self.rotation * (point - self.position);

@@ -211,6 +211,42 @@ impl<'a> PhotoLoss<'a> {
         Ok(Evaluation { loss: 0.0, l1: 0.0, ssim: 0.0, mse: 0.0, ..evaluation })
     }
 
+    /// The image `[H,W,3]` that `camera` sees with the superpoints at `poses` `[M]`.
+    ///
+    /// # Errors
+    /// `Limit` and `OutOfMemory` when the view does not fit, `DeviceLost`.
+    pub fn image(&mut self, camera: &Camera, poses: &[Pose]) -> Result<Vec<f32>> {
+        self.write_poses(poses)?;
+        loop {
+            self.prepare(camera)?;
+            let Some(target) = self.targets.get(&[camera.width, camera.height]) else { return Ok(Vec::new()) };
+            let (frame, counters) = (&target.frames[0], &target.work.counters);
+            let mut r = self.gpu.recorder("image");
+            record_forward(&self.gpu, &mut r, &self.buffers, &target.work, frame, &target.shape)?;
+            r.copy(counters.clone(), self.readback.slice(READBACK[0], counters.bytes))?;
+            r.host_read(&self.readback);
+            self.gpu.run(r)?;
+            let mut head = [0; READBACK[1] as usize];
+            self.readback.read(0, &mut head)?;
+            match head.first_chunk().map(capacity::counted).filter(|c| c.overflowed) {
+                Some(counted) => self.make_room(counted.statistics.instances)?,
+                None => {
+                    let rgba: Vec<f32> = bytemuck::pod_collect_to_vec(&self.gpu.download(&frame.color)?);
+                    return Ok(rgba.as_chunks::<4>().0.iter().flat_map(|p| [p[0], p[1], p[2]]).collect());
+                }
+            }
+        }
+    }
+
+    /// Room for this many tile instances.
+    fn make_room(&mut self, instances: u64) -> Result<()> {
+        let limit = capacity::limit(&self.gpu, None).min(u64::from(u32::MAX) / u64::from(ROW_WORDS) / 4);
+        self.capacity = capacity::grown(self.capacity, instances, limit, self.buffers.gaussians)?;
+        self.gpu.upload(&self.status, bytemuck::cast_slice(&status::clear()))?;
+        self.targets.clear();
+        Ok(())
+    }
+
     /// Runs until there is room for the view.
     fn repeat(
         &mut self,
@@ -225,12 +261,7 @@ impl<'a> PhotoLoss<'a> {
             run(self)?;
             match self.outcome(camera, poses, by_camera)? {
                 Attempt::Done(evaluation) => return Ok(evaluation),
-                Attempt::NoRoom(instances) => {
-                    let limit = capacity::limit(&self.gpu, None).min(u64::from(u32::MAX) / u64::from(ROW_WORDS) / 4);
-                    self.capacity = capacity::grown(self.capacity, instances, limit, self.buffers.gaussians)?;
-                    self.gpu.upload(&self.status, bytemuck::cast_slice(&status::clear()))?;
-                    self.targets.clear();
-                }
+                Attempt::NoRoom(instances) => self.make_room(instances)?,
             }
         }
     }

@@ -1,5 +1,6 @@
 //! Scenes that follow photos: gradients against differences of the f64 reference, and what was disturbed comes back.
 
+mod gauss_newton;
 mod trained;
 
 use std::path::Path;
@@ -243,7 +244,8 @@ fn what_fits_no_better_stays_as_it_was() {
     let (time, cameras) = (0.41, cameras(1, [64, 64]));
     let truth = table_poses(scene.deformation.table().unwrap(), time);
     let views = photos(&gpu, &scene, &cameras, time, folder.path());
-    let options = Options { deterministic: true, iterations: 3, coupling: 0.0, probes: 0, ..Options::default() };
+    let options =
+        Options { deterministic: true, iterations: 3, rounds: 0, coupling: 0.0, probes: 0, ..Options::default() };
     let found = run(&gpu, &scene, &views, &options, None);
     let (moment, photo) = (&found.moments[0], &found.moments[0].photos[0]);
     assert!(!moment.is_better && photo.psnr == photo.psnr_before && photo.psnr > 50.0, "{photo:?}");

@@ -33,7 +33,8 @@ fn seen_px(scene: &Scene, shares: &[f64]) -> Vec<f64> {
 }
 
 /// Prints how much of what is seen comes back within 0.1 pixels. Variables: `SPGS_POSE_MODEL` and `SPGS_POSE_DATA` (what it was trained
-/// on), `SPGS_POSE_SIZE` (side of the photos, pixels), `SPGS_POSE_TIMES`.
+/// on), `SPGS_POSE_SIZE` (side of the photos, pixels), `SPGS_POSE_TIMES` (1 or 2), `SPGS_POSE_COUNTS` (1: one photo; 2: one, then three),
+/// `SPGS_POSE_SEED`, `SPGS_POSE_ROUNDS`, `SPGS_POSE_ITERATIONS`, `SPGS_POSE_COUPLING`.
 #[test]
 #[ignore = "a measurement of a trained model: SPGS_POSE_MODEL and SPGS_POSE_DATA name it"]
 fn superpoints_of_a_trained_model_come_back() {
@@ -45,10 +46,11 @@ fn superpoints_of_a_trained_model_come_back() {
     let set = data::load_cameras(Path::new(&path("SPGS_POSE_DATA")), Some("test"), Some([size, size])).unwrap();
     let extent = 2.5 * variable("SPGS_POSE_EXTENT", 1.0);
     let reach = Bodies::new(&scene).reach;
+    let seed = variable("SPGS_POSE_SEED", 5.0) as u64;
     for time in [0.41, 0.73].into_iter().take(variable("SPGS_POSE_TIMES", 2.0) as usize) {
         let truth = table_poses(scene.deformation.table().unwrap(), time);
-        let start = disturbed_by(&scene, &truth, 5.0, 0.02 * extent, 5);
-        for count in [1, 3] {
+        let start = disturbed_by(&scene, &truth, 5.0, 0.02 * extent, seed);
+        for count in [1, 3].into_iter().take(variable("SPGS_POSE_COUNTS", 2.0) as usize) {
             let step = set.cameras.len() / 3;
             let cameras: Vec<Camera> = set.cameras.iter().step_by(step).take(count).cloned().collect();
             let views = photos(&gpu, &scene, &cameras, time, folder.path());
@@ -56,6 +58,7 @@ fn superpoints_of_a_trained_model_come_back() {
             let mut options = Options { probes: 0, ..Options::default() };
             options.coupling = variable("SPGS_POSE_COUPLING", options.coupling);
             options.iterations = variable("SPGS_POSE_ITERATIONS", f64::from(options.iterations)) as u32;
+            options.rounds = variable("SPGS_POSE_ROUNDS", f64::from(options.rounds)) as u32;
             let found = run(&gpu, &scene, &views, &options, Some(&start));
             let seconds = begun.elapsed().as_secs_f64();
             let poses = table_poses(found.scene.deformation.table().unwrap(), time);

@@ -100,7 +100,8 @@ fn search(gpu: &Gpu, scene: &Scene, views: &[View], options: &Options, quiet: bo
     let interrupt = Interrupt::watch("Ctrl-C ends the program at once");
     let mut watch = |p: &Progress| {
         bar.set_position(p.moment as u64);
-        bar.set_message(format!("time {:.4}, iteration {}, loss {:.4}", p.time, p.iteration, p.loss));
+        let place = if p.round > 0 { format!("round {}", p.round) } else { format!("iteration {}", p.iteration) };
+        bar.set_message(format!("time {:.4}, {place}, loss {:.4}", p.time, p.loss));
         !interrupt.is_set()
     };
     let found = follow(gpu, scene, views, options, None, &mut watch);
@@ -179,6 +180,7 @@ fn options(args: &PoseArgs, trained: Option<&Config>) -> Options {
         solve: args.solve.into(),
         init: args.init,
         iterations: args.iterations,
+        rounds: args.rounds,
         coupling: args.coupling,
         smoothness: args.smoothness,
         background: args.background.or(trained.map(|c| c.background)).unwrap_or(usual.background),
