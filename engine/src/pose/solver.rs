@@ -26,7 +26,7 @@ const LARGEST_SHIFT: f64 = 2.0;
 /// ones begin. At the end, where photos differ by less than `WELL` (their loss), what they say counts more, by the square.
 const SMALL: &[f64] = &[30.0, 30.0];
 const FULL: &[f64] = &[30.0, 10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003];
-pub(super) const WELL: f64 = 0.03;
+const WELL: f64 = 0.03;
 /// Random images per photo for the metric of steps.
 const METRIC_PROBES: u32 = 16;
 /// What is known least of a superpoint counts as this share of what is known best.

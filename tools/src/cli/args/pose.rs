@@ -42,7 +42,7 @@ pub struct PoseArgs {
     /// Iterations per time, over all sizes of its photos
     #[arg(long, value_name = "N", default_value_t = 600, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub iterations: u32,
-    /// Most rounds of Gauss-Newton after them, where photos fit well; with --solve superpoints
+    /// Most rounds of Gauss-Newton after them, where photos fit to 37 dB or so; with --solve superpoints
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(..=1000))]
     pub rounds: u32,
     /// How much superpoints hold on to their neighbours
