@@ -46,16 +46,12 @@ use crate::error::Result;
 use crate::scene::Scene;
 
 /// Keeps the Gaussians of `mask` `[N]`, with all that belongs to them. Superpoints keep their numbers.
-///
-/// # Errors
-/// None that a mask of the right length can cause.
-pub fn keep(scene: &mut Scene, mask: &[bool]) -> Result<Touched> {
-    let indices: Vec<usize> = (0..mask.len()).filter(|&i| mask[i]).collect();
-    let gaussians = mask.len() - indices.len();
+pub fn keep(scene: &mut Scene, mask: &[bool]) -> Touched {
+    let gaussians = mask.iter().filter(|kept| !**kept).count();
     if gaussians > 0 {
-        rows::take(scene, &indices)?;
+        scene.retain(mask);
     }
-    Ok(Touched { gaussians, ..Touched::default() })
+    Touched { gaussians, ..Touched::default() }
 }
 
 /// Adds copies of the Gaussians of `mask` after all others; they move with the same superpoints until an edit splits these.
@@ -63,10 +59,9 @@ pub fn keep(scene: &mut Scene, mask: &[bool]) -> Result<Touched> {
 /// # Errors
 /// [`crate::Error::Usage`] in a model that a deformation field moves.
 pub fn duplicate(scene: &mut Scene, mask: &[bool]) -> Result<Touched> {
-    let indices: Vec<usize> = (0..mask.len()).chain((0..mask.len()).filter(|&i| mask[i])).collect();
-    let gaussians = indices.len() - mask.len();
-    if gaussians > 0 {
-        rows::take(scene, &indices)?;
+    let indices: Vec<usize> = (0..mask.len()).filter(|&i| mask[i]).collect();
+    if !indices.is_empty() {
+        rows::repeat(scene, &indices)?;
     }
-    Ok(Touched { gaussians, ..Touched::default() })
+    Ok(Touched { gaussians: indices.len(), ..Touched::default() })
 }

@@ -4,48 +4,66 @@ use bytemuck::Pod;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::scene::{Association, Blend, Deformation, Scene, SuperpointDeformation, Superpoints};
+use crate::scene::gaussians::repeat_chunks;
+use crate::scene::{Association, Blend, Deformation, Gaussians, Scene, SuperpointDeformation, Superpoints};
 
-/// Makes the scene one of the Gaussians at `indices`, in this order; one may be there several times. Superpoints, poses and
-/// networks stay. With a deformation field each may be there once, and in its old order.
+/// Adds copies of the Gaussians at `indices` after all others, with all that belongs to them, in this order. Superpoints, poses
+/// and networks stay.
 ///
 /// # Errors
-/// [`Error::Usage`] for copies of Gaussians that a deformation field moves.
-pub(crate) fn take(scene: &mut Scene, indices: &[usize]) -> Result<()> {
-    let n = scene.gaussians.len();
+/// [`Error::Usage`] for Gaussians that a deformation field moves.
+pub(crate) fn repeat(scene: &mut Scene, indices: &[usize]) -> Result<()> {
     match &mut scene.deformation {
         Deformation::None | Deformation::Nonrigid(_) => {}
-        Deformation::Superpoints(s) => take_superpoints(s, indices),
-        Deformation::Field(_) if indices.windows(2).all(|w| w[0] < w[1]) => {
-            let mut keep = vec![false; n];
-            indices.iter().for_each(|&i| keep[i] = true);
-            scene.deformation.retain(&keep);
-        }
+        Deformation::Superpoints(s) => repeat_superpoints(s, indices),
         Deformation::Field(_) => return Err(is_field("copies of Gaussians")),
     }
-    scene.gaussians = scene.gaussians.selected(indices);
-    let rows = scene.extra.iter_mut().filter(|(name, t)| name.starts_with("gaussians.") && t.shape.first() == Some(&n));
-    for (_, tensor) in rows {
-        let width: usize = tensor.shape[1..].iter().product();
-        tensor.data = pick(&tensor.data, width, indices);
-        tensor.shape[0] = indices.len();
+    for tensor in scene.extra_of_gaussians() {
+        let width = tensor.shape[1..].iter().product();
+        repeat_chunks(&mut tensor.data, width, indices);
+        tensor.shape[0] += indices.len();
     }
+    scene.gaussians.repeat(indices);
     Ok(())
 }
 
-/// The Gaussians at `indices` as a scene of their own, moved as before. Only for scenes without a deformation field.
+/// The Gaussians at `indices` as a scene of their own, moved as before, without colours. Only for scenes without a deformation
+/// field.
 pub(crate) fn part(scene: &Scene, indices: &[usize]) -> Scene {
     let mut deformation = scene.deformation.clone();
     if let Deformation::Superpoints(s) = &mut deformation {
         take_superpoints(s, indices);
     }
-    Scene { gaussians: scene.gaussians.selected(indices), deformation, ..Scene::default() }
+    let g = &scene.gaussians;
+    let gaussians = Gaussians {
+        mean: pick(&g.mean, 1, indices),
+        log_scale: pick(&g.log_scale, 1, indices),
+        rotation: pick(&g.rotation, 1, indices),
+        opacity_logit: pick(&g.opacity_logit, 1, indices),
+        sh_degree: 0,
+        sh: vec![0.0; 3 * indices.len()],
+        optional: g.optional.selected(indices),
+        antialiased: g.antialiased,
+    };
+    Scene { gaussians, deformation, ..Scene::default() }
 }
 
 /// What says that a deformation field cannot follow.
 pub(crate) fn is_field(found: &str) -> Error {
     let expected = "a key-time table: `spgs convert --bake` makes one";
     Error::usage("edit", format!("{found} in a model that a deformation field moves"), expected)
+}
+
+fn repeat_superpoints(s: &mut SuperpointDeformation, indices: &[usize]) {
+    repeat_chunks(&mut s.superpoints.of_gaussian, 1, indices);
+    if let Some(b) = &mut s.blend {
+        repeat_chunks(&mut b.index, b.neighbors, indices);
+        repeat_chunks(&mut b.weight, b.neighbors, indices);
+    }
+    if let Some(a) = &mut s.association {
+        repeat_chunks(&mut a.neighbor, a.neighbors, indices);
+        repeat_chunks(&mut a.logit, a.neighbors, indices);
+    }
 }
 
 fn take_superpoints(s: &mut SuperpointDeformation, indices: &[usize]) {

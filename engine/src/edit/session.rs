@@ -158,11 +158,11 @@ impl Session {
             }
             Action::Delete => {
                 let rest: Vec<bool> = self.mask()?.iter().map(|m| !m).collect();
-                return self.keep(&rest);
+                return Ok(self.keep(&rest));
             }
             Action::Keep => {
                 let kept = self.kept()?;
-                return self.keep(&kept);
+                return Ok(self.keep(&kept));
             }
             Action::Duplicate => {
                 let mask = self.mask()?.to_vec();
@@ -322,10 +322,10 @@ impl Session {
     }
 
     /// Keeps Gaussians, and what selections say of them.
-    fn keep(&mut self, mask: &[bool]) -> Result<Touched> {
-        let touched = keep(&mut self.scene, mask)?;
+    fn keep(&mut self, mask: &[bool]) -> Touched {
+        let touched = keep(&mut self.scene, mask);
         self.masks.keep(mask);
-        Ok(touched)
+        touched
     }
 
     fn select_last(&mut self, count: usize) {

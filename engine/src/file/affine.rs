@@ -143,16 +143,18 @@ fn turn_row(sh: &mut [f32], matrix: &[[f64; 16]; 16], degree: usize) {
     }
 }
 
-/// The `COUNT` coefficients from `FIRST` on; loops of a known length are unrolled.
+/// The `COUNT` coefficients from `FIRST` on; loops of a known length are unrolled, and sums stay in registers.
 #[inline(always)]
 fn turn_band<const FIRST: usize, const COUNT: usize>(sh: &mut [f32], old: &[[f64; 4]; 16], matrix: &[[f64; 16]; 16]) {
-    for k in FIRST..FIRST + COUNT {
-        let mut sum = [0.0; 4];
-        for j in FIRST..FIRST + COUNT {
-            (0..4).for_each(|c| sum[c] += matrix[k][j] * old[j][c]);
+    let mut sums = [[0.0; 4]; COUNT];
+    for j in FIRST..FIRST + COUNT {
+        for (k, sum) in sums.iter_mut().enumerate() {
+            let factor = matrix[FIRST + k][j];
+            (0..4).for_each(|c| sum[c] += factor * old[j][c]);
         }
-        (0..3).for_each(|c| sh[3 * k + c] = sum[c] as f32);
     }
+    let rows = sh.as_chunks_mut::<3>().0[FIRST..].iter_mut().zip(&sums);
+    rows.for_each(|(row, sum)| *row = [sum[0] as f32, sum[1] as f32, sum[2] as f32]);
 }
 
 #[cfg(test)]

@@ -37,7 +37,6 @@ use std::path::Path;
 
 use crate::error::{Error, Result};
 use crate::gpu::mmap::map_file;
-use crate::scene::gaussians::retain_chunks;
 use crate::scene::{Gaussians, Rejected, Scene};
 
 pub use describe::{Description, describe};
@@ -123,7 +122,7 @@ fn clean(mut scene: Scene, mut warnings: Vec<String>, path: &Path) -> Loaded {
     let n = scene.gaussians.len();
     let keep: Vec<bool> = (0..n).map(|i| scene.gaussians.is_valid(i, &mut rejected)).collect();
     if rejected.total() > 0 {
-        retain(&mut scene, &keep);
+        scene.retain(&keep);
         warnings.push(format!(
             "{}: {} of {n} Gaussians are skipped: {} not finite, {} with a zero rotation, {} with an absurd scale, {} out of range",
             path.display(),
@@ -138,21 +137,4 @@ fn clean(mut scene: Scene, mut warnings: Vec<String>, path: &Path) -> Loaded {
         warnings.push(format!("{}: the model has no Gaussian: images will be empty", path.display()));
     }
     Loaded { scene, rejected, warnings }
-}
-
-/// Keeps some Gaussians, with all that belongs to them.
-fn retain(scene: &mut Scene, keep: &[bool]) {
-    scene.gaussians.retain(keep);
-    scene.deformation.retain(keep);
-    let per_gaussian = scene
-        .extra
-        .iter_mut()
-        .filter(|(name, t)| name.starts_with("gaussians.") && t.shape.first() == Some(&keep.len()));
-    for (_, tensor) in per_gaussian {
-        let width: usize = tensor.shape[1..].iter().product();
-        if width > 0 {
-            retain_chunks(&mut tensor.data, width, keep);
-        }
-        tensor.shape[0] = keep.iter().filter(|&&k| k).count();
-    }
 }

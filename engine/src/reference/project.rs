@@ -139,9 +139,14 @@ pub struct Splat {
 impl Splat {
     /// α at a point of the image, before the 1/255 test.
     pub fn alpha(&self, point: DVec2) -> f64 {
+        (self.opacity * (-0.5 * self.square(point)).exp()).min(super::ALPHA_MAX)
+    }
+
+    /// dᵀΣ₂⁻¹d of a point of the image.
+    pub(crate) fn square(&self, point: DVec2) -> f64 {
         let d = point - self.mean;
         let (u, v) = (self.factor[0] * d.x + self.factor[1] * d.y, self.factor[2] * d.y);
-        (self.opacity * (-0.5 * (u * u + v * v)).exp()).min(super::ALPHA_MAX)
+        u * u + v * v
     }
 }
 

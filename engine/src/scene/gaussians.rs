@@ -287,20 +287,46 @@ impl Gaussians {
     /// Keeps the Gaussians for which `keep` holds, in order.
     pub fn retain(&mut self, keep: &[bool]) {
         let k3 = self.sh_coefficients() * 3;
-        retain_chunks(&mut self.mean, 1, keep);
-        retain_chunks(&mut self.log_scale, 1, keep);
-        retain_chunks(&mut self.rotation, 1, keep);
-        retain_chunks(&mut self.opacity_logit, 1, keep);
-        retain_chunks(&mut self.sh, k3, keep);
-        self.optional.retain(keep);
+        let others = || {
+            retain_chunks(&mut self.mean, 1, keep);
+            retain_chunks(&mut self.log_scale, 1, keep);
+            retain_chunks(&mut self.rotation, 1, keep);
+            retain_chunks(&mut self.opacity_logit, 1, keep);
+            self.optional.retain(keep);
+        };
+        rayon::join(|| retain_chunks(&mut self.sh, k3, keep), others);
+    }
+
+    /// Adds copies of those at `indices`, in this order.
+    pub(crate) fn repeat(&mut self, indices: &[usize]) {
+        let k3 = self.sh_coefficients() * 3;
+        let others = || {
+            repeat_chunks(&mut self.mean, 1, indices);
+            repeat_chunks(&mut self.log_scale, 1, indices);
+            repeat_chunks(&mut self.rotation, 1, indices);
+            repeat_chunks(&mut self.opacity_logit, 1, indices);
+            self.optional.repeat(indices);
+        };
+        rayon::join(|| repeat_chunks(&mut self.sh, k3, indices), others);
     }
 }
 
 /// Keeps chunk i (of `width` elements) of `values` where `keep[i]`.
-pub(crate) fn retain_chunks<T>(values: &mut Vec<T>, width: usize, keep: &[bool]) {
-    let mut index = 0;
-    values.retain(|_| {
-        index += 1;
-        keep.get((index - 1) / width).copied().unwrap_or(false)
-    });
+pub(crate) fn retain_chunks<T: Copy>(values: &mut Vec<T>, width: usize, keep: &[bool]) {
+    let (mut to, mut at) = (0, 0);
+    for run in keep.chunk_by(|a, b| a == b) {
+        let end = (at + run.len() * width).min(values.len());
+        if run[0] {
+            values.copy_within(at..end, to);
+            to += end - at;
+        }
+        at = end;
+    }
+    values.truncate(to);
+}
+
+/// Adds copies of chunks (of `width` elements) of `values`, in this order.
+pub(crate) fn repeat_chunks<T: Copy>(values: &mut Vec<T>, width: usize, indices: &[usize]) {
+    values.reserve_exact(indices.len() * width);
+    indices.iter().for_each(|&i| values.extend_from_within(i * width..(i + 1) * width));
 }

@@ -12,6 +12,7 @@ pub mod synthetic;
 
 use std::collections::BTreeMap;
 
+use self::gaussians::retain_chunks;
 use self::parameter::LIFESPAN;
 
 pub use camera::Camera;
@@ -53,5 +54,24 @@ impl Scene {
     /// First and last time: of what moves; 0 and 1 where Gaussians only come and go; both 0 in a scene that stands still.
     pub fn time_range(&self) -> [f64; 2] {
         if self.is_dynamic() && !self.deformation.moves() { [0.0, 1.0] } else { self.deformation.time_range() }
+    }
+
+    /// Keeps the Gaussians for which `keep` holds, in order, with all that belongs to them. Superpoints keep their numbers.
+    pub fn retain(&mut self, keep: &[bool]) {
+        for tensor in self.extra_of_gaussians() {
+            let width = tensor.shape[1..].iter().product();
+            retain_chunks(&mut tensor.data, width, keep);
+            tensor.shape[0] = keep.iter().filter(|kept| **kept).count();
+        }
+        self.gaussians.retain(keep);
+        self.deformation.retain(keep);
+    }
+
+    /// Further tensors with a row for each Gaussian.
+    pub(crate) fn extra_of_gaussians(&mut self) -> impl Iterator<Item = &mut Tensor> {
+        let n = self.gaussians.len();
+        let of_gaussians =
+            move |(name, t): &(&String, &mut Tensor)| name.starts_with("gaussians.") && t.shape.first() == Some(&n);
+        self.extra.iter_mut().filter(of_gaussians).map(|(_, tensor)| tensor)
     }
 }

@@ -29,14 +29,14 @@ impl Change {
             let kept = before.keeps_gaussians.then(|| Kept::take(&mut session.scene.gaussians));
             let (mut now, mut then) = (Columns::take(&mut session.scene), Columns::take(&mut scene));
             let sh = before.colors.is_some().then(|| (now.numbers.remove(SH), then.numbers.remove(SH)).0).flatten();
-            change.numbers = differences(&now.numbers, &then.numbers);
+            change.numbers = differences(&now.numbers, then.numbers);
             if let (Some(sh), Some(colors)) = (sh, before.colors) {
                 if colors.changes(bytemuck::cast_slice(&sh.0)) {
                     change.numbers.push((SH, colors));
                 }
                 now.numbers.insert(SH, sh);
             }
-            change.indices = differences(&now.indices, &then.indices);
+            change.indices = differences(&now.indices, then.indices);
             change.rest = (scene != session.scene).then(|| Box::new(scene));
             now.put(&mut session.scene);
             if let Some(kept) = kept {
@@ -87,22 +87,25 @@ impl Change {
 
 type Named<T> = std::collections::BTreeMap<&'static str, (Vec<T>, usize)>;
 
-fn differences<T: Pod + Sync>(now: &Named<T>, then: &Named<T>) -> Vec<(&'static str, Splices)> {
-    let names: std::collections::BTreeSet<&'static str> = now.keys().chain(then.keys()).copied().collect();
+fn differences<T: Pod + Send + Sync>(now: &Named<T>, mut then: Named<T>) -> Vec<(&'static str, Splices)> {
+    for name in now.keys() {
+        then.entry(name).or_default();
+    }
     let nothing = (Vec::new(), 0);
-    let of = |name: &'static str| {
-        let [(here, a), (there, b)] = [now, then].map(|named| named.get(name).unwrap_or(&nothing));
+    let of = |(name, (there, b)): (&'static str, (Vec<T>, usize))| {
+        let (here, a) = now.get(name).unwrap_or(&nothing);
         // Rows of other widths have nothing in common.
-        let width = if *a == *b {
-            *a
-        } else if *a.min(b) == 0 {
-            *a.max(b)
+        let width = if *a == b {
+            b
+        } else if b.min(*a) == 0 {
+            b.max(*a)
         } else {
             1
         };
-        Some((name, Splices::between(bytemuck::cast_slice(here), bytemuck::cast_slice(there), width)?))
+        let there = bytemuck::try_cast_vec(there).unwrap_or_else(|(_, there)| bytemuck::pod_collect_to_vec(&there));
+        Some((name, Splices::between(bytemuck::cast_slice(here), there, width)?))
     };
-    names.into_par_iter().filter_map(of).collect()
+    then.into_par_iter().filter_map(of).collect()
 }
 
 /// Masks that were others.

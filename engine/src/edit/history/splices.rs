@@ -30,24 +30,29 @@ pub(super) struct Splices {
 impl Splices {
     /// What makes `there` of `here`, both of rows of `width` words; `None` of equal arrays. Rows that were only added, only taken
     /// away or only changed are found one by one; else everything between the first and the last difference is stored.
-    pub(super) fn between(here: &[u32], there: &[u32], width: usize) -> Option<Self> {
-        if here == there {
+    pub(super) fn between(here: &[u32], there: Vec<u32>, width: usize) -> Option<Self> {
+        if *here == there {
             return None;
         }
         let runs = match here.len().cmp(&there.len()) {
-            std::cmp::Ordering::Equal => Some(changed(here, there, width)),
-            std::cmp::Ordering::Less => additional(here, there, width),
-            std::cmp::Ordering::Greater => additional(there, here, width).map(inverse),
+            std::cmp::Ordering::Equal => Some(changed(here, &there, width)),
+            std::cmp::Ordering::Less => additional(here, &there, width),
+            std::cmp::Ordering::Greater => additional(&there, here, width).map(inverse),
         };
-        let runs = runs.unwrap_or_else(|| middle(here, there, width));
-        let (mut at, mut stored) = (0, Vec::new());
-        for run in &runs {
+        let runs = runs.unwrap_or_else(|| middle(here, &there, width));
+        let made = Self { width, runs, stored: Vec::new() };
+        let count = made.words(|run| run.there);
+        if count == there.len() {
+            return Some(Self { stored: there, ..made });
+        }
+        let (mut at, mut stored) = (0, Vec::with_capacity(count));
+        for run in &made.runs {
             at += run.same as usize * width;
             let end = at + run.there as usize * width;
             stored.extend_from_slice(&there[at..end]);
             at = end;
         }
-        Some(Self { width, runs, stored })
+        Some(Self { stored, ..made })
     }
 
     /// What brings back rows of `now` that a change is about to overwrite.
@@ -71,9 +76,16 @@ impl Splices {
         if self.runs.iter().all(|run| run.here == run.there) {
             return self.swap_in_place(bytemuck::cast_slice_mut(values));
         }
+        // New arrays cost more than their copies: all their pages are new.
+        if self.runs.iter().all(|run| run.there == 0) {
+            return self.take_away(values);
+        }
+        if self.runs.iter().all(|run| run.here == 0) {
+            return self.put_in(values);
+        }
         let old: &[u32] = bytemuck::cast_slice(values);
         let words = |rows: u32| rows as usize * self.width;
-        let gone = self.runs.iter().map(|run| words(run.here)).sum();
+        let gone = self.words(|run| run.here);
         let (mut made, mut stored) = (vec![0; old.len() - gone + self.stored.len()], vec![0; gone]);
         let (mut pieces, mut to, mut out) = (Vec::new(), made.as_mut_slice(), stored.as_mut_slice());
         let (mut at, mut from) = (0, 0);
@@ -88,6 +100,43 @@ impl Splices {
         pieces.into_par_iter().for_each(|(to, from)| to.copy_from_slice(from));
         *values = bytemuck::try_cast_vec(made).unwrap_or_else(|(_, made)| bytemuck::pod_collect_to_vec(&made));
         (self.runs, self.stored) = (inverse(std::mem::take(&mut self.runs)), stored);
+    }
+
+    /// Stores the rows of this array only, and moves the others together.
+    fn take_away<T: Pod>(&mut self, values: &mut Vec<T>) {
+        let (mut at, mut to, mut stored) = (0, 0, Vec::with_capacity(self.words(|run| run.here)));
+        for run in &self.runs {
+            let [same, here] = [run.same, run.here].map(|rows| rows as usize * self.width);
+            values.copy_within(at..at + same, to);
+            stored.extend_from_slice(bytemuck::cast_slice(&values[at + same..at + same + here]));
+            (at, to) = (at + same + here, to + same);
+        }
+        values.copy_within(at.., to);
+        values.truncate(to + values.len() - at);
+        (self.runs, self.stored) = (inverse(std::mem::take(&mut self.runs)), stored);
+    }
+
+    /// Makes room for the rows that are stored, from the last one on, and puts them in.
+    fn put_in<T: Pod>(&mut self, values: &mut Vec<T>) {
+        let same = self.words(|run| run.same);
+        let (mut end, mut from) = (values.len(), self.stored.len());
+        values.reserve_exact(from);
+        values.resize(end + from, T::zeroed());
+        let mut to = values.len();
+        values.copy_within(same..end, same + from);
+        (to, end) = (to - (end - same), same);
+        for run in self.runs.iter().rev() {
+            let [same, there] = [run.same, run.there].map(|rows| rows as usize * self.width);
+            (to, from) = (to - there, from - there);
+            values[to..to + there].copy_from_slice(bytemuck::cast_slice(&self.stored[from..from + there]));
+            (to, end) = (to - same, end - same);
+            values.copy_within(end..end + same, to);
+        }
+        (self.runs, self.stored) = (inverse(std::mem::take(&mut self.runs)), Vec::new());
+    }
+
+    fn words(&self, of: impl Fn(&Run) -> u32) -> usize {
+        self.runs.iter().map(|run| of(run) as usize * self.width).sum()
     }
 
     fn swap_in_place(&mut self, values: &mut [u32]) {
@@ -231,7 +280,7 @@ mod tests {
         for (a, b) in
             [(&long, &cut), (&cut, &long), (&long, &patched), (&cut, &patched), (&other, &long), (&long, &vec![])]
         {
-            let mut splices = Splices::between(a, b, 2).unwrap();
+            let mut splices = Splices::between(a, b.clone(), 2).unwrap();
             sizes.push(splices.stored.len());
             let mut values = a.clone();
             for expected in [b, a, b, a] {
@@ -241,10 +290,10 @@ mod tests {
         }
         // Only what differs is stored.
         assert_eq!(sizes[..3], [0, 14, 6]);
-        assert!(Splices::between(&long, &long, 2).is_none());
+        assert!(Splices::between(&long, long.clone(), 2).is_none());
         // Bits count, not values.
         let zeros = [0.0_f32, -0.0].map(f32::to_bits);
-        let mut signs = Splices::between(&zeros, &[0, 0], 1).unwrap();
+        let mut signs = Splices::between(&zeros, vec![0, 0], 1).unwrap();
         let mut values = vec![0.0_f32, -0.0];
         signs.swap(&mut values);
         assert!(values.iter().all(|v| v.is_sign_positive()));

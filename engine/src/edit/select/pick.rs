@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::blocks::Blocks;
+use super::blocks::{Blocks, Reaching, SIDE};
 use crate::edit::{centers, rows};
 use crate::error::{Error, Result};
 use crate::reference::{ALPHA_MIN, Parameters, ReferenceOptions, Splat, TRANSMITTANCE_MIN, place_scene, project};
@@ -48,7 +48,7 @@ pub fn click(view: &View<'_>, point: [f64; 2], depth: Depth) -> Result<Vec<bool>
     // A point belongs to its pixel, which is drawn at its centre.
     let centre = DVec2::new(x.floor() + 0.5, y.floor() + 0.5);
     let splats = splats(view, [centre, centre])?;
-    let seen: Vec<&Splat> = splats.iter().collect();
+    let seen: Vec<Reaching<'_>> = splats.iter().map(Reaching::new).collect();
     let mut mask = vec![false; view.scene.gaussians.len()];
     let Some(surface) = surface(&seen, centre) else {
         return Err(Error::usage("click", format!("nothing at {x},{y}"), "a pixel where something is seen"));
@@ -56,8 +56,8 @@ pub fn click(view: &View<'_>, point: [f64; 2], depth: Depth) -> Result<Vec<bool>
     match depth {
         Depth::Surface => mask[surface.index] = true,
         Depth::Behind(most) => {
-            let touched = seen.iter().filter(|s| s.alpha(centre) >= ALPHA_MIN && s.depth <= surface.depth + most);
-            touched.for_each(|s| mask[s.index] = true);
+            let touched = seen.iter().filter(|s| s.alpha(centre).is_some() && s.splat.depth <= surface.depth + most);
+            touched.for_each(|s| mask[s.splat.index] = true);
         }
     }
     Ok(mask)
@@ -133,9 +133,15 @@ fn region(view: &View<'_>, area: &Area, inside: &(dyn Fn(DVec2) -> bool + Sync),
     let rows: Vec<Vec<Option<&Splat>>> = (y[0] as usize..y[1] as usize)
         .into_par_iter()
         .map(|row| {
-            let y = row as f64 + 0.5;
-            let seen = |at: DVec2| if inside(at) { surface(blocks.at(at), at) } else { None };
-            (0..columns).map(|column| seen(DVec2::new(x[0] + column as f64 + 0.5, y))).collect()
+            let at = |column: usize| DVec2::new(x[0] + column as f64 + 0.5, row as f64 + 0.5);
+            let (mut near, mut seen) = (Vec::new(), Vec::with_capacity(columns));
+            for first in (0..columns).step_by(SIDE) {
+                near.clear();
+                near.extend(blocks.in_row(at(first)));
+                let block = (first..columns.min(first + SIDE)).map(at);
+                seen.extend(block.map(|at| if inside(at) { surface(&near, at) } else { None }));
+            }
+            seen
         })
         .collect();
     let mut mask = vec![false; view.scene.gaussians.len()];
@@ -152,19 +158,16 @@ fn region(view: &View<'_>, area: &Area, inside: &(dyn Fn(DVec2) -> bool + Sync),
 }
 
 /// The Gaussian that contributes most at a point, the nearest of equals.
-fn surface<'a>(splats: &[&'a Splat], point: DVec2) -> Option<&'a Splat> {
+fn surface<'a>(splats: &[Reaching<'a>], point: DVec2) -> Option<&'a Splat> {
     let (mut left, mut best) = (1.0, (0.0, None));
-    for splat in splats {
-        let alpha = splat.alpha(point);
-        if alpha < ALPHA_MIN {
-            continue;
-        }
+    for reaching in splats {
+        let Some(alpha) = reaching.alpha(point) else { continue };
         let next = left * (1.0 - alpha);
         if next < TRANSMITTANCE_MIN {
             break;
         }
         if alpha * left > best.0 {
-            best = (alpha * left, Some(*splat));
+            best = (alpha * left, Some(reaching.splat));
         }
         left = next;
     }
@@ -185,18 +188,20 @@ fn splats_of(view: &View<'_>, found: Option<Vec<usize>>) -> Result<Vec<Splat>> {
     let number = |k: usize| found.as_ref().map_or(k, |indices| indices[k]);
     let parameters = Parameters::from(&drawn.gaussians);
     let placed = place_scene(drawn, time, MotionSource::Auto)?;
-    let mut splats: Vec<Splat> = (0..drawn.gaussians.len())
+    let splats: Vec<Splat> = (0..drawn.gaussians.len())
         .into_par_iter()
         .filter(|&k| !hidden.is_some_and(|hidden| hidden[number(k)]))
-        .filter(|&k| drawn.gaussians.is_valid(k, &mut Rejected::default()))
+        .filter(|&k| scene.gaussians.is_valid(number(k), &mut Rejected::default()))
         .filter_map(|k| {
             let place = (placed.mean[k], placed.rotation[k], placed.scale[k]);
             let splat = project(&parameters, k, place, placed.opacity[k], camera, near)?;
             Some(Splat { index: number(k), ..splat })
         })
         .collect();
-    splats.par_sort_by(|a, b| a.depth.total_cmp(&b.depth).then(a.index.cmp(&b.index)));
-    Ok(splats)
+    // Splats are long: they are moved once.
+    let mut order: Vec<(f64, usize)> = splats.iter().map(|s| s.depth).zip(0..).collect();
+    order.par_sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    Ok(order.into_par_iter().map(|(_, k)| splats[k]).collect())
 }
 
 /// Gaussians that may show between two pixels: most are far from them. `None`: all, where a network says how large they are.

@@ -75,6 +75,21 @@ fn a_lasso_takes_what_lies_within_its_line() {
     assert!(lasso(&view, &[[300.0, 0.0], [320.0, 0.0], [310.0, 9.0]], surface).is_err());
 }
 
+/// A rectangle looks at few of the Gaussians at each pixel, a click at all.
+#[test]
+fn a_rectangle_takes_what_clicks_on_its_pixels_take() {
+    let scene = moving_scene(3000, 9, 5, 4, false);
+    let view = View { scene: &scene, camera: &front(), time: 0.3, hidden: None };
+    let found = rectangle(&view, [80.0, 55.0, 120.0, 95.0], Depth::Surface).unwrap();
+    let mut clicked = vec![false; scene.gaussians.len()];
+    for (x, y) in (80..120).flat_map(|x| (55..95).map(move |y| (f64::from(x), f64::from(y)))) {
+        let Ok(one) = click(&view, [x, y], Depth::Surface) else { continue };
+        clicked.iter_mut().zip(one).for_each(|(all, one)| *all |= one);
+    }
+    assert!(chosen(&clicked).len() > 20, "{}", chosen(&clicked).len());
+    assert_eq!(chosen(&found), chosen(&clicked));
+}
+
 #[test]
 fn properties_select() {
     let mut scene = discs();

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use super::{PARAMETERS, Parameter, Present, REQUIRED, transposed};
-use crate::scene::gaussians::retain_chunks;
+use crate::scene::gaussians::{repeat_chunks, retain_chunks};
 
 /// The optional parameters that some Gaussians have, `[N,width]` each.
 #[derive(Debug, Clone, PartialEq)]
@@ -90,6 +90,11 @@ impl Optional {
     /// Keeps those of the Gaussians for which `keep` holds.
     pub(crate) fn retain(&mut self, keep: &[bool]) {
         self.0.iter_mut().for_each(|(parameter, v)| retain_chunks(v, PARAMETERS[*parameter].width as usize, keep));
+    }
+
+    /// Adds copies of those of the Gaussians at `indices`.
+    pub(crate) fn repeat(&mut self, indices: &[usize]) {
+        self.0.iter_mut().for_each(|(parameter, v)| repeat_chunks(v, PARAMETERS[*parameter].width as usize, indices));
     }
 
     /// Adds those of `other` in `range` after the `own` Gaussians there are. Who lacks a parameter of the other gets what it
