@@ -1,6 +1,6 @@
 // Input of a deformation field for the points from push.first_row on: [x, sin 2^k x, cos 2^k x, ..] of the point, then of
-// the time (10 octaves), or, with a network of time, its 30 outputs for 6 octaves of the time. [rows, 3 + 6 OCTAVES + 21 or
-// 30]. A workgroup runs the network of time for itself: 11,000 products beside the hundred thousand of each of its 64 points.
+// the time (10 octaves), or, with a network of time, its 30 outputs for 6 octaves of the time: 3 + 6 OCTAVES + 21 or 30
+// values, then zeros. [rows, columns]. A workgroup runs the network of time for itself: 11,000 products beside the hundred thousand of each of its 64 points.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 
@@ -20,7 +20,7 @@ layout(std430, set = 0, binding = 1) readonly buffer PointBlock { float point[];
 layout(std430, set = 0, binding = 2) readonly buffer ParameterBlock { float parameter[]; };
 layout(std430, set = 0, binding = 3) writeonly buffer EncodingBlock { float encoding[]; };
 
-layout(push_constant) uniform Push { uint first_row; uint rows; uint points; } push;
+layout(push_constant) uniform Push { uint first_row; uint rows; uint points; uint columns; } push;
 
 const uint GROUP_POINTS = 64u;
 const uint TIME_HIDDEN = 256u;
@@ -65,19 +65,19 @@ void main() {
     barrier();
     uint octaves = OCTAVES;
     uint position_elements = 3u + 6u * octaves;
-    uint columns = position_elements + (time_network == 1u ? TIME_OUTPUTS : 21u);
-    for (uint item = thread; item < columns * GROUP_POINTS; item += 256u) {
-        uint row = item / columns;
-        uint e = item % columns;
+    uint elements = position_elements + (time_network == 1u ? TIME_OUTPUTS : 21u);
+    for (uint item = thread; item < push.columns * GROUP_POINTS; item += 256u) {
+        uint row = item / push.columns;
+        uint e = item % push.columns;
         if (first + row < push.rows) {
-            float value;
+            float value = 0.0;
             if (e < position_elements) {
                 EncodedElement element = encoded_element(e);
                 value = encoded_value(element, centres[row][element.axis]);
-            } else {
+            } else if (e < elements) {
                 value = time_code[e - position_elements];
             }
-            encoding[first * columns + item] = value;
+            encoding[first * push.columns + item] = value;
         }
     }
 }

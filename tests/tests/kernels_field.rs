@@ -39,9 +39,14 @@ fn waves_match_their_twin() {
         let (input, frame) = input(count);
         for time_network in [0, 1] {
             for (first_row, octaves) in [(0, 10), (count / 2, 3)] {
-                let columns = 3 + 6 * octaves + FieldInput::time_width(time_network == 1);
-                let rows = count - first_row;
-                let push = FieldWavesPush { first_row: first_row as u32, rows: rows as u32, points: count as u32 };
+                let elements = 3 + 6 * octaves + FieldInput::time_width(time_network == 1);
+                let (rows, columns) = (count - first_row, elements + first_row % 4);
+                let push = FieldWavesPush {
+                    first_row: first_row as u32,
+                    rows: rows as u32,
+                    points: count as u32,
+                    columns: columns as u32,
+                };
                 let buffers = FieldWavesBuffers {
                     frame: frame.clone(),
                     point: words(&input.mean),
@@ -86,9 +91,10 @@ fn planes_match_their_twin() {
                 first_row: first_row as u32,
                 rows: rows as u32,
                 points: count as u32,
+                columns: (channels * planes.scales.len()).next_multiple_of(4) as u32,
                 ..FieldPlanesPush::of(&planes)
             };
-            let items = rows * channels * planes.scales.len();
+            let items = rows * push.columns as usize;
             let buffers = FieldPlanesBuffers {
                 frame: frame.clone(),
                 point: words(&input.mean),

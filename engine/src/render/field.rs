@@ -6,7 +6,8 @@
 //!                                                      → field_nodes          (points are control nodes)
 //! ```
 //!
-//! A layer's activations go through memory: 2 KB per point and layer beside 130,000 operations, so the products decide.
+//! A layer's activations go through memory: 2 KB per point and layer beside 130,000 operations, so the products decide. Rows of
+//! matrices are filled up with zeros to whole vectors of four: a product of odd rows takes many times as long.
 
 pub mod field_nodes;
 pub mod field_offset;
@@ -89,7 +90,8 @@ impl FieldBuffers {
     /// For a field that [`DeformationField::check`] has passed.
     pub(crate) fn new(gpu: &Gpu, field: &DeformationField, gaussians: usize) -> Result<Self> {
         let points = field.nodes.as_ref().map_or(gaussians, |n| n.position.len()).max(1);
-        let (input_width, width) = (field.input.width(), field.all_layers().map(|l| l.outputs).max().unwrap_or(1));
+        let input_width = filled(field.input.width());
+        let width = field.all_layers().map(|l| filled(l.outputs)).max().unwrap_or(1);
         let fitting = ACTIVATION_BYTES / (4 * (input_width + 2 * width)) / CHUNK_STEP * CHUNK_STEP;
         let whole = points.next_multiple_of(CHUNK_STEP);
         // Nodes are few, and what follows them needs all of them.
@@ -174,7 +176,8 @@ impl FieldBuffers {
     /// Records the perceptron for points `first..first + rows` of `points`.
     fn evaluate(&self, r: &mut Recorder, stage: Stage, frame: &Slice, point: &Slice, part: [u32; 3]) -> Result<()> {
         let [_, rows, _] = part;
-        self.input.record(r, frame, point, part, &self.activation(0, rows, self.input_width))?;
+        let columns = self.input_width as u32;
+        self.input.record(r, frame, point, part, columns, &self.activation(0, rows, self.input_width))?;
         for (i, layer) in self.layers.iter().enumerate() {
             let [inputs_0, inputs_1] = layer.inputs;
             let below = (i > 0).then(|| self.region(i - 1));
@@ -220,26 +223,44 @@ impl FieldBuffers {
     }
 }
 
+/// Columns of a matrix whose rows have `count` numbers.
+fn filled(count: usize) -> usize {
+    count.next_multiple_of(4)
+}
+
+/// Weights and bias of a layer with whole vectors in each row, and as many rows; `seen` of its inputs are the perceptron's, the
+/// others come from the layer below.
+fn filled_parameter(layer: &Linear, seen: usize) -> Vec<f32> {
+    let [seen_wide, below_wide] = [seen, layer.inputs - seen].map(filled);
+    let (wide, outputs) = (seen_wide + below_wide, filled(layer.outputs));
+    let mut words = vec![0.0; outputs * (wide + 1)];
+    for (row, weight) in words.chunks_exact_mut(wide).zip(layer.weight.chunks_exact(layer.inputs)) {
+        row[..seen].copy_from_slice(&weight[..seen]);
+        row[seen_wide..][..layer.inputs - seen].copy_from_slice(&weight[seen..]);
+    }
+    words[outputs * wide..][..layer.outputs].copy_from_slice(&layer.bias);
+    words
+}
+
 /// All layers, hidden ones and the head, with their weights in one buffer.
 fn layers(gpu: &Gpu, field: &DeformationField) -> Result<(Vec<Layer>, Buffer)> {
     let all: Vec<&Linear> = field.all_layers().collect();
+    let skip = field.skip_layer();
+    let seen = |i: usize| if skip == Some(i) { field.input.width() } else { 0 };
     let mut words: Vec<f32> = Vec::new();
-    let mut starts = Vec::with_capacity(all.len());
-    for layer in &all {
+    let mut parts = Vec::with_capacity(all.len());
+    for (i, layer) in all.iter().enumerate() {
         words.resize(words.len().next_multiple_of(SLICE_ALIGNMENT as usize / 4), 0.0);
-        starts.push(words.len());
-        words.extend(layer.weight.iter().chain(&layer.bias));
+        let parameter = filled_parameter(layer, seen(i));
+        parts.push([words.len(), parameter.len()].map(|floats| floats as u64 * 4));
+        words.extend(parameter);
     }
     let parameter = gpu.buffer_with("field_parameter", bytemuck::cast_slice(&words))?;
-    let skip = field.skip_layer();
-    let of = |(i, layer): (usize, &&Linear)| {
-        let seen = if skip == Some(i) { field.input.width() } else { 0 };
-        Layer {
-            inputs: [seen as u32, (layer.inputs - seen) as u32],
-            outputs: layer.outputs as u32,
-            relu: i + 1 < all.len(),
-            parameter: parameter.slice(starts[i] as u64 * 4, (layer.weight.len() + layer.bias.len()) as u64 * 4),
-        }
+    let of = |(i, layer): (usize, &&Linear)| Layer {
+        inputs: [seen(i), layer.inputs - seen(i)].map(|inputs| filled(inputs) as u32),
+        outputs: filled(layer.outputs) as u32,
+        relu: i + 1 < all.len(),
+        parameter: parameter.slice(parts[i][0], parts[i][1]),
     };
     Ok((all.iter().enumerate().map(of).collect(), parameter.clone()))
 }
@@ -265,18 +286,19 @@ impl Input {
         }
     }
 
-    /// Records what the perceptron sees of points `first..first + rows` of `points`.
+    /// Records what the perceptron sees of points `first..first + rows` of `points`, in rows of `columns`.
     fn record(
         &self,
         r: &mut Recorder,
         frame: &Slice,
         point: &Slice,
         [first_row, rows, points]: [u32; 3],
+        columns: u32,
         encoding: &Slice,
     ) -> Result<()> {
         match self {
             Self::Waves { octaves, time_network } => {
-                let push = FieldWavesPush { first_row, rows, points };
+                let push = FieldWavesPush { first_row, rows, points, columns };
                 let buffers = FieldWavesBuffers {
                     frame: frame.clone(),
                     point: point.clone(),
@@ -286,7 +308,7 @@ impl Input {
                 field_waves::record(r, *octaves, push, buffers)
             }
             Self::Planes { plane, plane_size, push } => {
-                let push = FieldPlanesPush { first_row, rows, points, ..*push };
+                let push = FieldPlanesPush { first_row, rows, points, columns, ..*push };
                 let buffers = FieldPlanesBuffers {
                     frame: frame.clone(),
                     point: point.clone(),

@@ -1,4 +1,4 @@
-//! Kernel `field_waves`: encoded points and time, `[rows, 3 + 6 octaves + 21]` or, with a network of time, 30 instead of 21.
+//! Kernel `field_waves`: encoded points and time, 3 + 6 octaves + 21 values or, with a network of time, 30 instead of 21.
 
 use crate::error::Result;
 use crate::gpu::interface::Call;
@@ -19,6 +19,8 @@ crate::gpu_struct! {
         pub rows: u32,
         /// Points in all: floats from one plane of `point` to the next.
         pub points: u32,
+        /// Of `encoding`: what is beyond the values is 0.
+        pub columns: u32,
     }
 }
 
@@ -90,12 +92,13 @@ fn field_waves_twin(call: Call<'_, FieldWaves>) {
         _ => direct(1 + 2 * FIELD_TIME_OCTAVES[0]),
     };
     let position = 3 + 6 * constants.octaves as usize;
-    let columns = position + code.len();
+    let columns = p.columns as usize;
     for row in 0..p.rows as usize {
         let at = |axis: usize| f32_at(b.point, axis * p.points as usize + p.first_row as usize + row);
         let point = [at(0), at(1), at(2)];
         for e in 0..columns {
-            let value = if e < position { encoded(point, time, e) } else { code[e - position] };
+            let of_time = |e: usize| code.get(e).copied().unwrap_or_default();
+            let value = if e < position { encoded(point, time, e) } else { of_time(e - position) };
             set_f32(b.encoding, row * columns + e, value);
         }
     }
