@@ -1,6 +1,7 @@
 // Input of a deformation field of planes (4D-GS) for the points from push.first_row on: at each resolution, for each
-// channel, the product of six planes over pairs of x, y, z, t, interpolated bilinearly; then zeros. [rows, columns]. Planes lie
-// [height][width][channels], so that neighbouring threads, which have neighbouring channels, read side by side.
+// channel, the product of six planes over pairs of x, y, z, t, interpolated bilinearly; then zeros up to a multiple of 4.
+// [rows, columns]. Planes lie [height][width][channels], so that neighbouring threads, which have neighbouring channels, read
+// side by side.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 
@@ -20,7 +21,6 @@ layout(push_constant) uniform Push {
     uint first_row;
     uint rows;
     uint points;
-    uint columns;
     uint channels;
     uint scales;
     float low_x;
@@ -56,17 +56,19 @@ float bilinear(uint first, uvec2 size, uint channel, vec2 at) {
 }
 
 void main() {
+    uint columns = (push.channels * push.scales + 3u) / 4u * 4u;
     uint item = workgroup_index() * 256u + gl_LocalInvocationIndex;
-    if (item >= push.rows * push.columns) {
+    if (item >= push.rows * columns) {
         return;
     }
-    uint p = push.first_row + item / push.columns;
-    uint scale = item % push.columns / push.channels;
+    uint p = push.first_row + item / columns;
+    uint column = item % columns;
+    uint scale = column / push.channels;
+    uint channel = column % push.channels;
     if (scale >= push.scales) {
         encoding[item] = 0.0;
         return;
     }
-    uint channel = item % push.columns % push.channels;
     vec3 low = vec3(push.low_x, push.low_y, push.low_z);
     vec3 high = vec3(push.high_x, push.high_y, push.high_z);
     vec3 x = vec3(point[p], point[push.points + p], point[2u * push.points + p]);

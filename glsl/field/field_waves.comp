@@ -1,6 +1,7 @@
 // Input of a deformation field for the points from push.first_row on: [x, sin 2^k x, cos 2^k x, ..] of the point, then of
 // the time (10 octaves), or, with a network of time, its 30 outputs for 6 octaves of the time: 3 + 6 OCTAVES + 21 or 30
-// values, then zeros. [rows, columns]. A workgroup runs the network of time for itself: 11,000 products beside the hundred thousand of each of its 64 points.
+// values, then zeros up to a multiple of 4. [rows, columns]. A workgroup runs the network of time for itself: 11,000 products
+// beside the hundred thousand of each of its 64 points.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 
@@ -20,7 +21,7 @@ layout(std430, set = 0, binding = 1) readonly buffer PointBlock { float point[];
 layout(std430, set = 0, binding = 2) readonly buffer ParameterBlock { float parameter[]; };
 layout(std430, set = 0, binding = 3) writeonly buffer EncodingBlock { float encoding[]; };
 
-layout(push_constant) uniform Push { uint first_row; uint rows; uint points; uint columns; } push;
+layout(push_constant) uniform Push { uint first_row; uint rows; uint points; } push;
 
 const uint GROUP_POINTS = 64u;
 const uint TIME_HIDDEN = 256u;
@@ -66,9 +67,10 @@ void main() {
     uint octaves = OCTAVES;
     uint position_elements = 3u + 6u * octaves;
     uint elements = position_elements + (time_network == 1u ? TIME_OUTPUTS : 21u);
-    for (uint item = thread; item < push.columns * GROUP_POINTS; item += 256u) {
-        uint row = item / push.columns;
-        uint e = item % push.columns;
+    uint columns = (elements + 3u) / 4u * 4u;
+    for (uint item = thread; item < columns * GROUP_POINTS; item += 256u) {
+        uint row = item / columns;
+        uint e = item % columns;
         if (first + row < push.rows) {
             float value = 0.0;
             if (e < position_elements) {
@@ -77,7 +79,7 @@ void main() {
             } else if (e < elements) {
                 value = time_code[e - position_elements];
             }
-            encoding[first * push.columns + item] = value;
+            encoding[first * columns + item] = value;
         }
     }
 }

@@ -40,13 +40,8 @@ fn waves_match_their_twin() {
         for time_network in [0, 1] {
             for (first_row, octaves) in [(0, 10), (count / 2, 3)] {
                 let elements = 3 + 6 * octaves + FieldInput::time_width(time_network == 1);
-                let (rows, columns) = (count - first_row, elements + first_row % 4);
-                let push = FieldWavesPush {
-                    first_row: first_row as u32,
-                    rows: rows as u32,
-                    points: count as u32,
-                    columns: columns as u32,
-                };
+                let (rows, columns) = (count - first_row, elements.next_multiple_of(4));
+                let push = FieldWavesPush { first_row: first_row as u32, rows: rows as u32, points: count as u32 };
                 let buffers = FieldWavesBuffers {
                     frame: frame.clone(),
                     point: words(&input.mean),
@@ -91,10 +86,9 @@ fn planes_match_their_twin() {
                 first_row: first_row as u32,
                 rows: rows as u32,
                 points: count as u32,
-                columns: (channels * planes.scales.len()).next_multiple_of(4) as u32,
                 ..FieldPlanesPush::of(&planes)
             };
-            let items = rows * push.columns as usize;
+            let items = rows * (channels * planes.scales.len()).next_multiple_of(4);
             let buffers = FieldPlanesBuffers {
                 frame: frame.clone(),
                 point: words(&input.mean),

@@ -176,8 +176,7 @@ impl FieldBuffers {
     /// Records the perceptron for points `first..first + rows` of `points`.
     fn evaluate(&self, r: &mut Recorder, stage: Stage, frame: &Slice, point: &Slice, part: [u32; 3]) -> Result<()> {
         let [_, rows, _] = part;
-        let columns = self.input_width as u32;
-        self.input.record(r, frame, point, part, columns, &self.activation(0, rows, self.input_width))?;
+        self.input.record(r, frame, point, part, &self.activation(0, rows, self.input_width))?;
         for (i, layer) in self.layers.iter().enumerate() {
             let [inputs_0, inputs_1] = layer.inputs;
             let below = (i > 0).then(|| self.region(i - 1));
@@ -286,19 +285,18 @@ impl Input {
         }
     }
 
-    /// Records what the perceptron sees of points `first..first + rows` of `points`, in rows of `columns`.
+    /// Records what the perceptron sees of points `first..first + rows` of `points`.
     fn record(
         &self,
         r: &mut Recorder,
         frame: &Slice,
         point: &Slice,
         [first_row, rows, points]: [u32; 3],
-        columns: u32,
         encoding: &Slice,
     ) -> Result<()> {
         match self {
             Self::Waves { octaves, time_network } => {
-                let push = FieldWavesPush { first_row, rows, points, columns };
+                let push = FieldWavesPush { first_row, rows, points };
                 let buffers = FieldWavesBuffers {
                     frame: frame.clone(),
                     point: point.clone(),
@@ -308,7 +306,7 @@ impl Input {
                 field_waves::record(r, *octaves, push, buffers)
             }
             Self::Planes { plane, plane_size, push } => {
-                let push = FieldPlanesPush { first_row, rows, points, columns, ..*push };
+                let push = FieldPlanesPush { first_row, rows, points, ..*push };
                 let buffers = FieldPlanesBuffers {
                     frame: frame.clone(),
                     point: point.clone(),

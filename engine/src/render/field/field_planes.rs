@@ -1,4 +1,4 @@
-//! Kernel `field_planes`: products of learned planes, scales·channels of each point.
+//! Kernel `field_planes`: products of learned planes, scales·channels of each point, then zeros up to a multiple of 4.
 
 use crate::error::Result;
 use crate::gpu::interface::Call;
@@ -17,8 +17,6 @@ crate::gpu_struct! {
         pub rows: u32,
         /// Points in all: floats from one plane of `point` to the next.
         pub points: u32,
-        /// Of `encoding`: what is beyond the products is 0.
-        pub columns: u32,
         /// Channels of every plane.
         pub channels: u32,
         /// Resolutions.
@@ -43,20 +41,12 @@ impl FieldPlanesPush {
     pub fn of(planes: &FieldPlanes) -> Self {
         let [[low_x, low_y, low_z], [high_x, high_y, high_z]] = planes.bounds;
         let (channels, scales) = (planes.channels as u32, planes.scales.len() as u32);
-        Self {
-            first_row: 0,
-            rows: 0,
-            points: 0,
-            columns: channels * scales,
-            channels,
-            scales,
-            low_x,
-            low_y,
-            low_z,
-            high_x,
-            high_y,
-            high_z,
-        }
+        Self { first_row: 0, rows: 0, points: 0, channels, scales, low_x, low_y, low_z, high_x, high_y, high_z }
+    }
+
+    /// Of `encoding`.
+    fn columns(&self) -> u32 {
+        (self.channels * self.scales).next_multiple_of(4)
     }
 }
 
@@ -95,7 +85,7 @@ crate::kernel! {
 
 /// Records it.
 pub(super) fn record(r: &mut Recorder, push: FieldPlanesPush, buffers: FieldPlanesBuffers<Slice>) -> Result<()> {
-    let items = u64::from(push.rows) * u64::from(push.columns);
+    let items = u64::from(push.rows) * u64::from(push.columns());
     let groups = Groups::Direct(items.div_ceil(THREADS.into()));
     r.dispatch(&FIELD_PLANES, (), push, buffers, groups)
 }
@@ -123,15 +113,16 @@ fn field_planes_twin(call: Call<'_, FieldPlanesKernel>) {
     let Call { push: p, buffers: b, .. } = call;
     let frame: Frame = struct_at(b.frame, 0);
     let (low, high) = ([p.low_x, p.low_y, p.low_z], [p.high_x, p.high_y, p.high_z]);
+    let columns = p.columns();
     for row in 0..p.rows {
         let at = |axis: usize| {
             let x = f32_at(b.point, axis * p.points as usize + (p.first_row + row) as usize);
             (x - low[axis]) * 2.0 / (high[axis] - low[axis]) - 1.0
         };
         let place = [at(0), at(1), at(2), frame.time];
-        for column in 0..p.columns {
+        for column in 0..columns {
             if column >= p.channels * p.scales {
-                set_f32(b.encoding, (row * p.columns + column) as usize, 0.0);
+                set_f32(b.encoding, (row * columns + column) as usize, 0.0);
                 continue;
             }
             let (scale, channel) = (column / p.channels, column % p.channels);
@@ -146,7 +137,7 @@ fn field_planes_twin(call: Call<'_, FieldPlanesKernel>) {
                 line(y0) * (1.0 - wy) + line(y1) * wy
             };
             let product: f32 = (0..FIELD_PAIRS.len()).map(sample).product();
-            set_f32(b.encoding, (row * p.columns + column) as usize, product);
+            set_f32(b.encoding, (row * columns + column) as usize, product);
         }
     }
 }

@@ -1,4 +1,5 @@
-//! Kernel `field_waves`: encoded points and time, 3 + 6 octaves + 21 values or, with a network of time, 30 instead of 21.
+//! Kernel `field_waves`: encoded points and time, 3 + 6 octaves + 21 values or, with a network of time, 30 instead of 21,
+//! then zeros up to a multiple of 4.
 
 use crate::error::Result;
 use crate::gpu::interface::Call;
@@ -19,8 +20,6 @@ crate::gpu_struct! {
         pub rows: u32,
         /// Points in all: floats from one plane of `point` to the next.
         pub points: u32,
-        /// Of `encoding`: what is beyond the values is 0.
-        pub columns: u32,
     }
 }
 
@@ -92,7 +91,7 @@ fn field_waves_twin(call: Call<'_, FieldWaves>) {
         _ => direct(1 + 2 * FIELD_TIME_OCTAVES[0]),
     };
     let position = 3 + 6 * constants.octaves as usize;
-    let columns = p.columns as usize;
+    let columns = (position + code.len()).next_multiple_of(4);
     for row in 0..p.rows as usize {
         let at = |axis: usize| f32_at(b.point, axis * p.points as usize + p.first_row as usize + row);
         let point = [at(0), at(1), at(2)];
