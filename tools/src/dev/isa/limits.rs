@@ -48,6 +48,11 @@ const ONE_VALUE: &[(&str, &str, &str)] = &[
     ("blend_states", "SEGMENTS", "the recordings' pictures have one size"),
     ("blend_", "LEAST_SEGMENT", "one number for all devices; others are for tests"),
     ("blend_", "WITH_SLOTS", "slots are for training, which blends into floats"),
+    (
+        "linear_forward",
+        "VECTORS",
+        "networks of the recordings have whole vectors of four in each row, and fields are filled up to them",
+    ),
     ("deform_network", "LAYERS", "the length of a loop; nothing is sized by it"),
     ("deform_network", "WIDTH", "as LAYERS"),
     ("deform_network", "SKIP_LAYER", "as LAYERS"),
