@@ -4,6 +4,7 @@ mod before;
 mod change;
 mod columns;
 mod splices;
+mod words;
 
 use self::before::Before;
 use self::change::Change;

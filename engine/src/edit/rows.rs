@@ -86,7 +86,12 @@ fn take_superpoints(s: &mut SuperpointDeformation, indices: &[usize]) {
 /// The rows of `width` values at `indices`.
 pub(super) fn pick<T: Pod + Send + Sync>(values: &[T], width: usize, indices: &[usize]) -> Vec<T> {
     let mut picked = vec![T::zeroed(); indices.len() * width];
+    pick_into(&mut picked, values, width, indices);
+    picked
+}
+
+/// The same into `picked`, which has room for them.
+pub(super) fn pick_into<T: Pod + Send + Sync>(picked: &mut [T], values: &[T], width: usize, indices: &[usize]) {
     let rows = picked.par_chunks_exact_mut(width.max(1)).zip(indices);
     rows.with_min_len(1024).for_each(|(row, &i)| row.copy_from_slice(&values[i * width..(i + 1) * width]));
-    picked
 }

@@ -148,8 +148,8 @@ pub fn place_deformed<T: Copy + Into<f64> + Sync>(
     deformation: &DeformationAt<'_>,
 ) -> Result<Placed> {
     let count = parameters.count();
-    let scale = (0..count).map(|i| parameters.scale(i)).collect();
-    let opacity = (0..count).map(|i| parameters.opacity(i, deformation.time)).collect();
+    let all = (0..count).into_par_iter();
+    let (scale, opacity) = all.map(|i| (parameters.scale(i), parameters.opacity(i, deformation.time))).unzip();
     let mut placed = Placed { scale, opacity, ..Placed::default() };
     let still = |i: usize| (parameters.mean(i), rotation_of_quaternion(parameters.rotation(i)));
     deformation.check(count)?;

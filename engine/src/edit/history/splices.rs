@@ -3,7 +3,8 @@
 use bytemuck::Pod;
 use rayon::prelude::*;
 
-use crate::edit::rows::pick;
+use super::words::Words;
+use crate::edit::rows::pick_into;
 
 /// Words that a thread copies at a time.
 const PIECE: usize = 1 << 16;
@@ -19,12 +20,12 @@ struct Run {
 }
 
 /// What makes another array of one, and then what makes the first one again. Arrays are of 32-bit words, compared bit by bit.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(super) struct Splices {
     /// Words of a row.
     width: usize,
     runs: Vec<Run>,
-    stored: Vec<u32>,
+    stored: Words,
 }
 
 impl Splices {
@@ -40,10 +41,10 @@ impl Splices {
             std::cmp::Ordering::Greater => additional(&there, here, width).map(inverse),
         };
         let runs = runs.unwrap_or_else(|| middle(here, &there, width));
-        let made = Self { width, runs, stored: Vec::new() };
+        let made = Self { width, runs, stored: Words::default() };
         let count = made.words(|run| run.there);
         if count == there.len() {
-            return Some(Self { stored: there, ..made });
+            return Some(Self { stored: there.into(), ..made });
         }
         let (mut at, mut stored) = (0, Vec::with_capacity(count));
         for run in &made.runs {
@@ -52,7 +53,7 @@ impl Splices {
             stored.extend_from_slice(&there[at..end]);
             at = end;
         }
-        Some(Self { stored, ..made })
+        Some(Self { stored: stored.into(), ..made })
     }
 
     /// What brings back rows of `now` that a change is about to overwrite.
@@ -68,7 +69,7 @@ impl Splices {
     /// What takes away `count` rows that are about to be added after `rows` others.
     pub(super) fn added(rows: usize, width: usize, count: usize) -> Self {
         let run = Run { same: rows as u32, here: count as u32, there: 0 };
-        Self { stored: Vec::new(), runs: Vec::from_iter((count > 0).then_some(run)), width }
+        Self { stored: Words::default(), runs: Vec::from_iter((count > 0).then_some(run)), width }
     }
 
     /// Makes the other array of `values`, which is the one that this belongs to; and belongs to the other one from then on.
@@ -86,8 +87,8 @@ impl Splices {
         let old: &[u32] = bytemuck::cast_slice(values);
         let words = |rows: u32| rows as usize * self.width;
         let gone = self.words(|run| run.here);
-        let (mut made, mut stored) = (vec![0; old.len() - gone + self.stored.len()], vec![0; gone]);
-        let (mut pieces, mut to, mut out) = (Vec::new(), made.as_mut_slice(), stored.as_mut_slice());
+        let (mut made, mut stored) = (vec![0; old.len() - gone + self.stored.len()], Words::zeros(gone));
+        let (mut pieces, mut to, mut out) = (Vec::new(), made.as_mut_slice(), &mut *stored);
         let (mut at, mut from) = (0, 0);
         for run in &self.runs {
             let [same, here, there] = [run.same, run.here, run.there].map(words);
@@ -104,11 +105,12 @@ impl Splices {
 
     /// Stores the rows of this array only, and moves the others together.
     fn take_away<T: Pod>(&mut self, values: &mut Vec<T>) {
-        let (mut at, mut to, mut stored) = (0, 0, Vec::with_capacity(self.words(|run| run.here)));
+        let (mut at, mut to, mut stored) = (0, 0, Words::zeros(self.words(|run| run.here)));
+        let mut out = &mut *stored;
         for run in &self.runs {
             let [same, here] = [run.same, run.here].map(|rows| rows as usize * self.width);
             values.copy_within(at..at + same, to);
-            stored.extend_from_slice(bytemuck::cast_slice(&values[at + same..at + same + here]));
+            front(&mut out, here).copy_from_slice(bytemuck::cast_slice(&values[at + same..at + same + here]));
             (at, to) = (at + same + here, to + same);
         }
         values.copy_within(at.., to);
@@ -132,7 +134,7 @@ impl Splices {
             (to, end) = (to - same, end - same);
             values.copy_within(end..end + same, to);
         }
-        (self.runs, self.stored) = (inverse(std::mem::take(&mut self.runs)), Vec::new());
+        (self.runs, self.stored) = (inverse(std::mem::take(&mut self.runs)), Words::default());
     }
 
     fn words(&self, of: impl Fn(&Run) -> u32) -> usize {
@@ -140,7 +142,7 @@ impl Splices {
     }
 
     fn swap_in_place(&mut self, values: &mut [u32]) {
-        let (mut values, mut stored, mut pieces) = (values, self.stored.as_mut_slice(), Vec::new());
+        let (mut values, mut stored, mut pieces) = (values, &mut *self.stored, Vec::new());
         for run in &self.runs {
             let [same, count] = [run.same, run.here].map(|rows| rows as usize * self.width);
             let a = front(&mut values, same + count).split_at_mut(same).1;
@@ -174,7 +176,7 @@ impl Splices {
 
     /// Memory that it takes.
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(self.runs.as_slice()) + size_of_val(self.stored.as_slice())
+        size_of_val(self.runs.as_slice()) + size_of_val(&*self.stored)
     }
 }
 
@@ -185,9 +187,11 @@ fn runs_of(mask: &[bool], one: Run) -> Vec<Run> {
     runs.finish()
 }
 
-fn rows_of(values: &[u32], width: usize, mask: &[bool]) -> Vec<u32> {
+fn rows_of(values: &[u32], width: usize, mask: &[bool]) -> Words {
     let indices: Vec<usize> = (0..mask.len()).filter(|&i| mask[i]).collect();
-    pick(values, width, &indices)
+    let mut rows = Words::zeros(indices.len() * width);
+    pick_into(&mut rows, values, width, &indices);
+    rows
 }
 
 /// Takes a slice's front off.

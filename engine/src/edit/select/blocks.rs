@@ -2,6 +2,7 @@
 
 use crate::reference::{ALPHA_MIN, Splat};
 use glam::DVec2;
+use rayon::prelude::*;
 
 /// Pixels along a side of a block.
 pub(super) const SIDE: usize = 8;
@@ -34,6 +35,14 @@ impl<'a> Reaching<'a> {
     }
 }
 
+/// The corners of the box around the ellipse where α is 1/255, a little wider.
+pub(super) fn bounds(splat: &Splat) -> [DVec2; 2] {
+    let level = Reaching::new(splat).level;
+    let reach = DVec2::new(level * splat.covariance[0], level * splat.covariance[2]);
+    let reach = DVec2::new(reach.x.sqrt(), reach.y.sqrt()) + 1e-6;
+    [splat.mean - reach, splat.mean + reach]
+}
+
 /// Splats of an area by the blocks that they reach, in the order in which they were given.
 pub(super) struct Blocks<'a> {
     origin: DVec2,
@@ -46,21 +55,23 @@ impl<'a> Blocks<'a> {
         let side = SIDE as f64;
         let count = |[from, to]: [f64; 2]| ((to - from) / side).ceil() as usize;
         let (columns, rows) = (count(x), count(y));
-        let mut lists = vec![Vec::new(); columns * rows];
-        for splat in splats {
-            // Half the sides of the box around the ellipse where α is 1/255, a little more.
-            let reaching = Reaching::new(splat);
-            let reach = |k: usize| (reaching.level * splat.covariance[k]).sqrt() + 1e-6;
-            let span = |mean: f64, reach: f64, from: f64, count: usize| {
-                let [low, high] = [mean - reach, mean + reach].map(|v| ((v - from) / side).floor());
-                low.max(0.0) as usize..(high + 1.0).clamp(0.0, count as f64) as usize
-            };
-            for row in span(splat.mean.y, reach(2), y[0], rows) {
-                for column in span(splat.mean.x, reach(0), x[0], columns) {
-                    lists[row * columns + column].push(reaching);
-                }
+        let span = |low: f64, high: f64, from: f64, count: usize| {
+            let [low, high] = [low, high].map(|v| ((v - from) / side).floor());
+            low.max(0.0) as usize..(high + 1.0).clamp(0.0, count as f64) as usize
+        };
+        let spans = splats.par_iter().map(|splat| {
+            let [low, high] = bounds(splat);
+            (Reaching::new(splat), span(low.x, high.x, x[0], columns), span(low.y, high.y, y[0], rows))
+        });
+        let spans: Vec<_> = spans.collect();
+        let row = |row: usize| {
+            let mut lists = vec![Vec::new(); columns];
+            for (reaching, columns, _) in spans.iter().filter(|(_, _, rows)| rows.contains(&row)) {
+                lists[columns.start.min(columns.end)..columns.end].iter_mut().for_each(|list| list.push(*reaching));
             }
-        }
+            lists
+        };
+        let lists = (0..rows).into_par_iter().flat_map_iter(row).collect();
         Self { origin: DVec2::new(x[0], y[0]), columns, lists }
     }
 

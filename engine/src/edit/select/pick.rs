@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::blocks::{Blocks, Reaching, SIDE};
+use super::blocks::{Blocks, Reaching, SIDE, bounds};
 use crate::edit::{centers, rows};
 use crate::error::{Error, Result};
 use crate::reference::{ALPHA_MIN, Parameters, ReferenceOptions, Splat, TRANSMITTANCE_MIN, place_scene, project};
@@ -176,11 +176,11 @@ fn surface<'a>(splats: &[Reaching<'a>], point: DVec2) -> Option<&'a Splat> {
 
 /// What may be seen between two pixels, front to back, as the f64 reference draws it.
 fn splats(view: &View<'_>, corners: [DVec2; 2]) -> Result<Vec<Splat>> {
-    splats_of(view, candidates(view, corners, ReferenceOptions::default().near)?)
+    splats_of(view, corners, candidates(view, corners, ReferenceOptions::default().near)?)
 }
 
 /// The same of these Gaussians, in order; `None`: of all.
-fn splats_of(view: &View<'_>, found: Option<Vec<usize>>) -> Result<Vec<Splat>> {
+fn splats_of(view: &View<'_>, [low, high]: [DVec2; 2], found: Option<Vec<usize>>) -> Result<Vec<Splat>> {
     let View { scene, camera, time, hidden } = *view;
     let near = ReferenceOptions::default().near;
     let part = found.as_ref().map(|indices| rows::part(scene, indices));
@@ -191,11 +191,14 @@ fn splats_of(view: &View<'_>, found: Option<Vec<usize>>) -> Result<Vec<Splat>> {
     let splats: Vec<Splat> = (0..drawn.gaussians.len())
         .into_par_iter()
         .filter(|&k| !hidden.is_some_and(|hidden| hidden[number(k)]))
-        .filter(|&k| scene.gaussians.is_valid(number(k), &mut Rejected::default()))
         .filter_map(|k| {
             let place = (placed.mean[k], placed.rotation[k], placed.scale[k]);
             let splat = project(&parameters, k, place, placed.opacity[k], camera, near)?;
-            Some(Splat { index: number(k), ..splat })
+            let [from, to] = bounds(&splat);
+            let reaches = !(from.cmpgt(high).any() || to.cmplt(low).any());
+            // Last, because it looks at all its coefficients.
+            (reaches && scene.gaussians.is_valid(number(k), &mut Rejected::default()))
+                .then_some(Splat { index: number(k), ..splat })
         })
         .collect();
     // Splats are long: they are moved once.
@@ -252,7 +255,8 @@ mod tests {
                 let mut camera = Camera::look_at(eye, DVec3::new(0.2, 0.1, 0.5), DVec3::NEG_Y, 1.1, [200, 120]);
                 (camera.cx, camera.fy) = (camera.cx + 60.0 * seed as f64, 0.7 * camera.fy);
                 let view = View { scene, camera: &camera, time: 0.3, hidden: None };
-                let all = splats_of(&view, None).unwrap();
+                let everywhere = [DVec2::NEG_INFINITY, DVec2::INFINITY];
+                let all = splats_of(&view, everywhere, None).unwrap();
                 for [low, high] in
                     [[[0.0, 0.0], [9.0, 8.0]], [[100.5, 60.5], [100.5, 60.5]], [[150.0, 20.0], [200.0, 90.0]]]
                 {
