@@ -39,6 +39,7 @@ pub use part::transform_in_part;
 pub use session::{Session, Step};
 pub use similarity::Similarity;
 pub(crate) use similarity::unwrapped;
+pub(crate) use split::{copy as copy_superpoints, movable};
 pub use time::{TimeMap, retime};
 pub use transform::{stretch, transform};
 

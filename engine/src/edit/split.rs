@@ -74,8 +74,8 @@ pub(crate) fn split(scene: &mut Scene, mask: &[bool]) -> Vec<usize> {
     part
 }
 
-/// Adds copies of superpoints, with their poses.
-fn copy(s: &mut SuperpointDeformation, copied: &[usize]) {
+/// Adds copies of superpoints, with their poses; one may be copied several times.
+pub(crate) fn copy(s: &mut SuperpointDeformation, copied: &[usize]) {
     let m = s.superpoints.position.len();
     let more: Vec<[f32; 3]> = copied.iter().map(|&j| s.superpoints.position[j]).collect();
     s.superpoints.position.extend(more);

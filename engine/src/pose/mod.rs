@@ -19,6 +19,7 @@
 mod adam;
 mod bodies;
 mod coupling;
+mod divide;
 mod follow;
 mod gauge;
 mod gauss_newton;
@@ -31,6 +32,7 @@ mod verdict;
 
 pub use bodies::{Bodies, Stand};
 pub use coupling::Coupling;
+pub use divide::divide;
 pub use follow::follow;
 pub use keys::put;
 pub use sight::{apart_px, project};

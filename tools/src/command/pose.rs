@@ -7,12 +7,12 @@ use engine::data::dataset::{self, DatasetOptions, View};
 use engine::error::{Error, Result};
 use engine::file::{self, Output, durable};
 use engine::gpu::Gpu;
-use engine::pose::{Following, Moment, Options, PhotoReport, Progress, Solve, Verdict, follow};
+use engine::pose::{Following, Moment, Options, PhotoReport, Progress, Solve, Verdict, divide, follow};
 use engine::scene::Scene;
 use engine::train::config::Config;
 use serde::Serialize;
 
-use crate::cli::args::{Global, PoseArgs};
+use crate::cli::args::{Global, PoseArgs, SolveArg};
 use crate::cli::interrupt::{self, Interrupt};
 use crate::cli::{gpu_session, model, output, progress};
 use crate::report::files::{to_json, write_text};
@@ -70,8 +70,14 @@ pub fn run(args: &PoseArgs, global: &Global) -> Result<()> {
 pub fn pose(args: &PoseArgs, global: &Global) -> Result<Option<Summary>> {
     let target = Target::new(&args.out, args.solve.into())?;
     let loaded = model::load(&args.model)?;
-    let scene = loaded.scene;
+    let mut scene = loaded.scene;
     let trained = training_config(&scene);
+    if let Some(count) = args.superpoints {
+        if args.solve == SolveArg::Camera {
+            return Err(Error::usage("--superpoints", "--solve camera", "--solve superpoints or both"));
+        }
+        divide(&mut scene, count as usize)?;
+    }
     let views = views(args, trained.as_ref())?;
     let options = options(args, trained.as_ref());
     let gpu = gpu_session::open_to_train(global)?;

@@ -36,6 +36,9 @@ pub struct PoseArgs {
     /// Begin with the superpoints as the model has them at T [default: at the photo's time]
     #[arg(long, value_name = "T", allow_hyphen_values = true, value_parser = finite)]
     pub init: Option<f64>,
+    /// Divide superpoints before the search until there are N, so that what was rigid can bend
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    pub superpoints: Option<u32>,
     /// Average photos down by this factor [default: as the model was trained]
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub downscale: Option<u32>,
