@@ -6,9 +6,10 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use engine::gpu::capability::{REQUIREMENTS, STORAGE_BUFFERS, TRAINING_STORAGE_BUFFERS};
-use engine::gpu::kernel::{Access, Kernel};
+use engine::gpu::kernel::{Access, Binding, Element, Kernel};
 use engine::gpu::reconvergence::Reconvergence;
 use engine::gpu::spirv;
+use engine::gpu::texels::with_texel_reads;
 use rspirv::dr::Operand;
 use rspirv::spirv::{Capability, ExecutionMode};
 use tools::dev::spirv as task;
@@ -174,6 +175,39 @@ fn reconvergence_is_asked_for_where_there_are_subgroup_operations() {
         }
     }
     assert!(asking > 20, "{asking} requests");
+}
+
+/// What Mesa's software driver gets: valid modules that read arrays from texel buffers, from second ones what they write too.
+#[test]
+fn arrays_are_read_as_texels() {
+    let (mut texels, mut arrays) = (0, 0);
+    for kernel in engine::kernels() {
+        let words = spirv::words(kernel).unwrap();
+        let (same, none) = with_texel_reads(&words, kernel.bindings, 0);
+        assert!(same == words && none.count() == 0, "{}: none allowed", kernel.name);
+        let (all, found) = with_texel_reads(&words, kernel.bindings, 64);
+        assert_valid(kernel.name, &all);
+        let image = |i: &rspirv::dr::Instruction| i.class.opname == "ImageRead";
+        let module = rspirv::dr::load_words(&all).unwrap();
+        assert_eq!(found.count() > 0, module.all_inst_iter().any(image), "{}", kernel.name);
+        for (binding, declared) in (0..).zip(kernel.bindings) {
+            let about = || format!("{}: `{}` {:?}", kernel.name, declared.name, declared.access);
+            let (first, second) = (found.has(binding), found.has(32 + binding));
+            assert!(!first || declared.access == Access::Read, "{}", about());
+            assert!(!second || declared.access == Access::Update, "{}", about());
+            assert!(!(first || second) || declared.layout.is_empty(), "{} is a struct", about());
+        }
+        let (few, some) = with_texel_reads(&words, kernel.bindings, 2);
+        assert_valid(kernel.name, &few);
+        assert_eq!(some.count(), found.count().min(2), "{}", kernel.name);
+        texels += found.count() as usize;
+        let is_array = |b: &&Binding| {
+            matches!(b.access, Access::Read | Access::Update) && b.layout.is_empty() && b.element != Element::Image
+        };
+        arrays += kernel.bindings.iter().filter(is_array).count();
+    }
+    println!("{texels} of {arrays} arrays that are read");
+    assert!(texels * 10 > arrays * 9, "{texels} of {arrays}");
 }
 
 fn assert_valid(name: &str, words: &[u32]) {

@@ -45,6 +45,8 @@ pub struct Capabilities {
     pub max_allocation_bytes: u64,
     /// Storage buffers visible to one shader stage.
     pub max_storage_buffers: u32,
+    /// Bindings of a kernel that are read as texels ([`super::texels`]): none but with Mesa's software driver.
+    pub texel_reads: u32,
     /// Bytes of push constants.
     pub max_push_constants: u32,
     /// Bytes of shared memory.
@@ -363,6 +365,9 @@ impl DeviceInfo {
         c.max_storage_buffer_range = u64::from(limits.max_storage_buffer_range);
         c.max_allocation_bytes = maintenance.max_memory_allocation_size;
         c.max_storage_buffers = limits.max_per_stage_descriptor_storage_buffers;
+        if driver.driver_id == vk::DriverId::MESA_LLVMPIPE {
+            c.texel_reads = limits.max_per_stage_descriptor_storage_images;
+        }
         c.max_push_constants = limits.max_push_constants_size;
         c.max_shared_bytes = limits.max_compute_shared_memory_size;
         c.max_workgroup_size = limits.max_compute_work_group_invocations.min(limits.max_compute_work_group_size[0]);

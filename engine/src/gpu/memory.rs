@@ -283,8 +283,14 @@ impl Gpu {
 
     fn make_buffer(&self, name: &str, bytes: u64, memory: Memory) -> Result<Buffer> {
         let shared = &self.0;
+        let texels = if shared.info.capabilities.texel_reads > 0 {
+            vk::BufferUsageFlags::STORAGE_TEXEL_BUFFER
+        } else {
+            vk::BufferUsageFlags::empty()
+        };
         let create = vk::BufferCreateInfo::default().size(bytes).sharing_mode(vk::SharingMode::EXCLUSIVE).usage(
-            vk::BufferUsageFlags::STORAGE_BUFFER
+            texels
+                | vk::BufferUsageFlags::STORAGE_BUFFER
                 | vk::BufferUsageFlags::TRANSFER_SRC
                 | vk::BufferUsageFlags::TRANSFER_DST
                 | vk::BufferUsageFlags::INDIRECT_BUFFER

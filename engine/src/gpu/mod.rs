@@ -50,6 +50,7 @@ pub mod subgroup_size;
 mod surface;
 #[cfg(feature = "window")]
 mod swapchain;
+pub mod texels;
 #[cfg(feature = "window")]
 mod texture;
 mod timestamps;

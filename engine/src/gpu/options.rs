@@ -27,7 +27,7 @@ pub enum SelfTest {
 }
 
 /// How to make a [`Gpu`](super::Gpu). The defaults come from the environment: `SPGS_DEVICE`, `SPGS_VALIDATION=1`,
-/// `SPGS_BREADCRUMBS=0|1`, `SPGS_TIMEOUT_S`, `SPGS_SUBGROUP_SIZE`, `SPGS_SELF_TEST=0`.
+/// `SPGS_BREADCRUMBS=0|1`, `SPGS_TIMEOUT_S`, `SPGS_SUBGROUP_SIZE`, `SPGS_SELF_TEST=0`, `SPGS_TEXEL_READS=0`.
 #[derive(Debug, Clone)]
 pub struct GpuOptions {
     /// Index in `spgs devices`, or part of the device's name. `None`: discrete before integrated before virtual before CPU.
@@ -56,6 +56,8 @@ pub struct GpuOptions {
     /// The subgroup size of every kernel, where the device can pin it; `None`: that of
     /// [`CHOICES`](super::subgroup_size::CHOICES). `SPGS_SUBGROUP_SIZE`.
     pub subgroup_size: Option<u32>,
+    /// Read through texel buffers where the driver is faster with them ([`super::texels`]). `SPGS_TEXEL_READS=0`: never.
+    pub texel_reads: bool,
     /// Pipelines keep what the driver's compiler says of them ([`Gpu::compiled_kernels`](super::Gpu::compiled_kernels)).
     pub statistics: bool,
     /// Instance extensions that the caller needs beside the engine's, for a window's surface; a loader without one of
@@ -88,6 +90,7 @@ impl Default for GpuOptions {
             pipeline_cache: true,
             timeout_s: timeout.unwrap_or(60.0),
             subgroup_size,
+            texel_reads: flag("SPGS_TEXEL_READS", true),
             statistics: false,
             instance_extensions: Vec::new(),
             device_extensions: Vec::new(),

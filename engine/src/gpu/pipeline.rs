@@ -7,8 +7,9 @@ use std::path::PathBuf;
 use ash::vk;
 
 use super::device::{Gpu, lock, vk_error};
-use super::kernel::{Element, Kernel};
+use super::kernel::{Binding, Element, Kernel};
 use super::spirv;
+use super::texels::{Texels, with_texel_reads};
 use crate::error::{Error, Result};
 
 /// A compute pipeline with its layouts. Lives as long as the device.
@@ -17,6 +18,7 @@ pub(super) struct Pipeline {
     pub(super) raw: vk::Pipeline,
     pub(super) layout: vk::PipelineLayout,
     pub(super) set_layout: vk::DescriptorSetLayout,
+    pub(super) texels: Texels,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -24,6 +26,7 @@ struct Interface {
     module: vk::ShaderModule,
     layout: vk::PipelineLayout,
     set_layout: vk::DescriptorSetLayout,
+    texels: Texels,
 }
 
 /// Everything made from SPIR-V so far.
@@ -106,13 +109,18 @@ impl Gpu {
         let words = replaced.map_or_else(|| spirv::words(kernel), |(_, words)| Ok(words.clone()))?;
         let words = if threads == kernel.local_size { words } else { spirv::with_local_size(&words, threads) };
         let words = self.0.info.capabilities.reconvergence.ask(words);
+        let (words, texels) = self.with_texel_reads(kernel, words);
+        let type_of = |(binding, declared): (u32, &Binding)| match (declared.element, texels.format(binding)) {
+            (Element::Image, _) => (binding, vk::DescriptorType::STORAGE_IMAGE),
+            (_, Some(_)) => (binding, vk::DescriptorType::STORAGE_TEXEL_BUFFER),
+            _ => (binding, vk::DescriptorType::STORAGE_BUFFER),
+        };
+        let second = texels.second().map(|binding| (binding, vk::DescriptorType::STORAGE_TEXEL_BUFFER));
         let bindings: Vec<_> = (0..)
             .zip(kernel.bindings)
-            .map(|(binding, declared)| {
-                let ty = match declared.element {
-                    Element::Image => vk::DescriptorType::STORAGE_IMAGE,
-                    _ => vk::DescriptorType::STORAGE_BUFFER,
-                };
+            .map(type_of)
+            .chain(second)
+            .map(|(binding, ty)| {
                 vk::DescriptorSetLayoutBinding::default()
                     .binding(binding)
                     .descriptor_type(ty)
@@ -138,7 +146,7 @@ impl Gpu {
         // SAFETY: the words passed naga's parser and, in the tests, spirv-val, also with what was asked for.
         let module = unsafe { device.create_shader_module(&module_create, None) };
         match (layout, module) {
-            (Ok(layout), Ok(module)) => Ok(Interface { module, layout, set_layout }),
+            (Ok(layout), Ok(module)) => Ok(Interface { module, layout, set_layout, texels }),
             (layout, module) => {
                 let code = layout.err().or(module.err()).unwrap_or(vk::Result::ERROR_UNKNOWN);
                 // SAFETY: unused; destroying a null handle does nothing.
@@ -150,6 +158,16 @@ impl Gpu {
                 Err(vk_error("vkCreateShaderModule / vkCreatePipelineLayout")(code))
             }
         }
+    }
+
+    /// What the kernel reads as texels on this device, if anything; its image, if it stores to one, is one of what a stage may have.
+    fn with_texel_reads(&self, kernel: &Kernel, words: Vec<u32>) -> (Vec<u32>, Texels) {
+        let images = u32::from(kernel.buffers().1);
+        let most = self.0.info.capabilities.texel_reads.saturating_sub(images);
+        if most == 0 || !self.0.options.texel_reads {
+            return (words, Texels::default());
+        }
+        with_texel_reads(&words, kernel.bindings, most)
     }
 
     /// `constants`: from id 0, the subgroup size, on.
@@ -181,7 +199,10 @@ impl Gpu {
         // SAFETY: interface and constants were checked against the SPIR-V.
         let made = unsafe { self.0.device.create_compute_pipelines(self.0.cache.raw, &create, None) };
         match made {
-            Ok(list) => Ok(Pipeline { raw: list[0], layout: interface.layout, set_layout: interface.set_layout }),
+            Ok(list) => {
+                let Interface { layout, set_layout, texels, .. } = interface;
+                Ok(Pipeline { raw: list[0], layout, set_layout, texels })
+            }
             Err((_, code)) => Err(self.vulkan_error("vkCreateComputePipelines", code)),
         }
     }

@@ -42,7 +42,7 @@ const MOST_SHUFFLING_LANES: u32 = 16;
 pub const PRODUCT_THREADS: u32 = 256;
 /// Of [`Stage::Shuffle`]: two tiles at 8 lanes.
 const SHUFFLE_THREADS: u32 = 16;
-const SHUFFLE_ROWS: u32 = 32;
+const SHUFFLE_ROWS: u32 = 16;
 const SHUFFLE_COLUMNS: u32 = 8;
 const SHARED_TILE: u32 = 32;
 

@@ -13,6 +13,7 @@ use super::host::{HostCommandBuffer, HostImage};
 use super::memory::{Buffer, Slice};
 use super::operation::{Grid, Operation, Work};
 use super::pipeline::Pipeline;
+use super::texels;
 use super::timestamps::{Timing, ticks_between};
 use crate::error::{Error, Result};
 
@@ -36,6 +37,8 @@ pub struct Sequence {
     sets: Vec<vk::DescriptorSet>,
     /// Of dispatches to images: operation, and a set per slot, written when it is encoded.
     image_sets: Vec<(usize, Vec<vk::DescriptorSet>)>,
+    /// Of what dispatches read as texels.
+    views: Vec<(u32, vk::BufferView)>,
     queries: vk::QueryPool,
     slots: u32,
 }
@@ -77,6 +80,7 @@ impl Sequence {
             begin_barrier,
             beside,
             descriptors: vk::DescriptorPool::null(),
+            views: Vec::new(),
             queries: vk::QueryPool::null(),
             slots: slots.max(1),
         };
@@ -110,26 +114,36 @@ impl Sequence {
             return Ok(());
         }
         let size = |ty, count: u32| vk::DescriptorPoolSize::default().ty(ty).descriptor_count(count.max(1));
-        let sizes =
-            [size(vk::DescriptorType::STORAGE_BUFFER, buffers), size(vk::DescriptorType::STORAGE_IMAGE, images)];
+        let sizes = [
+            size(vk::DescriptorType::STORAGE_BUFFER, buffers),
+            size(vk::DescriptorType::STORAGE_TEXEL_BUFFER, buffers),
+            size(vk::DescriptorType::STORAGE_IMAGE, images),
+        ];
         let create = vk::DescriptorPoolCreateInfo::default().max_sets(sets).pool_sizes(&sizes);
         // SAFETY: plain creation; `Drop` destroys the pool.
         self.descriptors = unsafe { self.gpu.device.create_descriptor_pool(&create, None) }
             .map_err(vk_error("vkCreateDescriptorPool"))?;
         for index in 0..self.operations.len() {
             let Work::Dispatch { pipeline, slices, to_image, .. } = &self.operations[index].work else { continue };
+            let views = pipeline.texels.views(&self.gpu.device, slices)?;
+            self.views.extend(&views);
             if *to_image {
-                let sets = (0..self.slots).map(|_| self.create_set(pipeline, slices)).collect::<Result<_>>()?;
+                let sets = (0..self.slots).map(|_| self.create_set(pipeline, slices, &views)).collect::<Result<_>>()?;
                 self.image_sets.push((index, sets));
             } else {
-                self.sets[index] = self.create_set(pipeline, slices)?;
+                self.sets[index] = self.create_set(pipeline, slices, &views)?;
             }
         }
         Ok(())
     }
 
-    /// A set with these buffers.
-    fn create_set(&self, pipeline: &Pipeline, slices: &[Slice]) -> Result<vk::DescriptorSet> {
+    /// A set with these buffers, and these views, also in place of buffers.
+    fn create_set(
+        &self,
+        pipeline: &Pipeline,
+        slices: &[Slice],
+        views: &[(u32, vk::BufferView)],
+    ) -> Result<vk::DescriptorSet> {
         let layouts = [pipeline.set_layout];
         let allocate = vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.descriptors).set_layouts(&layouts);
         // SAFETY: the pool was sized for all dispatches.
@@ -139,17 +153,16 @@ impl Sequence {
             .iter()
             .map(|s| vk::DescriptorBufferInfo { buffer: s.buffer.raw(), offset: s.start, range: s.bytes })
             .collect();
-        let updates: Vec<_> = infos
-            .iter()
-            .enumerate()
-            .map(|(binding, info)| {
-                vk::WriteDescriptorSet::default()
-                    .dst_set(set)
-                    .dst_binding(binding as u32)
-                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
-                    .buffer_info(std::slice::from_ref(info))
-            })
-            .collect();
+        let write = |binding: u32| vk::WriteDescriptorSet::default().dst_set(set).dst_binding(binding);
+        let buffers = (0..).zip(&infos).filter(|(binding, _)| !pipeline.texels.has(*binding)).map(|(binding, info)| {
+            let ty = vk::DescriptorType::STORAGE_BUFFER;
+            write(binding).descriptor_type(ty).buffer_info(std::slice::from_ref(info))
+        });
+        let texels = views.iter().map(|(binding, view)| {
+            let ty = vk::DescriptorType::STORAGE_TEXEL_BUFFER;
+            write(*binding).descriptor_type(ty).texel_buffer_view(std::slice::from_ref(view))
+        });
+        let updates: Vec<_> = buffers.chain(texels).collect();
         // SAFETY: the set is new, the buffers are live and kept by the operation.
         unsafe { self.gpu.device.update_descriptor_sets(&updates, &[]) };
         Ok(set)
@@ -461,5 +474,6 @@ impl Drop for Sequence {
             self.gpu.device.destroy_query_pool(self.queries, None);
             self.gpu.device.destroy_descriptor_pool(self.descriptors, None);
         }
+        texels::destroy(&self.gpu.device, &self.views);
     }
 }

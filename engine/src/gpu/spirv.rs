@@ -246,13 +246,7 @@ fn block_members(module: &naga::Module, block: &naga::Type) -> Vec<(String, u32)
 fn block_qualifiers(words: &[u32]) -> BTreeMap<String, (bool, bool)> {
     let mut names: BTreeMap<u32, String> = BTreeMap::new();
     let mut flags: BTreeMap<u32, (bool, bool)> = BTreeMap::new();
-    let mut at = 5;
-    while at < words.len() {
-        let (length, op) = ((words[at] >> 16) as usize, words[at] & 0xffff);
-        if length == 0 || at + length > words.len() {
-            break;
-        }
-        let operands = &words[at + 1..at + length];
+    for (op, operands) in instructions(words) {
         match (op, operands) {
             (OP_NAME, [id, text @ ..]) => {
                 names.insert(*id, literal(text));
@@ -261,9 +255,19 @@ fn block_qualifiers(words: &[u32]) -> BTreeMap<String, (bool, bool)> {
             (OP_MEMBER_DECORATE, [id, 0, DECORATION_NON_READABLE, ..]) => flags.entry(*id).or_default().1 = true,
             _ => {}
         }
-        at += length;
     }
     flags.into_iter().filter_map(|(id, f)| names.get(&id).map(|n| (n.clone(), f))).collect()
+}
+
+/// The instructions of a module: operation and operands; up to where it is cut off.
+pub(super) fn instructions(words: &[u32]) -> impl Iterator<Item = (u32, &[u32])> {
+    let mut rest = words.get(HEADER_WORDS..).unwrap_or_default();
+    std::iter::from_fn(move || {
+        let length = (rest.first()? >> 16) as usize;
+        let (instruction, after) = rest.split_at_checked(length)?;
+        rest = after;
+        instruction.split_first().map(|(first, operands)| (first & 0xffff, operands))
+    })
 }
 
 fn literal(words: &[u32]) -> String {

@@ -70,13 +70,13 @@ impl Subject {
             vulkan: info.vulkan.clone(),
             cache_uuid: info.capabilities.cache_uuid.clone(),
             subgroup_size: info.capabilities.subgroup_size,
-            shaders: shaders(options),
+            shaders: shaders(options, info.capabilities.texel_reads > 0 && options.texel_reads),
         }
     }
 }
 
 /// SHA-256 of the SPIR-V of all kernels and what they are judged by, hexadecimal: another test is not answered by an old verdict.
-fn shaders(options: &GpuOptions) -> String {
+fn shaders(options: &GpuOptions, texel_reads: bool) -> String {
     static COMMITTED: OnceLock<String> = OnceLock::new();
     let committed = COMMITTED.get_or_init(|| {
         let mut hash = Sha256::new();
@@ -88,11 +88,15 @@ fn shaders(options: &GpuOptions) -> String {
         }
         hex(&hash.finalize())
     });
-    if options.replace_spirv.is_empty() {
+    if options.replace_spirv.is_empty() && !texel_reads {
         return committed.clone();
     }
     let mut hash = Sha256::new();
     hash.update(committed);
+    if texel_reads {
+        // What rewrites them.
+        hash.update(include_str!("../gpu/texels.rs"));
+    }
     for (name, words) in &options.replace_spirv {
         hash.update(name);
         hash.update(bytemuck::cast_slice::<u32, u8>(words));
