@@ -255,7 +255,7 @@ fn declared(words: &[u32], kernel: &[Binding], most: u32) -> Declared {
             _ => {}
         }
     }
-    keep_what_is_only_read(words, &mut d);
+    keep_what_is_read(words, &mut d);
     d.arrays.retain(|_, a| a.is_read);
     let mut order: Vec<(u32, u32)> = d.arrays.iter().map(|(id, a)| (a.texels(), *id)).collect();
     order.sort_unstable();
@@ -264,8 +264,8 @@ fn declared(words: &[u32], kernel: &[Binding], most: u32) -> Declared {
     d
 }
 
-/// Finds the places that are read, and leaves out arrays that are used in any other way.
-fn keep_what_is_only_read(words: &[u32], d: &mut Declared) {
+/// Finds the places that are read or stored to, and leaves out arrays that are used in any other way.
+fn keep_what_is_read(words: &[u32], d: &mut Declared) {
     for (op, operands) in instructions(words) {
         let pointers: &[u32] = match (op, operands) {
             (OP_ACCESS_CHAIN | OP_IN_BOUNDS_ACCESS_CHAIN, [_, id, base, indices @ ..]) => {

@@ -132,6 +132,30 @@ fn masks_weight_what_moves_and_weights_give_lpips() {
     assert!(e["mean"]["lpips_vgg"].is_null());
 }
 
+/// The same model beside itself, and beside one that has nothing.
+#[test]
+fn other_models_are_drawn_beside() {
+    let (posed, folder) = setup(&PosedOptions { test: 2, ..PosedOptions::default() });
+    let at = |name: &str| folder.path().join(name);
+    let (model, twin, empty, page) = (at("model.safetensors"), at("twin.json"), at("other.safetensors"), at("e.html"));
+    let base = ["--data", text(posed.path()), "--json"];
+    ok(&[&["eval", text(&model)][..], &base, &[text(&twin)]].concat());
+    let mut none = engine::scene::synthetic::random_scene(1, 0, 0);
+    none.gaussians.mean[0] = [0.0, 0.0, 1e6];
+    engine::file::save(&empty, &none).unwrap();
+    let compared = ["--beside", text(&twin), "--report", text(&page)];
+    let said = |model: &Path| ok(&[&["eval", text(model)][..], &base, &[text(&at("e.json"))], &compared].concat());
+    let line = said(&model);
+    assert!(line.contains("twin: ") && line.contains("on 2 of these views") && line.contains("(+0.00)"), "{line}");
+    let html = std::fs::read_to_string(&page).unwrap();
+    assert!(html.contains(">twin<") || html.contains("twin\n"), "the legend");
+    let worse = said(&empty);
+    assert!(worse.contains("twin: ") && worse.contains("(-"), "{worse}");
+    std::fs::write(&twin, "{\"images\": [{\"name\": \"r_000\"}]}").unwrap();
+    let line = bad_data(&[&["eval", text(&model)][..], &base, &[text(&at("f.json"))], &compared].concat());
+    assert!(line.contains("twin.json") && line.contains("time") && !at("f.json").exists(), "{line}");
+}
+
 #[test]
 fn bad_data_leave_no_report() {
     let (posed, folder) = setup(&PosedOptions { test: 2, ..PosedOptions::default() });

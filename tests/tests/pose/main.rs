@@ -430,7 +430,12 @@ fn the_command_writes_all_files_or_none() {
     let alone = at("cameras.json");
     cli(&[&[still.as_str(), "--solve", "camera", "--out", &alone][..], &common].concat()).unwrap().unwrap();
     let mut all: Vec<String> =
-        ["new.safetensors", "new.cameras.json", "new.pose.json", "cameras.json"].map(String::from).to_vec();
+        ["new.safetensors", "new.cameras.json", "new.pose.json", "new.pose.html", "cameras.json"]
+            .map(String::from)
+            .to_vec();
+    let page = std::fs::read_to_string(at("new.pose.html")).unwrap();
+    assert_eq!(page.matches("<svg").count(), 2, "charts");
+    assert!(views.iter().all(|v| page.contains(&v.name)) && page.contains("not checked"), "{page}");
     all.extend(first.clone());
     all.sort();
     assert_eq!(names(&out), all);

@@ -1,5 +1,6 @@
 //! `spgs eval`: a model scored on the held-out views of a data set, with the paper's figures beside it.
 
+mod beside;
 mod confidence;
 mod evaluation;
 mod exposure;
@@ -17,6 +18,7 @@ use engine::metrics::flicker::Flicker;
 use engine::metrics::{Planes, flip, mean_of};
 use serde_json::{Value, json};
 
+use self::beside::Beside;
 use self::confidence::{Foretold, Summary};
 use self::evaluation::{Evaluation, our_row, paper_rows, paper_title};
 use self::session::{FloatScores, Session, ViewResult};
@@ -33,6 +35,7 @@ pub fn run(args: &EvalArgs, global: &Global) -> Result<()> {
     let loaded = model::load(&args.model)?;
     let setting = Setting::decide(args, &loaded.scene)?;
     let weights = scores::read_weights(&args.lpips_weights)?;
+    let beside = args.beside.iter().map(|path| Beside::read(path)).collect::<Result<Vec<_>>>()?;
     let gpu = gpu_session::open(global)?;
     let mut session = Session::new(&gpu, &loaded.scene, &setting, &weights)?;
     let staged = args.out.as_deref().map(Staged::new).transpose()?;
@@ -51,7 +54,7 @@ pub fn run(args: &EvalArgs, global: &Global) -> Result<()> {
         foretold.evidence.write(path, &loaded.scene)?;
     }
     let confidence = foretold.map(Foretold::summary);
-    let evaluation = Evaluation { confidence, ..summarise(views, flicker, &setting, &weights)? };
+    let evaluation = Evaluation { confidence, beside, ..summarise(views, flicker, &setting, &weights)? };
     let record = record(args, &gpu, &loaded.scene, &setting, &evaluation, seconds)?;
     args.results.write(&record, || report::page(&record, &setting, &evaluation, &mut session))?;
     gpu_session::report_validation(&gpu);
@@ -90,6 +93,7 @@ fn summarise(
         mean_lpips_paper,
         flicker,
         confidence: None,
+        beside: Vec::new(),
         notes,
     })
 }
@@ -155,6 +159,7 @@ fn print(setting: &Setting, e: &Evaluation) -> Result<()> {
     }
     e.confidence.iter().for_each(|c: &Summary| output::line(&c.line()));
     e.notes.iter().for_each(|n| output::line(n));
+    e.beside.iter().for_each(|other| output::line(&other.line(&e.views)));
     let Some(protocol) = &setting.protocol else { return Ok(()) };
     output::line(&format!("\nthe paper on {}, {}:", protocol.benchmark.name(), paper_title(setting)));
     setting.deviations.iter().for_each(|d| output::line(&format!("not as there: {d}")));

@@ -1,5 +1,7 @@
 //! `spgs pose`: how superpoints and cameras stand in photos that were never trained.
 
+mod page;
+
 use std::path::{Path, PathBuf};
 
 use engine::data::camera_file;
@@ -28,6 +30,8 @@ pub struct Summary {
     pub cameras: PathBuf,
     /// This summary as a file; absent with cameras alone.
     pub report: Option<PathBuf>,
+    /// The same as a page with charts; absent with cameras alone.
+    pub page: Option<PathBuf>,
     /// What did the work.
     pub device: String,
     /// How it was searched.
@@ -43,6 +47,7 @@ struct Target {
     model: Option<PathBuf>,
     cameras: PathBuf,
     report: Option<PathBuf>,
+    page: Option<PathBuf>,
 }
 
 /// Follows the photos and says what was found.
@@ -89,6 +94,7 @@ pub fn pose(args: &PoseArgs, global: &Global) -> Result<Option<Summary>> {
         output: target.model.clone(),
         cameras: target.cameras.clone(),
         report: target.report.clone(),
+        page: target.page.clone(),
         device: gpu.info().name.clone(),
         options,
         key_times: [keys(&scene), keys(&found.scene)],
@@ -122,7 +128,7 @@ impl Target {
     fn new(path: &Path, solve: Solve) -> Result<Self> {
         let is_json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
         let target = if is_json && solve == Solve::Camera {
-            Self { model: None, cameras: path.to_owned(), report: None }
+            Self { model: None, cameras: path.to_owned(), report: None, page: None }
         } else {
             let kind = Output::of_name(path)?;
             if !kind.holds_motion() {
@@ -131,10 +137,11 @@ impl Target {
             }
             let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
             let stem = &name[..name.len() - kind.ending().len()];
-            let beside = |what: &str| path.with_file_name(format!("{stem}.{what}.json"));
-            Self { model: Some(path.to_owned()), cameras: beside("cameras"), report: Some(beside("pose")) }
+            let beside = |what: &str| path.with_file_name(format!("{stem}.{what}"));
+            let [report, page] = ["pose.json", "pose.html"].map(|what| Some(beside(what)));
+            Self { model: Some(path.to_owned()), cameras: beside("cameras.json"), report, page }
         };
-        let all = target.model.iter().chain([&target.cameras]).chain(&target.report);
+        let all = target.model.iter().chain([&target.cameras]).chain(&target.report).chain(&target.page);
         all.into_iter().try_for_each(|path| durable::check_target(path))?;
         Ok(target)
     }
@@ -144,6 +151,9 @@ impl Target {
         camera_file::write(&self.cameras, &found.cameras)?;
         if let Some(report) = &self.report {
             write_text(report, &(to_json(summary)? + "\n"))?;
+        }
+        if let Some(path) = &self.page {
+            write_text(path, &page::page(summary)?)?;
         }
         if let Some(model) = &self.model {
             file::save(model, &found.scene)?;
@@ -202,7 +212,10 @@ fn lines(summary: &Summary) -> Vec<String> {
     let [before, after] = summary.key_times;
     let cameras = summary.cameras.display();
     lines.push(match &summary.output {
-        Some(output) => format!("{}: {before} → {after} key times; cameras in {cameras}", output.display()),
+        Some(output) => {
+            let page = summary.page.as_ref().map_or_else(String::new, |page| format!(", charts in {}", page.display()));
+            format!("{}: {before} → {after} key times; cameras in {cameras}{page}", output.display())
+        }
         None => format!("cameras in {cameras}"),
     });
     lines
@@ -227,14 +240,19 @@ fn of_moment(moment: &Moment) -> Vec<String> {
 fn of_photo(photo: &PhotoReport) -> String {
     let line = format!("{}: {:.2} → {:.2} dB", photo.name, photo.psnr_before, photo.psnr);
     let Some(camera) = &photo.camera else { return line };
-    let word = match camera.verdict {
+    let word = word(camera.verdict);
+    let px = camera.moved_px.map_or_else(String::new, |px| format!(" ({px:.2} px)"));
+    format!("{line}; camera turned {:.3}°, moved {:.4}{px}: {word}", camera.turned_degrees, camera.moved)
+}
+
+/// A verdict for people.
+fn word(verdict: Verdict) -> String {
+    match verdict {
         Verdict::Found { apart_px } => format!("found (two starts end {apart_px:.2} px apart)"),
         Verdict::OutOfReach { apart_px: Some(px) } => {
             format!("NOT FOUND: the start is out of reach (two starts end {px:.1} px apart)")
         }
         Verdict::OutOfReach { apart_px: None } => "NOT FOUND: it sees nothing of the scene".into(),
         Verdict::NotChecked => "not checked".into(),
-    };
-    let px = camera.moved_px.map_or_else(String::new, |px| format!(" ({px:.2} px)"));
-    format!("{line}; camera turned {:.3}°, moved {:.4}{px}: {word}", camera.turned_degrees, camera.moved)
+    }
 }

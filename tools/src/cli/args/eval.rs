@@ -50,6 +50,9 @@ pub struct EvalArgs {
     /// Also keep what --confidence found of each Gaussian, for `spgs render --confidence` and `spgs view --confidence`
     #[arg(long, value_name = "FILE", requires = "confidence")]
     pub save_confidence: Option<PathBuf>,
+    /// Other models to draw and compare with: what `spgs eval --json` wrote of them on the same views; repeatable
+    #[arg(long, value_name = "FILE")]
+    pub beside: Vec<PathBuf>,
     /// Where the results go
     #[command(flatten)]
     pub results: ResultArgs,

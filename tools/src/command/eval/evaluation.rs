@@ -3,6 +3,7 @@
 use engine::error::Result;
 use engine::metrics::flicker::Flicker;
 
+use super::beside::Beside;
 use super::confidence::Summary;
 use super::session::{FloatScores, ViewResult};
 use super::setting::Setting;
@@ -20,6 +21,8 @@ pub(super) struct Evaluation {
     pub(super) mean_lpips_paper: Option<f64>,
     pub(super) flicker: Option<Flicker>,
     pub(super) confidence: Option<Summary>,
+    /// Other models.
+    pub(super) beside: Vec<Beside>,
     pub(super) notes: Vec<String>,
 }
 

@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::evaluation::{Evaluation, our_row, paper_rows, paper_title};
 use super::session::{Session, ViewResult};
 use super::setting::Setting;
-use crate::report::page::{Align, Axis, Chart, Page, Picture, Series, Standing, Table};
+use crate::report::page::{Align, Axis, Chart, Mark, Page, Picture, Series, Standing, Table};
 use crate::report::scores::{AllScores, cell};
 use crate::report::{error_image, paper};
 
@@ -118,8 +118,11 @@ fn charts(page: &mut Page, e: &Evaluation) -> Result<()> {
         points
     };
     let time = || Axis::linear("time of the view");
-    let psnr = Series::points("PSNR", over_time(|v| v.scores.pixel.psnr));
-    page.chart(&Chart::new("PSNR over time", time(), Axis::linear("PSNR, dB")).series(psnr))?;
+    let mark = if e.beside.is_empty() { Mark::Points } else { Mark::Line };
+    let psnr = Series::new("this model", mark, over_time(|v| v.scores.pixel.psnr));
+    let chart = Chart::new("PSNR over time", time(), Axis::linear("PSNR, dB")).series(psnr);
+    page.chart(&e.beside.iter().fold(chart, |chart, other| chart.series(other.series())))?;
+    e.beside.iter().for_each(|other| page.text(&other.line(&e.views)));
     let flip = Series::points("FLIP", over_time(|v| v.scores.pixel.flip));
     page.chart(&Chart::new("FLIP over time", time(), Axis::linear("mean FLIP, 0 to 1")).series(flip))
 }
