@@ -435,7 +435,8 @@ fn the_command_writes_all_files_or_none() {
             .to_vec();
     let page = std::fs::read_to_string(at("new.pose.html")).unwrap();
     assert_eq!(page.matches("<svg").count(), 2, "charts");
-    assert!(views.iter().all(|v| page.contains(&v.name)) && page.contains("not checked"), "{page}");
+    let mut found = done.moments.iter().flat_map(|m| &m.photos);
+    assert!(found.all(|p| page.contains(&format!("<td>{}</td>", p.name))) && page.contains("not checked"), "{page}");
     all.extend(first.clone());
     all.sort();
     assert_eq!(names(&out), all);
