@@ -1,6 +1,7 @@
 //! `spgs pose`: how superpoints and cameras stand in photos that were never trained.
 
 mod page;
+mod summary;
 
 use std::path::{Path, PathBuf};
 
@@ -9,38 +10,16 @@ use engine::data::dataset::{self, DatasetOptions, View};
 use engine::error::{Error, Result};
 use engine::file::{self, Output, durable};
 use engine::gpu::Gpu;
-use engine::pose::{Following, Moment, Options, PhotoReport, Progress, Solve, Verdict, divide, follow};
+use engine::pose::{Following, Moment, Options, PhotoReport, Progress, Solve, divide, follow};
 use engine::scene::Scene;
 use engine::train::config::Config;
-use serde::Serialize;
 
+pub use self::summary::Summary;
+use self::summary::word;
 use crate::cli::args::{Global, PoseArgs, SolveArg};
 use crate::cli::interrupt::{self, Interrupt};
 use crate::cli::{gpu_session, model, output, progress};
 use crate::report::files::{to_json, write_text};
-
-/// What was done.
-#[derive(Debug, Serialize)]
-pub struct Summary {
-    /// The model read.
-    pub model: PathBuf,
-    /// The model written; absent with cameras alone.
-    pub output: Option<PathBuf>,
-    /// The cameras.
-    pub cameras: PathBuf,
-    /// This summary as a file; absent with cameras alone.
-    pub report: Option<PathBuf>,
-    /// The same as a page with charts; absent with cameras alone.
-    pub page: Option<PathBuf>,
-    /// What did the work.
-    pub device: String,
-    /// How it was searched.
-    pub options: Options,
-    /// Key times before and after.
-    pub key_times: [usize; 2],
-    /// What was found at each time.
-    pub moments: Vec<Moment>,
-}
 
 /// Where things go.
 struct Target {
@@ -243,16 +222,4 @@ fn of_photo(photo: &PhotoReport) -> String {
     let word = word(camera.verdict);
     let px = camera.moved_px.map_or_else(String::new, |px| format!(" ({px:.2} px)"));
     format!("{line}; camera turned {:.3}°, moved {:.4}{px}: {word}", camera.turned_degrees, camera.moved)
-}
-
-/// A verdict for people.
-fn word(verdict: Verdict) -> String {
-    match verdict {
-        Verdict::Found { apart_px } => format!("found (two starts end {apart_px:.2} px apart)"),
-        Verdict::OutOfReach { apart_px: Some(px) } => {
-            format!("NOT FOUND: the start is out of reach (two starts end {px:.1} px apart)")
-        }
-        Verdict::OutOfReach { apart_px: None } => "NOT FOUND: it sees nothing of the scene".into(),
-        Verdict::NotChecked => "not checked".into(),
-    }
 }

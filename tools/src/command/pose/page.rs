@@ -3,7 +3,7 @@
 use engine::error::Result;
 use engine::pose::{Moment, PhotoReport, Solve};
 
-use super::{Summary, word};
+use super::summary::{Summary, word};
 use crate::report::page::{Align, Axis, Chart, Page, Series, Standing, Table};
 
 /// A page with charts over time and a table of the photos.
