@@ -20,24 +20,30 @@ pub fn centers(scene: &Scene, time: f64) -> Result<Vec<DVec3>> {
 /// # Errors
 /// Those of [`place_scene`].
 pub fn centers_of(scene: &Scene, of: impl IntoParallelIterator<Item = usize>, time: f64) -> Result<Vec<DVec3>> {
-    let of = of.into_par_iter();
+    Ok(of.into_par_iter().map(center_at(scene, time)?).collect())
+}
+
+/// What tells the centre of a Gaussian at `time`: for those who look at each once, and keep none.
+///
+/// # Errors
+/// Those of [`place_scene`].
+pub(super) fn center_at(scene: &Scene, time: f64) -> Result<Box<dyn Fn(usize) -> DVec3 + Sync + Send + '_>> {
     if scene.deformation.changes_scales() {
         let placed = place_scene(scene, time, MotionSource::Auto)?.mean;
-        return Ok(of.map(|i| placed[i]).collect());
+        return Ok(Box::new(move |i| placed[i]));
     }
     let mean = &scene.gaussians.mean;
     let at = |i: usize| DVec3::from_array(mean[i].map(f64::from));
     let (Some(poses), Some(s)) = (poses(scene, time, MotionSource::Auto)?, scene.deformation.superpoint_deformation())
     else {
-        return Ok(of.map(at).collect());
+        return Ok(Box::new(at));
     };
     let placed: Vec<(DMat3, DVec3)> = poses.iter().map(|p| (exp(p.rotation), p.translation)).collect();
-    let place = |i: usize| match &s.blend {
-        None => {
+    Ok(match &s.blend {
+        None => Box::new(move |i| {
             let (turn, shift) = placed[s.superpoints.of_gaussian[i] as usize];
             turn * at(i) + shift
-        }
-        Some(blend) => blend.slots(i).map(|(j, w)| w * (placed[j].0 * at(i) + placed[j].1)).sum(),
-    };
-    Ok(of.map(place).collect())
+        }),
+        Some(blend) => Box::new(move |i| blend.slots(i).map(|(j, w)| w * (placed[j].0 * at(i) + placed[j].1)).sum()),
+    })
 }

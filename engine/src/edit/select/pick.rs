@@ -4,7 +4,8 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::blocks::{Blocks, Reaching, SIDE, bounds};
-use crate::edit::{centers, rows};
+use crate::edit::centers::center_at;
+use crate::edit::rows;
 use crate::error::{Error, Result};
 use crate::reference::{ALPHA_MIN, Parameters, ReferenceOptions, Splat, TRANSMITTANCE_MIN, place_scene, project};
 use crate::scene::{Camera, Deformation, MotionSource, Rejected, Scene};
@@ -234,8 +235,8 @@ fn candidates(view: &View<'_>, [low, high]: [DVec2; 2], near: f64) -> Result<Opt
         // What has no place is left to the reference.
         !(at.cmplt(low - reach).any() || at.cmpgt(high + reach).any())
     };
-    let all = centers(scene, time)?;
-    Ok(Some(all.into_par_iter().enumerate().filter(|(i, x)| may_show(*i, *x)).map(|(i, _)| i).collect()))
+    let center = center_at(scene, time)?;
+    Ok(Some((0..g.len()).into_par_iter().filter(|&i| may_show(i, center(i))).collect()))
 }
 
 #[cfg(test)]
