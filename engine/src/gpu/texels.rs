@@ -1,7 +1,7 @@
 //! Reads through texel buffers, for Mesa's software driver.
 //!
 //! Its loads from storage buffers go lane by lane, each through memory that it has only just written: 220 ns for four floats of
-//! eight lanes with Mesa 22.3, and 50 to 84 with the version of Debian's backports. The same from a texel buffer are 15 and 20. So
+//! eight lanes with Mesa 22.3, and 50 to 84 with the version of Debian's backports. The same from a texel buffer are 15 and 18 to 36. So
 //! where that driver is, the words that it gets read arrays of 32-bit numbers or vectors of four from texel buffers: what is
 //! `readonly` is bound as one, what is written too is bound a second time, to be read from. Kernels know nothing of it.
 //!

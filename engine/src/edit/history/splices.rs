@@ -272,6 +272,32 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
+    /// So many rows that what is kept of them has pages of its own.
+    #[test]
+    fn long_arrays_come_back() {
+        let before: Vec<u32> = (0..3_000_000).collect();
+        let mask: Vec<bool> = (0..1_000_000).map(|row| row % 7 > 0).collect();
+        let mut overwritten = Splices::overwritten(&before, 3, &mask);
+        assert!(matches!(overwritten.stored, Words::Many(_)));
+        let mut values = before.clone();
+        values.chunks_mut(3).zip(&mask).filter(|(_, m)| **m).for_each(|(row, _)| row.fill(9));
+        let after = values.clone();
+        assert!(overwritten.changes(&values));
+        for expected in [&before, &after, &before] {
+            overwritten.swap(&mut values);
+            assert!(values == *expected, "rows that were overwritten");
+        }
+        assert!(!overwritten.changes(&after));
+        let mut removed = Splices::removed(&before, 3, &mask);
+        let kept = before.chunks(3).zip(&mask).filter(|(_, m)| !**m).flat_map(|(row, _)| row.to_vec());
+        let short: Vec<u32> = kept.collect();
+        let mut values = short.clone();
+        for expected in [&before, &short, &before] {
+            removed.swap(&mut values);
+            assert!(values == *expected, "rows that were taken away");
+        }
+    }
+
     #[test]
     fn arrays_are_made_of_each_other() {
         let long: Vec<u32> = (0..40).collect();
