@@ -101,24 +101,25 @@ impl Sequence {
     }
 
     fn create_sets(&mut self) -> Result<()> {
-        // Sets and buffers of each dispatch: one to an image has a set per slot.
+        // Sets and descriptors of each dispatch: one to an image has a set per slot.
         let counts = self.operations.iter().filter_map(|o| match &o.work {
-            Work::Dispatch { slices, to_image, .. } => {
+            Work::Dispatch { pipeline, slices, to_image, .. } => {
                 let sets = if *to_image { self.slots } else { 1 };
-                Some([sets, sets * slices.len() as u32, if *to_image { sets } else { 0 }])
+                Some([1, slices.len() as u32, pipeline.texels.count(), u32::from(*to_image)].map(|n| sets * n))
             }
             _ => None,
         });
-        let [sets, buffers, images] = counts.fold([0; 3], |a, b| std::array::from_fn(|i| a[i] + b[i]));
+        let [sets, buffers, texels, images] = counts.fold([0; 4], |a, b| std::array::from_fn(|i| a[i] + b[i]));
         if sets == 0 {
             return Ok(());
         }
-        let size = |ty, count: u32| vk::DescriptorPoolSize::default().ty(ty).descriptor_count(count.max(1));
-        let sizes = [
-            size(vk::DescriptorType::STORAGE_BUFFER, buffers),
-            size(vk::DescriptorType::STORAGE_TEXEL_BUFFER, buffers),
-            size(vk::DescriptorType::STORAGE_IMAGE, images),
+        let wanted = [
+            (vk::DescriptorType::STORAGE_BUFFER, buffers),
+            (vk::DescriptorType::STORAGE_TEXEL_BUFFER, texels),
+            (vk::DescriptorType::STORAGE_IMAGE, images),
         ];
+        let size = |(ty, count)| vk::DescriptorPoolSize::default().ty(ty).descriptor_count(count);
+        let sizes: Vec<_> = wanted.into_iter().filter(|(_, count)| *count > 0).map(size).collect();
         let create = vk::DescriptorPoolCreateInfo::default().max_sets(sets).pool_sizes(&sizes);
         // SAFETY: plain creation; `Drop` destroys the pool.
         self.descriptors = unsafe { self.gpu.device.create_descriptor_pool(&create, None) }

@@ -21,6 +21,13 @@ impl<'a> Reaching<'a> {
         Self { splat, level: 2.0 * (splat.opacity / ALPHA_MIN).ln().max(0.0) }
     }
 
+    /// The corners of the box around the ellipse where α is 1/255, a little wider.
+    pub(super) fn bounds(&self) -> [DVec2; 2] {
+        let [xx, _, yy] = self.splat.covariance;
+        let reach = DVec2::new((self.level * xx).sqrt(), (self.level * yy).sqrt()) + 1e-6;
+        [self.splat.mean - reach, self.splat.mean + reach]
+    }
+
     /// α at a point of the image; `None` below 1/255. Most splats of a block are too far off, which takes no exponential to tell.
     pub(super) fn alpha(&self, point: DVec2) -> Option<f64> {
         if self.splat.square(point) > self.level + ROUNDING {
@@ -33,14 +40,6 @@ impl<'a> Reaching<'a> {
     fn reaches_row(&self, y: f64) -> bool {
         (self.splat.factor[2] * (y - self.splat.mean.y)).powi(2) <= self.level + ROUNDING
     }
-}
-
-/// The corners of the box around the ellipse where α is 1/255, a little wider.
-pub(super) fn bounds(splat: &Splat) -> [DVec2; 2] {
-    let level = Reaching::new(splat).level;
-    let reach = DVec2::new(level * splat.covariance[0], level * splat.covariance[2]);
-    let reach = DVec2::new(reach.x.sqrt(), reach.y.sqrt()) + 1e-6;
-    [splat.mean - reach, splat.mean + reach]
 }
 
 /// Splats of an area by the blocks that they reach, in the order in which they were given.
@@ -60,8 +59,9 @@ impl<'a> Blocks<'a> {
             low.max(0.0) as usize..(high + 1.0).clamp(0.0, count as f64) as usize
         };
         let spans = splats.par_iter().map(|splat| {
-            let [low, high] = bounds(splat);
-            (Reaching::new(splat), span(low.x, high.x, x[0], columns), span(low.y, high.y, y[0], rows))
+            let reaching = Reaching::new(splat);
+            let [low, high] = reaching.bounds();
+            (reaching, span(low.x, high.x, x[0], columns), span(low.y, high.y, y[0], rows))
         });
         let spans: Vec<_> = spans.collect();
         let row = |row: usize| {

@@ -3,7 +3,7 @@
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::blocks::{Blocks, Reaching, SIDE, bounds};
+use super::blocks::{Blocks, Reaching, SIDE};
 use crate::edit::centers::center_at;
 use crate::edit::rows;
 use crate::error::{Error, Result};
@@ -195,7 +195,7 @@ fn splats_of(view: &View<'_>, [low, high]: [DVec2; 2], found: Option<Vec<usize>>
         .filter_map(|k| {
             let place = (placed.mean[k], placed.rotation[k], placed.scale[k]);
             let splat = project(&parameters, k, place, placed.opacity[k], camera, near)?;
-            let [from, to] = bounds(&splat);
+            let [from, to] = Reaching::new(&splat).bounds();
             let reaches = !(from.cmpgt(high).any() || to.cmplt(low).any());
             // Last, because it looks at all its coefficients.
             (reaches && scene.gaussians.is_valid(number(k), &mut Rejected::default()))
