@@ -13,7 +13,7 @@ use crate::edit::{Placement, merge};
 use crate::error::{Error, Result};
 use crate::gpu::Gpu;
 use crate::reference::freeze;
-use crate::scene::{Camera, MotionSource, Scene};
+use crate::scene::{Camera, Deformation, Motion, MotionSource, Scene, SuperpointDeformation, Superpoints};
 use crate::train::bake::Views;
 use crate::train::config::Config;
 use crate::train::lost::LostObject;
@@ -30,7 +30,8 @@ pub struct Refitted {
     pub scene: Scene,
     /// Superpoints before and after, lost objects apart.
     pub superpoints: [usize; 2],
-    /// How far the parts were allowed to be off, pixels, and were off before they were trained; `None`: superpoints were kept.
+    /// How far the parts were allowed to be off, pixels, and were off before they were trained; `None`: superpoints were kept, or there
+    /// are none.
     pub error_px: Option<[f64; 2]>,
     /// Objects that the photos showed and the parts did not: each is one more part.
     pub lost_objects: Vec<LostObject>,
@@ -67,8 +68,8 @@ fn views(photos: &[View], config: &Config) -> Views<Camera> {
     Views { cameras, near: f64::from(config.near), everywhere: true }
 }
 
-/// Fits and trains a run's exported model for the steps that `config`, scaled, leaves to this; `None` where nothing moves by
-/// superpoints alone. Exposures are learnt on from the run's; its transients stay left out. `tick` hears of the fit, `watch` of every step.
+/// Fits and trains a run's exported model for the steps that `config`, scaled, leaves to this; `None` where more than superpoints moves it,
+/// or no table does. Where nothing moves, the Gaussians learn, and what is lost is looked for. Exposures are learnt on from the run's; its transients stay left out. `tick` hears of the fit, `watch` of every step.
 ///
 /// # Errors
 /// Those of [`distill`](super::distill) and [`tune`].
@@ -83,11 +84,14 @@ pub fn refit(
 ) -> Result<Option<Refitted>> {
     let iterations = config.refit_iterations();
     let alone = scene.deformation.nonrigid().is_none() && scene.deformation.field().is_none();
-    if iterations == 0 || !alone || scene.deformation.table().is_none() || !scene.deformation.moves() {
+    let moves = scene.deformation.moves();
+    if iterations == 0 || !alone || (moves && scene.deformation.table().is_none()) {
         return Ok(None);
     }
+    let resting = (!moves).then(|| at_rest(scene, photos));
+    let scene = resting.as_ref().unwrap_or(scene);
     let views = views(photos, config);
-    let most = config.refit.most_divided as usize;
+    let most = if moves { config.refit.most_divided as usize } else { 0 };
     let fitted = parts(scene, &views, bound_px(photos, config), most, tick)?;
     let mut student = Cow::Borrowed(fitted.as_ref().map_or(scene, |f| &f.scene));
     let superpoints = [scene, &*student].map(|s| s.deformation.superpoint_count());
@@ -107,8 +111,23 @@ pub fn refit(
         Ok([displacement.bound_px, displacement.error_px.largest])
     };
     let error_px = fitted.as_ref().map(off).transpose()?;
-    let Tuned { scene, loss, exposures, .. } = tuned;
+    let Tuned { mut scene, loss, exposures, .. } = tuned;
+    if !moves && lost_objects.is_empty() {
+        scene.deformation = Deformation::None;
+    }
     Ok(Some(Refitted { scene, superpoints, error_px, lost_objects, loss, exposures }))
+}
+
+/// A scene that stands still, as one superpoint that rests at all times of the photos.
+fn at_rest(scene: &Scene, photos: &[View]) -> Scene {
+    let all = photos.iter().map(|v| v.time as f32);
+    let mut times = vec![all.clone().fold(f32::INFINITY, f32::min), all.fold(f32::NEG_INFINITY, f32::max)];
+    times.dedup();
+    let zeros = vec![[0.0; 3]; times.len()];
+    let table = Motion { times, rotation: zeros.clone(), translation: zeros };
+    let superpoints = Superpoints { of_gaussian: vec![0; scene.gaussians.len()], position: vec![[0.0; 3]] };
+    let moved = SuperpointDeformation { superpoints, table: Some(table), ..SuperpointDeformation::default() };
+    Scene { deformation: moved.into(), ..scene.clone() }
 }
 
 /// Adds what the photos show and the student does not; returns it.

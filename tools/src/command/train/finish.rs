@@ -82,6 +82,7 @@ impl End<'_> {
         engine::file::save(&path, &scene)?;
         let (scores, pairs, coverage) = self.evaluate_all(&scene)?;
         self.warn_of_emptiness(&coverage);
+        self.warn_of_rest(&scene);
         let [psnr, ssim] = evaluate::mean(&scores);
         let split = if self.data.test.is_empty() { "train" } else { "test" };
         self.log.line(i, json!({ "evaluation": { "split": split, "psnr": psnr, "ssim": ssim, "views": scores } }))?;
@@ -126,6 +127,15 @@ impl End<'_> {
                 100.0 * share
             ),
             _ => {}
+        }
+    }
+
+    /// Says so when nothing moves though photos are of many times: network F has found no motion, or there is none.
+    fn warn_of_rest(&self, scene: &Scene) {
+        if self.config.motion.enabled && !self.data.is_static && !scene.deformation.moves() {
+            log::warn!(
+                "nothing moves in the model. If things move in the images, `schedule.time_window` may follow them (`spgs help training`)"
+            );
         }
     }
 

@@ -59,6 +59,7 @@ impl End<'_> {
             Some([bound, off]) => {
                 format!("{after} superpoints, {before} before, off by {off:.2} px of {bound:.2} allowed, then")
             }
+            None if !scene.deformation.moves() => "nothing moves;".into(),
             None => format!("{after} superpoints, as before, for there are many Gaussians;"),
         };
         let mut lines = vec![format!(
