@@ -68,8 +68,9 @@ fn views(photos: &[View], config: &Config) -> Views<Camera> {
     Views { cameras, near: f64::from(config.near), everywhere: true }
 }
 
-/// Fits and trains a run's exported model for the steps that `config`, scaled, leaves to this; `None` where more than superpoints moves it,
-/// or no table does. Where nothing moves, the Gaussians learn, and what is lost is looked for. Exposures are learnt on from the run's; its transients stay left out. `tick` hears of the fit, `watch` of every step.
+/// Fits and trains a run's exported model for the steps that `config`, scaled, leaves to this; `None` where it moves by other than a
+/// key-time table. Where nothing moves, the Gaussians learn, and what is lost is looked for. Exposures are learnt on from the run's; its
+/// transients stay left out. `tick` hears of the fit, `watch` of every step.
 ///
 /// # Errors
 /// Those of [`distill`](super::distill) and [`tune`].
@@ -91,8 +92,8 @@ pub fn refit(
     let resting = (!moves).then(|| at_rest(scene, photos));
     let scene = resting.as_ref().unwrap_or(scene);
     let views = views(photos, config);
-    let most = if moves { config.refit.most_divided as usize } else { 0 };
-    let fitted = parts(scene, &views, bound_px(photos, config), most, tick)?;
+    let most = config.refit.most_divided as usize;
+    let fitted = if moves { parts(scene, &views, bound_px(photos, config), most, tick)? } else { None };
     let mut student = Cow::Borrowed(fitted.as_ref().map_or(scene, |f| &f.scene));
     let superpoints = [scene, &*student].map(|s| s.deformation.superpoint_count());
     let mut lost_objects = Vec::new();

@@ -418,6 +418,7 @@ fn the_command_writes_all_files_or_none() {
     rejected(&[&still, "--images", &images, "--solve", "superpoints", "--out", &new], 2, "stands still");
     rejected(&[&model, "--images", &at("none"), "--solve", "camera", "--out", &new], 3, "none");
     rejected(&[&model, "--images", &images, "--solve", "camera", "--from", "7", "--out", &new], 2, "between");
+    rejected(&[&model, "--images", &images, "--solve", "camera", "--downscale", "4", "--out", &new], 2, "16x12");
     rejected(&[&model, "--images", &images, "--solve", "camera", "--out", &at("no/new.json")], 2, "folder");
     let common = ["--images", &images, "--split", "all", "--iterations", "12", "--deterministic"];
     let done = cli(&[&[model.as_str(), "--solve", "both", "--out", &new][..], &common].concat()).unwrap().unwrap();

@@ -113,12 +113,19 @@ fn refitted(posed: &Posed, over: &str, student: &Scene) -> (Refitted, f64) {
     (found, evaluate::mean(&scores)[0])
 }
 
-#[test]
-fn two_balls_that_leave_nothing_empty_are_found_at_the_end() {
-    const LATE: &str = "iterations = 120\n[motion]\nlost_objects = true\n[refit]\niterations = 100\nerror = 0.02";
+/// The last steps of a run that looks for lost objects.
+const LATE: &str = "iterations = 120\n[motion]\nlost_objects = true\n[refit]\niterations = 100\nerror = 0.02";
+
+/// Two balls before what is opaque and stands still.
+fn two_balls() -> Posed {
     let sizes = vec![[96, 96]];
     let options = PosedOptions { sizes, train: 40, test: 0, gaussians: 150, swing: 0.0, ..PosedOptions::default() };
-    let posed = posed(&PosedOptions { balls: 2, opaque: true, ..options });
+    posed(&PosedOptions { balls: 2, opaque: true, ..options })
+}
+
+#[test]
+fn two_balls_that_leave_nothing_empty_are_found_at_the_end() {
+    let posed = two_balls();
     let kept = others(&posed, 1);
     let mut student = Scene { gaussians: posed.scene.gaussians.selected(&kept), ..posed.scene.clone() };
     student.deformation.superpoint_deformation_mut().unwrap().superpoints.of_gaussian = vec![0; kept.len()];
@@ -140,10 +147,7 @@ fn two_balls_that_leave_nothing_empty_are_found_at_the_end() {
 /// Where network F found no motion at all, the last iterations are not lost: they train what stands still, and find what is missing.
 #[test]
 fn what_stands_still_learns_to_the_end_and_balls_are_found_in_it() {
-    const LATE: &str = "iterations = 120\n[motion]\nlost_objects = true\n[refit]\niterations = 100\nerror = 0.02";
-    let sizes = vec![[96, 96]];
-    let options = PosedOptions { sizes, train: 40, test: 0, gaussians: 150, swing: 0.0, ..PosedOptions::default() };
-    let posed = posed(&PosedOptions { balls: 2, opaque: true, ..options });
+    let posed = two_balls();
     let student = Scene { gaussians: posed.scene.gaussians.selected(&others(&posed, 1)), ..Scene::default() };
     let (found, with) = refitted(&posed, LATE, &student);
     let (still, without) = refitted(&posed, &LATE.replace("true", "false"), &student);

@@ -21,6 +21,9 @@ use crate::cli::interrupt::{self, Interrupt};
 use crate::cli::{gpu_session, model, output, progress};
 use crate::report::files::{to_json, write_text};
 
+/// Pixels of a photo's shorter side; in smaller ones a search ends anywhere.
+const SMALLEST_SIDE: u32 = 24;
+
 /// Where things go.
 struct Target {
     model: Option<PathBuf>,
@@ -165,6 +168,13 @@ fn views(args: &PoseArgs, trained: Option<&Config>) -> Result<Vec<View>> {
     if views.is_empty() {
         let what = format!("photos of {}", args.images.display());
         return Err(Error::usage(what, "none in this split and between these times", "at least one"));
+    }
+    if let Some(small) = views.iter().find(|v| v.camera.width.min(v.camera.height) < SMALLEST_SIDE) {
+        let found = format!("{}x{} pixels", small.camera.width, small.camera.height);
+        let expected = format!(
+            "{SMALLEST_SIDE} on the shorter side; photos are reduced as those of the training were, unless `--downscale 1` keeps them"
+        );
+        return Err(Error::usage(format!("photo {}", small.name), found, expected));
     }
     Ok(views)
 }

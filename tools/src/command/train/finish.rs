@@ -81,8 +81,7 @@ impl End<'_> {
         let path = self.out.join("model.safetensors");
         engine::file::save(&path, &scene)?;
         let (scores, pairs, coverage) = self.evaluate_all(&scene)?;
-        self.warn_of_emptiness(&coverage);
-        self.warn_of_rest(&scene);
+        self.warn_of_lost(&scene, &coverage);
         let [psnr, ssim] = evaluate::mean(&scores);
         let split = if self.data.test.is_empty() { "train" } else { "test" };
         self.log.line(i, json!({ "evaluation": { "split": split, "psnr": psnr, "ssim": ssim, "views": scores } }))?;
@@ -116,27 +115,22 @@ impl End<'_> {
         Ok(())
     }
 
-    /// Says so when much of what the photos show is left empty: often an object that the static warm-up lost.
-    fn warn_of_emptiness(&self, coverage: &Coverage) {
+    /// Says so when nothing moves, or when much of what the photos show is left empty: often what the static warm-up lost.
+    fn warn_of_lost(&self, scene: &Scene, coverage: &Coverage) {
         let config = &self.config;
-        let may_be_fast = config.motion.enabled && !self.data.is_static && config.schedule.time_window == 0;
-        match coverage.empty_share() {
-            Some(share) if share > MOST_EMPTY && may_be_fast => log::warn!(
-                "{:.1} % of what the images show is left empty: objects that move by more than their size? \
-                 `schedule.time_window` may follow them (`spgs help training`)",
-                100.0 * share
-            ),
-            _ => {}
+        if !config.motion.enabled || self.data.is_static || config.schedule.time_window > 0 {
+            return;
         }
-    }
-
-    /// Says so when nothing moves though photos are of many times: network F has found no motion, or there is none.
-    fn warn_of_rest(&self, scene: &Scene) {
-        if self.config.motion.enabled && !self.data.is_static && !scene.deformation.moves() {
-            log::warn!(
-                "nothing moves in the model. If things move in the images, `schedule.time_window` may follow them (`spgs help training`)"
-            );
-        }
+        let found = match coverage.empty_share() {
+            Some(share) if share > MOST_EMPTY => {
+                format!("{:.1} % of what the images show is left empty", 100.0 * share)
+            }
+            _ if !scene.deformation.moves() => "nothing moves in the model".into(),
+            _ => return,
+        };
+        log::warn!(
+            "{found}: objects that move by more than their size? `schedule.time_window` may follow them (`spgs help training`)"
+        );
     }
 
     /// Scores every held-out view of the exported model; writes pictures of a few beside their photos.
