@@ -98,6 +98,8 @@ pub struct Schedule {
     /// at the latest; 0: from all at once (paper and code). For objects that move by more than their size between most
     /// photos. The rate of network F begins to fall after as many: what comes last is learnt as fast as what came first.
     pub time_window: u64,
+    /// After so many iterations a beginning with such a window is tried ([`try_window`](super::window_trial::try_window)); 0: never.
+    pub window_trial: u64,
     /// Where that window begins, as a share of the time range.
     pub time_window_centre: f64,
     /// The SH degree grows by one every so often (code: 1000); 0: all of it from the start.
@@ -422,6 +424,7 @@ impl Config {
                 &mut c.schedule.warm_up,
                 &mut c.schedule.coarse_to_fine,
                 &mut c.schedule.time_window,
+                &mut c.schedule.window_trial,
                 &mut c.schedule.sh_degree_interval,
                 &mut c.schedule.time_noise_iterations,
                 &mut c.loss.transients_from,
@@ -442,6 +445,22 @@ impl Config {
             c.learning_rate.sh_rest *= faster;
             c.schedule.reference_iterations = self.iterations;
         }
+        c
+    }
+
+    /// The configuration of network G's stage after this run. It has `iterations`; if `None`, and the schedule scales, as many for those
+    /// of this run as `nonrigid.iterations` are for `schedule.reference_iterations`. Growth ends at the same share of the stage.
+    pub fn for_nonrigid(&self, iterations: Option<u64>) -> Self {
+        let mut c = self.clone();
+        let given = self.nonrigid.iterations;
+        let scaled = |all: u64, of: u64| ((given as f64 * all as f64 / of.max(1) as f64).round() as u64).max(1);
+        c.nonrigid.iterations = match iterations {
+            Some(iterations) => iterations,
+            None if self.schedule.scale => scaled(self.iterations, self.schedule.reference_iterations),
+            None => given,
+        };
+        let share = c.nonrigid.iterations as f64 / given.max(1) as f64;
+        c.nonrigid.density_until = (self.nonrigid.density_until as f64 * share).round() as u64;
         c
     }
 }

@@ -88,6 +88,7 @@ pub mod transients;
 mod unseen;
 pub mod usage;
 mod widen;
+pub mod window_trial;
 
 pub use association::{AssociationInit, AssociationOptions};
 pub use density::DensityChange;

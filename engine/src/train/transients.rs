@@ -185,7 +185,12 @@ impl Trainer {
     }
 
     /// What is rendered at a place, exposed as its photo was, and its errors; 0 where a mask of the data set leaves pixels out.
-    fn errors_of(&self, renderer: &mut Renderer, place: usize, exposures: Option<&[f32]>) -> Result<(Image, Vec<f32>)> {
+    pub(super) fn errors_of(
+        &self,
+        renderer: &mut Renderer,
+        place: usize,
+        exposures: Option<&[f32]>,
+    ) -> Result<(Image, Vec<f32>)> {
         let view = &self.pyramid.views[place];
         let photo = self.loader.get(place)?;
         let mut rendered = renderer.render(&view.camera, view.time)?;

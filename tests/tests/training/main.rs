@@ -21,3 +21,4 @@ mod quality;
 mod refit;
 mod soft;
 mod table;
+mod window_trial;

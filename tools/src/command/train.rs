@@ -47,7 +47,11 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
     let saved = if args.resume || args.nonrigid { Some(newest(&checkpoints)?) } else { None };
     let (saved, newest) = saved.unzip();
     let (data, config) = match &saved {
-        Some(c) => (load(path, &c.config.data, args)?, decide::resumed(args, &c.config)?),
+        Some(c) => {
+            let begins = args.nonrigid && c.stage != Stage::Nonrigid;
+            let config = if begins { decide::nonrigid(args, &c.config)? } else { decide::resumed(args, &c.config)? };
+            (load(path, &c.config.data, args)?, config)
+        }
         None => begin(path, args)?,
     };
     let say = !global.quiet && !args.json;

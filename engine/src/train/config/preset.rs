@@ -91,6 +91,7 @@ impl Preset {
         c.learning_rate.sh_length_exponent = 0.5;
         if self == Self::Dnerf {
             c.schedule.coarse_to_fine = 17_000;
+            c.schedule.window_trial = 7500;
             // What only full photos show has to grow, too.
             (c.density.until, c.density.unseen_interval) = (25_000, 2500);
             c.motion.network_mean = 400;
@@ -171,6 +172,7 @@ impl Default for Schedule {
             warm_up: 3000,
             coarse_to_fine: 0,
             time_window: 0,
+            window_trial: 0,
             time_window_centre: 0.5,
             sh_degree_interval: 1000,
             time_noise_iterations: 20_000,

@@ -82,6 +82,18 @@ fn the_schedule_scales_with_the_length_of_the_run() {
 }
 
 #[test]
+fn the_stage_of_network_g_scales_with_the_run_before_it() {
+    let run = Config { iterations: 4000, ..Config::default() };
+    let length = |c: Config| [c.nonrigid.iterations, c.nonrigid.density_until];
+    assert_eq!(length(run.clone()), [20_000, 10_000]);
+    assert_eq!(length(run.for_nonrigid(None)), [2000, 1000]);
+    assert_eq!(length(run.for_nonrigid(Some(600))), [600, 300]);
+    let mut fixed = run;
+    fixed.schedule.scale = false;
+    assert_eq!(length(fixed.for_nonrigid(None)), [20_000, 10_000]);
+}
+
+#[test]
 fn shorter_runs_learn_colours_faster() {
     let rates = |iterations, exponent| {
         let mut c = Config { iterations, ..Config::default() };

@@ -31,6 +31,20 @@ pub(super) fn resumed(args: &TrainArgs, config: &Config) -> Result<Config> {
     let mut c = config.clone();
     let length = if args.nonrigid { &mut c.nonrigid.iterations } else { &mut c.iterations };
     *length = args.iterations.unwrap_or(*length);
+    changed(args, c)
+}
+
+/// The configuration of the stage of network G that follows a run with `config`.
+///
+/// # Errors
+/// Those of checking it.
+pub(super) fn nonrigid(args: &TrainArgs, config: &Config) -> Result<Config> {
+    changed(args, config.for_nonrigid(args.iterations))
+}
+
+fn changed(args: &TrainArgs, mut c: Config) -> Result<Config> {
+    // A second beginning would need the model that the first had.
+    c.schedule.window_trial *= u64::from(args.init.is_none());
     c.seed = args.seed.unwrap_or(c.seed);
     c.deterministic |= args.deterministic;
     c.motion.enabled &= !args.no_motion;

@@ -11,7 +11,9 @@ use engine::render::RenderOptions;
 use engine::train::config::{Config, LogConfig};
 use engine::train::evaluate;
 use engine::train::schedule::Stage;
-use engine::train::trainer::{Finished, Trainer};
+use engine::train::start;
+use engine::train::trainer::{Finished, Trainer, TrainingData};
+use engine::train::window_trial;
 use indicatif::ProgressBar;
 use serde_json::json;
 
@@ -57,6 +59,11 @@ impl Run<'_> {
             open_viewer(&self.out, data);
         }
         while !self.trainer.is_done() {
+            if self.trainer.tries_window() && !self.try_window(&interrupt)? {
+                self.save()?;
+                self.background.join()?;
+                return Ok(false);
+            }
             let mut went = self.trainer.advance();
             let stops = interrupt.is_set();
             // An evaluation and a checkpoint want the state of their iteration, no later one.
@@ -89,7 +96,11 @@ impl Run<'_> {
     fn is_due(&self, iteration: u64) -> bool {
         let c = &self.trainer.config().log;
         let due = |interval| LogConfig::due(interval, iteration);
-        due(c.evaluate_interval) || due(c.checkpoint_interval) || iteration >= self.trainer.schedule().iterations()
+        let tries = self.trainer.tries_window();
+        tries
+            || due(c.evaluate_interval)
+            || due(c.checkpoint_interval)
+            || iteration >= self.trainer.schedule().iterations()
     }
 
     /// Log, progress, evaluation and checkpoint of a step.
@@ -129,6 +140,28 @@ impl Run<'_> {
             self.save()?;
         }
         Ok(())
+    }
+
+    /// Whether a window of times would have been better: then the run goes on from there. False where Ctrl-C stops it.
+    fn try_window(&mut self, interrupt: &Interrupt) -> Result<bool> {
+        let of = self.trainer.iteration();
+        let (first, _) = start::first(self.trainer.config(), self.data.points.as_ref());
+        let data = TrainingData {
+            views: self.data.train.clone().into(),
+            extent: self.data.extent,
+            is_static: self.data.is_static,
+        };
+        let bar = &self.bar;
+        let trial = window_trial::try_window(&mut self.trainer, &data, &first, &mut |i| {
+            bar.set_message(format!("tries a window of times: {i} of {of}"));
+            !interrupt.is_set()
+        })?;
+        let Some(trial) = trial else { return Ok(!interrupt.is_set()) };
+        self.log.line(of + 1, json!({ "window_trial": trial }))?;
+        if !self.quiet {
+            self.bar.suspend(|| output::line(&trial.to_string()));
+        }
+        Ok(true)
     }
 
     fn log_step(&mut self, done: &Finished) -> Result<()> {

@@ -1,0 +1,88 @@
+//! Whether a run begins anew with a window of times.
+
+use crate::common::{
+    PosedOptions, advance, bytes, checkpoints, config, config_file, gpu, load, log, newest, posed, succeed, train,
+    trainer,
+};
+use engine::train::start;
+use engine::train::trainer::Trainer;
+use engine::train::window_trial::try_window;
+
+/// Due after 24 of 40 iterations. Network F learns nothing.
+const RESTS: &str = "[schedule]\nwarm_up = 10\nwindow_trial = 24\n[learning_rate]\ndeform = 0\ndeform_final = 0";
+
+fn scene() -> PosedOptions {
+    PosedOptions { sizes: vec![[64, 56]], train: 24, ..PosedOptions::default() }
+}
+
+#[test]
+fn a_run_that_rests_goes_on_from_the_better_beginning() {
+    let posed = posed(&scene());
+    let (_, data) = load(&posed);
+    let (gpu, config) = (gpu(), config(RESTS));
+    let (first, _) = start::first(&config, None);
+    let begin = || {
+        let mut run = trainer(&gpu, &config, &data).unwrap();
+        assert!(!run.tries_window());
+        advance(&mut run, 24).unwrap();
+        assert!(run.tries_window());
+        run
+    };
+    let state = |run: &Trainer| bytes(&run.checkpoint().unwrap());
+
+    let mut run = begin();
+    let before = state(&run);
+    let stopped = try_window(&mut run, &data, &first, &mut |i| i < 5).unwrap();
+    assert!(stopped.is_none() && state(&run) == before, "stopped: the run is as it was");
+
+    let found = try_window(&mut run, &data, &first, &mut |_| true).unwrap().expect("nothing moves");
+    assert!(found.moving == 0.0 && found.iterations == 24 && found.error.iter().all(|e| *e > 0.0), "{found:?}");
+    let mut windowed = config.clone();
+    windowed.schedule.time_window = 16;
+    let mut other = trainer(&gpu, &windowed, &data).unwrap();
+    advance(&mut other, 24).unwrap();
+    assert!(state(&other) != before, "a window makes no difference");
+    assert_eq!(found.taken, found.error[1] < 1.05 * found.error[0], "{found:?}");
+    assert!(state(&run) == if found.taken { state(&other) } else { before }, "{found:?}: other bits");
+    advance(&mut run, 25).unwrap();
+    assert!(!run.tries_window());
+}
+
+#[test]
+fn a_run_that_moves_is_left_alone() {
+    let posed = posed(&scene());
+    let (_, data) = load(&posed);
+    let (gpu, config) = (gpu(), config(&format!("{RESTS}\n[motion]\nzero_heads = false")));
+    let mut run = trainer(&gpu, &config, &data).unwrap();
+    advance(&mut run, 24).unwrap();
+    let before = bytes(&run.checkpoint().unwrap());
+    let mut asked = 0;
+    let found = try_window(&mut run, &data, &start::first(&config, None).0, &mut |_| {
+        asked += 1;
+        true
+    });
+    assert!(found.unwrap().is_none() && asked == 0);
+    assert!(bytes(&run.checkpoint().unwrap()) == before);
+}
+
+#[test]
+fn a_run_that_is_cut_off_before_or_after_the_trial_ends_with_the_same_bits() {
+    let posed = posed(&scene());
+    let folder = tempfile::tempdir().unwrap();
+    let config = config_file(folder.path(), &format!("{RESTS}\n[log]\ncheckpoint_interval = 12"));
+    let run = |name: &str| {
+        let out = folder.path().join(name);
+        succeed(train(&posed, &out, &["--config", config.to_str().unwrap()]));
+        out
+    };
+    let whole = run("whole");
+    let trials = log(&whole).iter().filter(|l| l["window_trial"].is_object()).count();
+    assert_eq!(trials, 1);
+    for kept in [1, 2] {
+        let cut = run(&format!("cut after {kept}"));
+        // Of iterations 24, 36, 40: the first is the state before the trial.
+        checkpoints(&cut)[kept..].iter().for_each(|p| std::fs::remove_file(p).unwrap());
+        succeed(train(&posed, &cut, &["--resume"]));
+        assert!(newest(&cut) == newest(&whole), "resumed from checkpoint {kept}: other bits");
+    }
+}
