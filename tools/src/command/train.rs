@@ -99,6 +99,7 @@ pub fn run(args: &TrainArgs, global: &Global) -> Result<()> {
         gpu: &gpu,
         out: out.clone(),
         data: &data,
+        training,
         held_out,
         trainer,
         log,

@@ -74,7 +74,7 @@ pub struct TrainArgs {
     /// Give the same bits on every run: no float atomics, fixed order of sums
     #[arg(long)]
     pub deterministic: bool,
-    /// Train network G (motion that is not rigid) on top of the model in DIR, for half as many iterations [or --iterations]
+    /// Train network G (motion that is not rigid) on top of the model in DIR, half as long as its run [or --iterations]
     #[arg(long)]
     pub nonrigid: bool,
     /// Start from this model (.safetensors or 3DGS .ply) [default: the data set's points, or random ones]

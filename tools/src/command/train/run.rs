@@ -27,6 +27,7 @@ pub(super) struct Run<'a> {
     pub(super) gpu: &'a Gpu,
     pub(super) out: PathBuf,
     pub(super) data: &'a Dataset,
+    pub(super) training: TrainingData,
     pub(super) held_out: ImageLoader,
     pub(super) trainer: Trainer,
     pub(super) log: SharedLog,
@@ -146,13 +147,8 @@ impl Run<'_> {
     fn try_window(&mut self, interrupt: &Interrupt) -> Result<bool> {
         let of = self.trainer.iteration();
         let (first, _) = start::first(self.trainer.config(), self.data.points.as_ref());
-        let data = TrainingData {
-            views: self.data.train.clone().into(),
-            extent: self.data.extent,
-            is_static: self.data.is_static,
-        };
         let bar = &self.bar;
-        let trial = window_trial::try_window(&mut self.trainer, &data, &first, &mut |i| {
+        let trial = window_trial::try_window(&mut self.trainer, &self.training, &first, &mut |i| {
             bar.set_message(format!("tries a window of times: {i} of {of}"));
             !interrupt.is_set()
         })?;
