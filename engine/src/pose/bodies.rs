@@ -87,6 +87,12 @@ impl Stand {
         Self { turn: (exp_quaternion(turn) * self.turn).normalize(), place: self.place + shift }
     }
 
+    /// Where this goes with another stand that has become `now`, as one rigid body.
+    pub(super) fn carried(&self, other: &Self, now: &Self) -> Self {
+        let turn = now.turn * other.turn.conjugate();
+        Self { turn: (turn * self.turn).normalize(), place: now.place + turn * (self.place - other.place) }
+    }
+
     /// The vector of the turn that leads to this stand from `other`, in the world.
     pub fn turn_from(&self, other: &Self) -> DVec3 {
         unwrapped(self.turn * other.turn.conjugate(), DVec3::ZERO)
@@ -147,5 +153,18 @@ mod tests {
         let turned = stand.moved(DVec3::new(0.1, 0.0, -0.2), DVec3::X);
         assert!(turned.turn_from(&stand).distance(DVec3::new(0.1, 0.0, -0.2)) < 1e-12);
         assert_eq!(turned.place, stand.place + DVec3::X);
+    }
+
+    #[test]
+    fn what_is_carried_keeps_its_place_beside_what_carries_it() {
+        let mut random = crate::scene::synthetic::Random::new(3);
+        let mut any =
+            || Stand { turn: DQuat::from_mat3(&glam::DMat3::from_quat(random.rotation())), place: random.normal3() };
+        let (stand, other, now) = (any(), any(), any());
+        let carried = stand.carried(&other, &now);
+        let beside = |a: &Stand, b: &Stand| (b.turn.conjugate() * (a.place - b.place), b.turn.conjugate() * a.turn);
+        let ((way, turn), (way_now, turn_now)) = (beside(&stand, &other), beside(&carried, &now));
+        assert!(way.distance(way_now) < 1e-12 && turn.dot(turn_now).abs() > 1.0 - 1e-12);
+        assert!(stand.carried(&other, &other).place.distance(stand.place) < 1e-12);
     }
 }

@@ -88,6 +88,11 @@ impl Coupling {
 }
 
 impl Coupling {
+    /// Those that a superpoint is held to.
+    pub(super) fn neighbours(&self, j: usize) -> impl Iterator<Item = usize> + '_ {
+        self.pairs.iter().filter(move |p| p.j == j).map(|p| p.k)
+    }
+
     /// Adds `scale` times the Hessian of the energy, as Gauss–Newton has it.
     pub(super) fn add_hessian(&self, stands: &[Stand], numbers: &Numbers, scale: f64, normal: &mut Normal) {
         for p in &self.pairs {

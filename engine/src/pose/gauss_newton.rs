@@ -39,7 +39,7 @@ const STEPS: [f64; 2] = [0.02, 0.3];
 /// model shows exactly end at two to three levels, real photos of `robot_dance` at a dozen and more (both calculated from PSNR and the
 /// share of values that differ). Rounds gained 0.1 to 0.7 dB there, and four of five lost 1.0 to 2.6 dB in a view of the same moment
 /// from elsewhere.
-const WORST: f64 = 6.0 / 255.0;
+pub(super) const WORST: f64 = 6.0 / 255.0;
 /// Mean square of the rounding to 8 bits, 1/12 of a level's square, and a tenth more.
 const ROUNDING: f64 = 1.1 / (12.0 * 255.0 * 255.0);
 /// A shift along the view changes an image less, and goes so many times as far.
@@ -56,6 +56,11 @@ const LARGEST_STEP: f64 = 3.0;
 const LEAST_GAIN: f64 = 0.01;
 /// Random images per photo that tell what is seen.
 const SEEN_PROBES: u32 = 4;
+
+/// The largest root mean square of what photos and images differ by.
+pub(super) fn largest(residuals: &[Residual]) -> f64 {
+    residuals.iter().map(Residual::mean_square).fold(0.0, f64::max).sqrt()
+}
 
 /// The numbers of superpoints: turns about their centres and shifts, along the axes of the first photo's camera.
 pub(super) struct Numbers {
@@ -79,13 +84,13 @@ impl Solver<'_, '_> {
         let mut damping = FIRST_DAMPING;
         for round in 0..self.options.rounds {
             let residuals = self.residuals(state)?;
-            let square = residuals.iter().map(Residual::mean_square).fold(0.0, f64::max);
-            if square <= ROUNDING || square > WORST.powi(2) {
+            let left = largest(&residuals);
+            if left.powi(2) <= ROUNDING || left > WORST {
                 break;
             }
             progress.round = round + 1;
             let numbers = self.numbers(state);
-            let step = (STEP * (square.sqrt() / USUAL).sqrt()).clamp(STEPS[0], STEPS[1]);
+            let step = (STEP * (left / USUAL).sqrt()).clamp(STEPS[0], STEPS[1]);
             let Some(mut normal) = self.photos(state, &residuals, &numbers, step, progress, watch)? else {
                 return Ok(false);
             };
@@ -131,7 +136,7 @@ impl Solver<'_, '_> {
     }
 
     /// What each photo at full size and its image differ by.
-    fn residuals(&mut self, state: &State) -> Result<Vec<Residual>> {
+    pub(super) fn residuals(&mut self, state: &State) -> Result<Vec<Residual>> {
         let poses = self.bodies.poses(&state.stands, &state.poses);
         let residual = |sight: &Sight| {
             let image = self.loss.image(&sight.camera_at(0), &poses)?;

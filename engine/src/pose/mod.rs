@@ -25,6 +25,7 @@ mod gauge;
 mod gauss_newton;
 mod information;
 mod keys;
+mod reseat;
 mod sight;
 mod solver;
 mod uncertainty;

@@ -41,6 +41,16 @@ impl Residual {
         let (sum, count) = differ.fold((0.0, 0.0), |(sum, count), d| (sum + f64::from(*d).powi(2), count + 1.0));
         sum / f64::max(count, 1.0)
     }
+
+    /// Sum of the absolute differences of a pixel; `None` outside. `width` is that of the image, pixels.
+    pub(super) fn at(&self, [u, v]: [f64; 2], width: u32) -> Option<f64> {
+        if !(u >= 0.0 && v >= 0.0 && u < f64::from(width)) {
+            return None;
+        }
+        let at = 3 * (v as usize).checked_mul(width as usize)?.checked_add(u as usize)?;
+        let pixel = self.difference.get(at..at.checked_add(3)?)?;
+        Some(pixel.iter().map(|d| f64::from(d.abs())).sum())
+    }
 }
 
 impl Size {

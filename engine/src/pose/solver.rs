@@ -26,6 +26,8 @@ const LARGEST_SHIFT: f64 = 2.0;
 /// ones begin. At the end, where photos differ by less than `WELL` (their loss), what they say counts more, by the square.
 const SMALL: &[f64] = &[30.0, 30.0];
 const FULL: &[f64] = &[30.0, 10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003];
+/// Of `FULL`, the first that does not take superpoints from new places.
+const LET_GO: usize = 6;
 const WELL: f64 = 0.03;
 /// Random images per photo for the metric of steps.
 const METRIC_PROBES: u32 = 16;
@@ -83,6 +85,16 @@ pub(super) struct PhotoFound {
     pub(super) mse: f64,
 }
 
+/// A part of a search, at one size.
+pub(super) struct Part {
+    size: usize,
+    iterations: u32,
+    /// Steps at its beginning and its end, pixels.
+    rates: [f64; 2],
+    /// λ_A, one after the other, in units of the usual.
+    stages: &'static [f64],
+}
+
 /// Sizes that are gone through.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Sizes {
@@ -109,31 +121,57 @@ impl Solver<'_, '_> {
         let all = self.options.iterations / if sizes == Sizes::Again { 2 } else { 1 };
         let mut adam = Adam::new(6 * state.stands.len());
         for size in range.rev() {
-            let iterations = (all * if size == 0 { 2 } else { 1 } / (coarsest as u32 + 2)).max(1);
-            let from = if size == coarsest && size > 0 { FIRST_RATE } else { NEXT_RATE };
-            let to = if size == 0 { FINAL_RATE } else { LAST_RATE };
-            let stages = if size == 0 { FULL } else { SMALL };
-            let (mut metric, mut stage) = (Vec::new(), None);
-            for iteration in 0..iterations {
-                let now = iteration as usize * stages.len() / iterations as usize;
-                if self.options.solve != Solve::Camera && stage != Some(now) {
-                    stage = Some(now);
-                    let least = (progress.loss / state.sights.len() as f64 / WELL).min(1.0).powi(2);
-                    self.strength = self.options.coupling * stages[now].max(least);
-                    metric = self.metric(state, size, progress.loss)?;
-                }
-                let share = f64::from(iteration) / f64::from(iterations.max(2) - 1);
-                progress.loss = self.iterate(state, &mut adam, &metric, size, from * (to / from).powf(share))?;
-                progress.iteration += 1;
-                if !watch(progress) {
-                    return Ok(false);
-                }
+            let part = Part {
+                size,
+                iterations: (all * if size == 0 { 2 } else { 1 } / (coarsest as u32 + 2)).max(1),
+                rates: [
+                    if size == coarsest && size > 0 { FIRST_RATE } else { NEXT_RATE },
+                    if size == 0 { FINAL_RATE } else { LAST_RATE },
+                ],
+                stages: if size == 0 { FULL } else { SMALL },
+            };
+            if !self.search(state, &mut adam, &part, progress, watch)? {
+                return Ok(false);
             }
             if self.options.solve == Solve::Both {
                 gauge::fix(self.bodies, state, self.expected);
             }
         }
-        if self.options.solve == Solve::Superpoints { self.refine(state, progress, watch) } else { Ok(true) }
+        if self.options.solve != Solve::Superpoints {
+            return Ok(true);
+        }
+        let iterations = (all * 2 / (coarsest as u32 + 2)).max(1);
+        let end = Part { size: 0, iterations, rates: [NEXT_RATE, FINAL_RATE], stages: &FULL[LET_GO..] };
+        Ok(self.try_other_places(state, &end, progress, watch)? && self.refine_all(state, progress, watch)?)
+    }
+
+    /// Searches at one size; false when the watcher wants an end.
+    pub(super) fn search(
+        &mut self,
+        state: &mut State,
+        adam: &mut Adam,
+        part: &Part,
+        progress: &mut Progress,
+        watch: &mut Watch<'_>,
+    ) -> Result<bool> {
+        let &Part { size, iterations, rates: [from, to], stages } = part;
+        let (mut metric, mut stage) = (Vec::new(), None);
+        for iteration in 0..iterations {
+            let now = iteration as usize * stages.len() / iterations as usize;
+            if self.options.solve != Solve::Camera && stage != Some(now) {
+                stage = Some(now);
+                let least = (progress.loss / state.sights.len() as f64 / WELL).min(1.0).powi(2);
+                self.strength = self.options.coupling * stages[now].max(least);
+                metric = self.metric(state, size, progress.loss)?;
+            }
+            let share = f64::from(iteration) / f64::from(iterations.max(2) - 1);
+            progress.loss = self.iterate(state, adam, &metric, size, from * (to / from).powf(share))?;
+            progress.iteration += 1;
+            if !watch(progress) {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 
     /// Every photo at full size, where things stand.

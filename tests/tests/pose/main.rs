@@ -1,6 +1,7 @@
 //! Scenes that follow photos: gradients against differences of the f64 reference, and what was disturbed comes back.
 
 mod gauss_newton;
+mod reseat;
 mod trained;
 
 use std::path::Path;
@@ -240,15 +241,17 @@ fn disturbed_superpoints_come_back() {
 fn what_fits_no_better_stays_as_it_was() {
     let gpu = tests_harness::shared_gpu();
     let folder = tempfile::tempdir().unwrap();
-    let scene = textured(2000, 8, 11);
+    let mut scene = textured(2000, 8, 11);
     let (time, cameras) = (0.41, cameras(1, [64, 64]));
     let truth = table_poses(scene.deformation.table().unwrap(), time);
     let views = photos(&gpu, &scene, &cameras, time, folder.path());
+    // Other colours than the photos': these do not fit, and other places do not count.
+    scene.gaussians.sh.iter_mut().step_by(7).for_each(|sh| *sh += 0.15);
     let options =
         Options { deterministic: true, iterations: 3, rounds: 0, coupling: 0.0, probes: 0, ..Options::default() };
     let found = run(&gpu, &scene, &views, &options, None);
     let (moment, photo) = (&found.moments[0], &found.moments[0].photos[0]);
-    assert!(!moment.is_better && photo.psnr == photo.psnr_before && photo.psnr > 50.0, "{photo:?}");
+    assert!(!moment.is_better && photo.psnr == photo.psnr_before && photo.psnr > 25.0, "{photo:?}");
     let kept = table_poses(found.scene.deformation.table().unwrap(), time);
     let apart = |(a, b): (&Pose, &Pose)| a.translation.distance(b.translation) + a.rotation.distance(b.rotation);
     assert!(kept.iter().zip(&truth).map(apart).fold(0.0, f64::max) < 1e-5);
