@@ -33,7 +33,7 @@ fn seen_px(scene: &Scene, shares: &[f64]) -> Vec<f64> {
 }
 
 /// Prints how much of what is seen comes back within 0.1 pixels. Variables: `SPGS_POSE_MODEL` and `SPGS_POSE_DATA` (what it was trained
-/// on), `SPGS_POSE_SIZE` (side of the photos, pixels), `SPGS_POSE_TIMES` (1 or 2), `SPGS_POSE_COUNTS` (1: one photo; 2: one, then three),
+/// on), `SPGS_POSE_SIZE` (side of the photos, pixels), `SPGS_POSE_TIMES` (`0.41,0.73`), `SPGS_POSE_COUNTS` (1: one photo; 2: one, then three),
 /// `SPGS_POSE_SEED`, `SPGS_POSE_ROUNDS`, `SPGS_POSE_ITERATIONS`, `SPGS_POSE_COUPLING`.
 #[test]
 #[ignore = "a measurement of a trained model: SPGS_POSE_MODEL and SPGS_POSE_DATA name it"]
@@ -47,7 +47,8 @@ fn superpoints_of_a_trained_model_come_back() {
     let extent = 2.5 * variable("SPGS_POSE_EXTENT", 1.0);
     let reach = Bodies::new(&scene).reach;
     let seed = variable("SPGS_POSE_SEED", 5.0) as u64;
-    for time in [0.41, 0.73].into_iter().take(variable("SPGS_POSE_TIMES", 2.0) as usize) {
+    let times = std::env::var("SPGS_POSE_TIMES").unwrap_or("0.41,0.73".to_owned());
+    for time in times.split(',').map(|time| time.parse().unwrap()) {
         let truth = table_poses(scene.deformation.table().unwrap(), time);
         let start = disturbed_by(&scene, &truth, 5.0, 0.02 * extent, seed);
         for count in [1, 3].into_iter().take(variable("SPGS_POSE_COUNTS", 2.0) as usize) {
