@@ -5,7 +5,10 @@
 //! at which images and photos differ most are tried where they began, and where each neighbour would have taken them since. What lowers
 //! the loss stays, and the search goes on from there at full size.
 //!
-//! That counts only if photos then fit well. Where they do not, the model's own faults are what is left, and all stays as it was found.
+//! Where that does not help and photos nearly fit, the search begins again, at the two largest sizes alone: what neighbours lead astray
+//! together, a limb, has no better place that one of them could take by itself.
+//!
+//! Either counts only if photos then fit well. Where they do not, the model's own faults are what is left, and all stays as it was found.
 
 use glam::DVec3;
 
@@ -20,6 +23,8 @@ use crate::reference::exp;
 
 /// Root mean square difference where all is found: one level of 8 bits.
 const FOUND: f64 = 1.0 / 255.0;
+/// A search begins again where differences are at most so many times those of photos that fit well.
+const NEARLY: f64 = 2.0;
 /// Times that superpoints are tried and the search goes on.
 const MOST_ATTEMPTS: usize = 2;
 /// Sweeps over the worst superpoints; the last is the first that changes none.
@@ -36,7 +41,7 @@ impl Solver<'_, '_> {
     pub(super) fn try_other_places(
         &mut self,
         state: &mut State,
-        part: &Part,
+        end: &Part,
         progress: &mut Progress,
         watch: &mut Watch<'_>,
     ) -> Result<bool> {
@@ -51,7 +56,31 @@ impl Solver<'_, '_> {
                 Some(true) => {}
             }
             let mut adam = Adam::new(6 * state.stands.len());
-            if !self.search(state, &mut adam, part, progress, watch)? {
+            if !self.search(state, &mut adam, end, progress, watch)? {
+                return Ok(false);
+            }
+        }
+        let left = largest(&self.residuals(state)?);
+        if left > WORST {
+            (state.stands, state.poses) = found;
+        }
+        if left > WORST && left <= NEARLY * WORST { self.begin_again(state, end, progress, watch) } else { Ok(true) }
+    }
+
+    /// Searches once more from the start, without the smallest photos and with neighbours that hold on less; this counts if photos then
+    /// fit well. False when the watcher wants an end.
+    fn begin_again(
+        &mut self,
+        state: &mut State,
+        end: &Part,
+        progress: &mut Progress,
+        watch: &mut Watch<'_>,
+    ) -> Result<bool> {
+        let found = (state.stands.clone(), state.poses.clone());
+        (state.stands, state.poses) = (self.bodies.stands(&state.start), state.start.clone());
+        let mut adam = Adam::new(6 * state.stands.len());
+        for part in end.with_smaller(state.sights[0].sizes.len()) {
+            if !self.search(state, &mut adam, &part, progress, watch)? {
                 return Ok(false);
             }
         }

@@ -86,6 +86,7 @@ pub(super) struct PhotoFound {
 }
 
 /// A part of a search, at one size.
+#[derive(Clone, Copy)]
 pub(super) struct Part {
     size: usize,
     iterations: u32,
@@ -93,6 +94,14 @@ pub(super) struct Part {
     rates: [f64; 2],
     /// λ_A, one after the other, in units of the usual.
     stages: &'static [f64],
+}
+
+impl Part {
+    /// The same at half the size before it, where there is one.
+    pub(super) fn with_smaller(&self, sizes: usize) -> impl Iterator<Item = Self> + use<> {
+        let part = *self;
+        (0..sizes.min(2)).rev().map(move |size| Self { size, ..part })
+    }
 }
 
 /// Sizes that are gone through.
