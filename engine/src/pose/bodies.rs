@@ -158,8 +158,7 @@ mod tests {
     #[test]
     fn what_is_carried_keeps_its_place_beside_what_carries_it() {
         let mut random = crate::scene::synthetic::Random::new(3);
-        let mut any =
-            || Stand { turn: DQuat::from_mat3(&glam::DMat3::from_quat(random.rotation())), place: random.normal3() };
+        let mut any = || Stand { turn: random.rotation(), place: random.normal3() };
         let (stand, other, now) = (any(), any(), any());
         let carried = stand.carried(&other, &now);
         let beside = |a: &Stand, b: &Stand| (b.turn.conjugate() * (a.place - b.place), b.turn.conjugate() * a.turn);

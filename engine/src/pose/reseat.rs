@@ -79,7 +79,7 @@ impl Solver<'_, '_> {
         let found = (state.stands.clone(), state.poses.clone());
         (state.stands, state.poses) = (self.bodies.stands(&state.start), state.start.clone());
         let mut adam = Adam::new(6 * state.stands.len());
-        for part in end.with_smaller(state.sights[0].sizes.len()) {
+        for part in end.with_smaller(state.coarsest()) {
             if !self.search(state, &mut adam, &part, progress, watch)? {
                 return Ok(false);
             }
@@ -114,9 +114,10 @@ impl Solver<'_, '_> {
         self.refine(state, progress, watch)
     }
 
-    /// Whether other places of superpoints gain enough; `None` when the watcher wants an end.
+    /// Whether other places of superpoints gain enough; otherwise they stay. `None` when the watcher wants an end.
     fn reseat(&mut self, state: &mut State, progress: &mut Progress, watch: &mut Watch<'_>) -> Result<Option<bool>> {
         let began = self.bodies.stands(&state.start);
+        let stood = state.stands.clone();
         let first = self.total_loss(state)?;
         let mut loss = first;
         for _ in 0..MOST_SWEEPS {
@@ -132,7 +133,11 @@ impl Solver<'_, '_> {
                 break;
             }
         }
-        Ok(Some(loss < (1.0 - LEAST_GAIN_OF_ALL) * first))
+        let gains = loss < (1.0 - LEAST_GAIN_OF_ALL) * first;
+        if !gains {
+            state.stands = stood;
+        }
+        Ok(Some(gains))
     }
 
     /// Puts a superpoint where the loss is least of where it stands, where it began and where neighbours have gone; the loss there.

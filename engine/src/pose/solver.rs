@@ -59,6 +59,13 @@ pub(super) struct State {
     pub(super) poses: Vec<Pose>,
 }
 
+impl State {
+    /// The smallest size that all photos have.
+    pub(super) fn coarsest(&self) -> usize {
+        self.sights.iter().map(|s| s.sizes.len()).min().unwrap_or(1) - 1
+    }
+}
+
 /// How a superpoint steps: numbers are taken by the root of what is known of them, so that a step goes as far in each direction as
 /// the photos can tell.
 struct Metric {
@@ -98,9 +105,9 @@ pub(super) struct Part {
 
 impl Part {
     /// The same at half the size before it, where there is one.
-    pub(super) fn with_smaller(&self, sizes: usize) -> impl Iterator<Item = Self> + use<> {
+    pub(super) fn with_smaller(&self, coarsest: usize) -> impl Iterator<Item = Self> + use<> {
         let part = *self;
-        (0..sizes.min(2)).rev().map(move |size| Self { size, ..part })
+        (0..=coarsest.min(1)).rev().map(move |size| Self { size, ..part })
     }
 }
 
@@ -122,7 +129,7 @@ impl Solver<'_, '_> {
         progress: &mut Progress,
         watch: &mut Watch<'_>,
     ) -> Result<bool> {
-        let coarsest = state.sights.iter().map(|s| s.sizes.len()).min().unwrap_or(1) - 1;
+        let coarsest = state.coarsest();
         let range = match sizes {
             Sizes::All | Sizes::Again => 0..=coarsest,
             Sizes::Full => 0..=0,

@@ -139,6 +139,16 @@ fn textured(n: usize, m: usize, seed: u64) -> Scene {
     scene
 }
 
+/// Eight superpoints with the motion of one.
+fn moving_as_one() -> Scene {
+    let mut scene = textured(4000, 8, 11);
+    let motion = scene.deformation.table_mut().unwrap();
+    for at in 0..motion.rotation.len() {
+        (motion.rotation[at], motion.translation[at]) = (motion.rotation[at / 8 * 8], motion.translation[at / 8 * 8]);
+    }
+    scene
+}
+
 fn cameras(count: usize, size: [u32; 2]) -> Vec<Camera> {
     let camera = |k: usize| {
         let angle = 2.1 * k as f64;
@@ -326,12 +336,8 @@ fn what_a_mask_leaves_out_moves_no_camera() {
 fn what_no_pixel_sees_follows_its_neighbours() {
     let gpu = tests_harness::shared_gpu();
     let folder = tempfile::tempdir().unwrap();
-    let mut scene = textured(4000, 8, 11);
-    // All move as one: what training has seen of the others says where the hidden one is.
-    let motion = scene.deformation.table_mut().unwrap();
-    for at in 0..motion.rotation.len() {
-        (motion.rotation[at], motion.translation[at]) = (motion.rotation[at / 8 * 8], motion.translation[at / 8 * 8]);
-    }
+    // What training has seen of the others says where the hidden one is.
+    let scene = moving_as_one();
     let (time, cameras) = (0.41, cameras(1, [128, 128]));
     let truth = table_poses(scene.deformation.table().unwrap(), time);
     let start = disturbed(&scene, &truth, 5);

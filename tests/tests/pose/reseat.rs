@@ -4,7 +4,7 @@ use engine::pose::{Bodies, Options, put};
 use engine::reference::table_poses;
 use glam::DVec3;
 
-use crate::{cameras, disturbed, errors_px, photos, run, shares, textured};
+use crate::{cameras, disturbed, errors_px, moving_as_one, photos, run, shares};
 
 /// The superpoint that stands elsewhere than in training, by how much, world units.
 const ASTRAY: usize = 2;
@@ -16,11 +16,7 @@ const BESIDE: DVec3 = DVec3::new(0.0, 0.36, 0.36);
 fn what_neighbours_lead_astray_is_found() {
     let gpu = tests_harness::shared_gpu();
     let folder = tempfile::tempdir().unwrap();
-    let mut scene = textured(4000, 8, 11);
-    let motion = scene.deformation.table_mut().unwrap();
-    for at in 0..motion.rotation.len() {
-        (motion.rotation[at], motion.translation[at]) = (motion.rotation[at / 8 * 8], motion.translation[at / 8 * 8]);
-    }
+    let scene = moving_as_one();
     let (time, cameras) = (0.41, cameras(1, [128, 128]));
     let bodies = Bodies::new(&scene);
     let poses = table_poses(scene.deformation.table().unwrap(), time);
