@@ -98,7 +98,8 @@ pub struct Schedule {
     /// at the latest; 0: from all at once (paper and code). For objects that move by more than their size between most
     /// photos. The rate of network F begins to fall after as many: what comes last is learnt as fast as what came first.
     pub time_window: u64,
-    /// After so many iterations a beginning with such a window is tried ([`try_window`](super::window_trial::try_window)); 0: never.
+    /// After so many iterations a beginning with such a window is tried ([`try_window`](super::window_trial::try_window)); until
+    /// then one photo of eight is kept aside, to choose by. 0: never, and none.
     pub window_trial: u64,
     /// Where that window begins, as a share of the time range.
     pub time_window_centre: f64,

@@ -54,6 +54,7 @@ pub mod gradient;
 #[doc(hidden)]
 pub mod image_loss;
 pub mod init;
+mod kept_aside;
 #[doc(hidden)]
 pub mod keys;
 #[doc(hidden)]

@@ -103,6 +103,13 @@ impl Schedule {
         if self.stage == Stage::Rigid { self.config.schedule.coarse_to_fine } else { 0 }
     }
 
+    /// The last iteration without the photos by which beginnings are compared; 0: there is no such comparison. Whoever gives a window
+    /// that is open later than that has chosen.
+    pub fn kept_aside(&self) -> u64 {
+        let s = &self.config.schedule;
+        if self.stage == Stage::Rigid && s.time_window < s.window_trial { s.window_trial } else { 0 }
+    }
+
     fn density_until(&self) -> u64 {
         let d = &self.config.density;
         if self.stage == Stage::Nonrigid { self.config.nonrigid.density_until } else { d.until }

@@ -5,6 +5,7 @@
 //! order of time by the clock; here each end of the window waits until its newest photos are fitted about as well as the others,
 //! and opens by more at a time as long as they are, so that a scene that is easy to follow is soon there as a whole.)
 
+use super::kept_aside::KeptAside;
 use super::rng;
 use super::saved::Saved;
 use crate::error::{Error, Result};
@@ -44,19 +45,19 @@ pub(super) struct TimeWindow {
 }
 
 impl TimeWindow {
-    /// Of photos at these times, around `centre` (0: the first time, 1: the last). It opens from the first of the iterations
-    /// `opens` on, and is open after the second. `None` where that is nothing, or there is one time.
-    pub(super) fn new(times: &[f64], centre: f64, opens: [u64; 2]) -> Option<Self> {
+    /// Of photos at these times without those `aside`, around `centre` (0: the first time, 1: the last). It opens from the first of the
+    /// iterations `opens` on, and is open after the second. `None` where that is nothing, or there is one time.
+    pub(super) fn new(times: &[f64], aside: KeptAside, centre: f64, opens: [u64; 2]) -> Option<Self> {
         let [first, last] = times.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], &t| [a.min(t), b.max(t)]);
-        if opens[1] == 0 || times.len() <= FIRST || first >= last {
+        let mut order: Vec<u32> = (0..times.len() as u32).filter(|&photo| !aside.has(photo as usize)).collect();
+        if opens[1] == 0 || order.len() <= FIRST || first >= last {
             return None;
         }
-        let mut order: Vec<u32> = (0..times.len() as u32).collect();
         order.sort_by(|&a, &b| times[a as usize].total_cmp(&times[b as usize]));
         let middle = order.partition_point(|&i| times[i as usize] < first + (last - first) * centre);
-        let low = middle.saturating_sub(FIRST / 2).min(times.len() - FIRST);
-        let (n, first) = (times.len(), [low, low + FIRST]);
-        let (loss, draws) = (vec![0.0; n], vec![0; n]);
+        let low = middle.saturating_sub(FIRST / 2).min(order.len() - FIRST);
+        let first = [low, low + FIRST];
+        let (loss, draws) = (vec![0.0; times.len()], vec![0; times.len()]);
         Some(Self { order, first, open: first, stride: [1.0; 2], loss, draws, opens })
     }
 
@@ -162,7 +163,7 @@ impl TimeWindow {
             self.widen(iteration);
             return Ok(());
         }
-        let n = self.order.len();
+        let (n, photos) = (self.order.len(), self.loss.len());
         let open = saved.indices("window.open", Some(2))?;
         let open = [open[0] as usize, open[1] as usize];
         if open[0] > self.first[0] || open[1] < self.first[1] || open[1] > n {
@@ -170,8 +171,8 @@ impl TimeWindow {
             return Err(Error::usage("window.open", format!("{} to {}", open[0], open[1]), expected));
         }
         let stride = saved.floats("window.stride", Some(2))?;
-        self.loss = saved.floats("window.loss", Some(n))?;
-        self.draws = saved.indices("window.draws", Some(n))?;
+        self.loss = saved.floats("window.loss", Some(photos))?;
+        self.draws = saved.indices("window.draws", Some(photos))?;
         (self.open, self.stride) = (open, [stride[0], stride[1]]);
         Ok(())
     }

@@ -12,6 +12,7 @@ use super::deform_project_backward::SLOT_PLANES;
 use super::deformation::{self, Trained};
 use super::density::DensityChange;
 use super::exposure::{ExposureState, identities};
+use super::kept_aside::KeptAside;
 use super::lost::LostObject;
 use super::parameters::{ParameterState, Parameters};
 use super::photos::Photos;
@@ -127,6 +128,7 @@ pub struct Trainer {
     pub(super) loader: ImageLoader,
     pub(super) sampler: ViewSampler,
     /// Photos that take part until it is open; `None` where all do from the start.
+    pub(super) aside: KeptAside,
     pub(super) window: Option<TimeWindow>,
     pub(super) iteration: u64,
     pub(super) parameters: Parameters,
@@ -216,7 +218,8 @@ impl Trainer {
         let n = u64::from(parameters.count().max(1));
         let times: Vec<f64> = data.views.iter().map(|v| v.time).collect();
         let schedule = Schedule::new(&config.scaled(), stage, data.extent);
-        let window = TimeWindow::new(&times, config.schedule.time_window_centre, schedule.window());
+        let aside = KeptAside::new(times.len(), schedule.kept_aside());
+        let window = TimeWindow::new(&times, aside, config.schedule.time_window_centre, schedule.window());
         let pyramid = Pyramid::new(&data.views, schedule.coarse_to_fine(), |views| opaque_area(views, workers));
         let views = &pyramid.views;
         let with_exposure = config.learning_rate.exposure > 0.0;
@@ -227,6 +230,7 @@ impl Trainer {
             schedule,
             loader: ImageLoader::for_training(views.clone(), config.budget.image_bytes, workers)?,
             sampler: ViewSampler::new(config.seed, times.len()),
+            aside,
             window,
             iteration,
             deformation: None,

@@ -91,7 +91,7 @@ impl Preset {
         c.learning_rate.sh_length_exponent = 0.5;
         if self == Self::Dnerf {
             c.schedule.coarse_to_fine = 17_000;
-            c.schedule.window_trial = 7500;
+            c.schedule.window_trial = 10_000;
             // What only full photos show has to grow, too.
             (c.density.until, c.density.unseen_interval) = (25_000, 2500);
             c.motion.network_mean = 400;

@@ -3,10 +3,12 @@
 use super::*;
 
 const UNTIL: u64 = 1000;
+/// None is kept aside.
+const ALL: KeptAside = KeptAside::new(0, 0);
 
 fn window() -> TimeWindow {
     let times: Vec<f64> = (0..40).map(|i| f64::from(i) / 39.0).collect();
-    TimeWindow::new(&times, 0.5, [100, UNTIL]).unwrap()
+    TimeWindow::new(&times, ALL, 0.5, [100, UNTIL]).unwrap()
 }
 
 /// Draws and widens until it is open, with these losses by photo; the iteration at which it is.
@@ -33,7 +35,7 @@ fn it_begins_with_the_photos_around_its_centre_and_waits() {
     assert_eq!(w.open, [16, 24]);
     for centre in [0.0, 1.0] {
         let times: Vec<f64> = (0..40).map(f64::from).collect();
-        let w = TimeWindow::new(&times, centre, [1, UNTIL]).unwrap();
+        let w = TimeWindow::new(&times, ALL, centre, [1, UNTIL]).unwrap();
         assert_eq!(w.open, if centre == 0.0 { [0, 8] } else { [32, 40] });
     }
 }
@@ -104,7 +106,21 @@ fn a_checkpoint_that_does_not_fit_is_named() {
 
 #[test]
 fn one_time_or_few_photos_have_none() {
-    assert!(TimeWindow::new(&[0.5; 40], 0.5, [1, UNTIL]).is_none());
-    assert!(TimeWindow::new(&[0.0, 1.0], 0.5, [1, UNTIL]).is_none());
-    assert!(TimeWindow::new(&[0.0, 1.0], 0.5, [1, 0]).is_none());
+    assert!(TimeWindow::new(&[0.5; 40], ALL, 0.5, [1, UNTIL]).is_none());
+    assert!(TimeWindow::new(&[0.0, 1.0], ALL, 0.5, [1, UNTIL]).is_none());
+    assert!(TimeWindow::new(&[0.0, 1.0], ALL, 0.5, [1, 0]).is_none());
+}
+
+#[test]
+fn photos_kept_aside_are_not_drawn() {
+    let times: Vec<f64> = (0..40).map(|i| f64::from(i) / 39.0).collect();
+    let mut w = TimeWindow::new(&times, KeptAside::new(40, UNTIL), 0.5, [100, UNTIL]).unwrap();
+    let mut drawn = [0; 40];
+    for i in 1..=UNTIL {
+        w.widen(i);
+        drawn[w.draw(7, i)] += 1;
+    }
+    assert!(w.is_open());
+    let never: Vec<usize> = (0..40).filter(|&photo| drawn[photo] == 0).collect();
+    assert_eq!(never, [4, 12, 20, 28, 36]);
 }

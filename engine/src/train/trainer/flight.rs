@@ -84,7 +84,7 @@ impl Trainer {
     fn view_at(&mut self, iteration: u64) -> usize {
         let window = self.window.as_ref().filter(|w| !w.is_open());
         let photo = window.map_or_else(|| self.sampler.view(iteration), |w| w.draw(self.config.seed, iteration));
-        self.pyramid.at(photo, iteration)
+        self.pyramid.at(self.aside.in_place_of(photo, iteration), iteration)
     }
 
     /// Opens the window of times further where it is time to look, which is settled by the iteration alone.
