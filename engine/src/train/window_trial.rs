@@ -4,14 +4,11 @@
 //! From one moment on (`schedule.time_window`) they are followed; but where parts move little, that moment's few photos
 //! are a worse start. Photos that neither was trained on tell which is better.
 
-use super::schedule::Stage;
 use super::trainer::{Trainer, TrainingData};
 use crate::error::{Error, Result};
 use crate::render::{RenderOptions, Renderer};
 use crate::scene::Gaussians;
 
-/// The window is open after so many parts of a trial.
-const OPENS: [u64; 2] = [2, 3];
 /// A smaller mean square error counts as this one.
 const LEAST: f64 = 1e-12;
 
@@ -42,12 +39,7 @@ impl Trainer {
     /// Whether [`try_window`] is due before the next step: after `schedule.window_trial` iterations of a run without a window.
     pub fn tries_window(&self) -> bool {
         let s = &self.schedule.config().schedule;
-        let opens = s.window_trial * OPENS[0] / OPENS[1];
-        self.schedule.stage() == Stage::Rigid
-            && s.time_window == 0
-            && self.iteration() == s.window_trial
-            && self.aside.photos().count() > 0
-            && opens > s.warm_up
+        s.time_window == 0 && self.iteration() == s.window_trial && self.aside.photos().count() > 0
     }
 
     /// PSNR of the photos kept aside, at their present size; see [`WindowTrial::psnr`].
@@ -101,7 +93,7 @@ fn other_beginning(
 ) -> Result<Option<(WindowTrial, Trainer)>> {
     run.settled()?;
     let mut config = run.config().clone();
-    config.schedule.time_window = config.schedule.window_trial * OPENS[0] / OPENS[1];
+    config.schedule.time_window = run.schedule.trial_window();
     let mut other = Trainer::new(&run.gpu, &config, data, first)?.with_profile(run.profile);
     while other.iteration() < run.iteration() {
         if !goes_on(other.iteration()) {
