@@ -7,8 +7,11 @@
 //! is found must lie where its photos differ, too.
 
 mod band;
+mod chain;
 mod look;
 mod path;
+mod rod;
+mod segment;
 mod shape;
 #[cfg(test)]
 mod tests;
@@ -24,12 +27,12 @@ use self::shape::{Cell, HAVE, Shape};
 use super::rigid::Frame;
 use crate::edit::unwrapped;
 use crate::reference::{exp_quaternion, table_poses};
-use crate::scene::{Motion, Scene, SuperpointDeformation, Superpoints};
+use crate::scene::{Gaussians, Motion, Scene, SuperpointDeformation, Superpoints};
 use crate::train::bake::fewest_keys;
 use crate::train::config::Config;
 use crate::train::init::{MID_GREY, Point};
 use crate::train::lost::residual::{Residual, like};
-use crate::train::lost::{FEWEST, LostObject, extent};
+use crate::train::lost::{FEWEST, LostObject, by_chance, extent};
 use crate::train::rng;
 
 /// Fewest times that tell how something moves.
@@ -39,7 +42,10 @@ const HELD: usize = 4;
 /// Most objects, and parts that are tried for one.
 const MOST: usize = 8;
 const TRIED: usize = 4;
-/// Gaussians of a part that count, and fewest of them.
+/// A rod is looked for within so many times the radius within which so many of the Gaussians are.
+const FARTHER: f64 = 1.8;
+const MOST_WITHIN: f64 = 0.98;
+/// Gaussians that count, and fewest of a part that does.
 const VISIBLE_LOGIT: f32 = -2.2;
 const FEWEST_OF_PART: usize = 5;
 /// Cells around a part at which photos are looked at first: so far from its Gaussians, in steps of so many cells.
@@ -71,10 +77,11 @@ const SHOWN: f64 = 0.5;
 /// Stream of random numbers used here.
 const STREAM: u32 = 0x4154_5443;
 
-/// A place that moves with a part, and around which something may be fixed to it.
+/// A place around which something may be.
 #[derive(Debug, Clone, Copy)]
 struct Pivot {
-    part: usize,
+    /// What it moves with; `None`: with nothing that the model has.
+    part: Option<usize>,
     /// In the part's frame.
     at: DVec3,
     /// Side of a cell, world units: a pixel.
@@ -95,10 +102,15 @@ pub(super) fn take_attached(residual: &mut Residual, scene: &Scene, config: &Con
         return objects;
     };
     let frames = frames(table, &residual.times);
+    let extent = middle_and_radius(&scene.gaussians);
     while objects.len() < MOST {
         let looks: Vec<Look> = residual.differences.iter().map(Look::new).collect();
         let pivots = pivots(scene, &frames, &looks);
-        let found = pivots.iter().take(TRIED).find_map(|pivot| attached(*pivot, &frames, &looks, &residual.times));
+        let attached = |pivot: &Pivot| {
+            let path = Path::of_part(&frames, pivot.part?, pivot.at);
+            grown(*pivot, path, &looks, &residual.times)
+        };
+        let found = pivots.iter().take(TRIED).find_map(attached).or_else(|| free(&looks, &residual.times, extent));
         let Some(found) = found else { break };
         for (difference, look) in residual.differences.iter_mut().zip(&looks) {
             let cells = found.cells(look.time);
@@ -145,18 +157,21 @@ fn pivots(scene: &Scene, frames: &[Vec<Frame>], looks: &[Look]) -> Vec<Pivot> {
         let cells: BTreeSet<Cell> = own.into_iter().flat_map(|c| c.within(AROUND / STRIDE)).collect();
         let shares = cells.iter().map(|c| (path.share(c.middle() * step, looks, GROWING, HAVE), c));
         let (share, best) = shares.max_by(|a, b| a.0.total_cmp(&b.0))?;
-        (share >= FIRST_SHARE).then(|| Pivot { part, at: points[0] + best.middle() * step, cell, share })
+        (share >= FIRST_SHARE).then(|| Pivot { part: Some(part), at: points[0] + best.middle() * step, cell, share })
     };
     let mut found: Vec<Pivot> = of_part.par_iter().enumerate().filter_map(pivot).collect();
     found.sort_by(|a, b| b.share.total_cmp(&a.share).then(a.part.cmp(&b.part)));
     found
 }
 
-/// What is fixed to a part at a pivot; `None` where photos that were left out do not show it.
-fn attached(pivot: Pivot, frames: &[Vec<Frame>], looks: &[Look], times: &[f32]) -> Option<Found> {
-    let is_held = |look: &&Look| look.time % HELD == 1;
+/// Whether a photo takes no part in a search, and judges.
+fn is_held(look: &&Look) -> bool {
+    look.time % HELD == 1
+}
+
+/// What there is around a pivot that moves along a path; `None` where photos that were left out do not show it.
+fn grown(pivot: Pivot, mut path: Path, looks: &[Look], times: &[f32]) -> Option<Found> {
     let (held, used): (Vec<&Look>, Vec<&Look>) = looks.iter().partition(is_held);
-    let mut path = Path::of_part(frames, pivot.part, pivot.at);
     let mut shape = Shape::at(pivot.cell);
     let (mut reach, mut idle) = (0.0, 0);
     for _ in 0..MOST_ROUNDS {
@@ -174,7 +189,7 @@ fn attached(pivot: Pivot, frames: &[Vec<Frame>], looks: &[Look], times: &[f32]) 
     }
     let points = shape.points();
     let held_share = path.mean_share(&points, &held, GROWN, 0);
-    let chance = path.mean_share(&points, &held, GROWN, times.len() / 2);
+    let chance = by_chance(times.len(), |later| path.mean_share(&points, &held, GROWN, later));
     if held_share < HELD_SHARE.max(TIMES_CHANCE * chance) || shape.reach() < SHORTEST {
         return None;
     }
@@ -185,6 +200,32 @@ fn attached(pivot: Pivot, frames: &[Vec<Frame>], looks: &[Look], times: &[f32]) 
     }
     shape.thin(&path, &all);
     Some(Found { pivot, shape, path })
+}
+
+/// A rod that nothing holds.
+fn free(looks: &[Look], times: &[f32], extent: (DVec3, f64)) -> Option<Found> {
+    let used: Vec<&Look> = looks.iter().filter(|look| !is_held(look)).collect();
+    let grow = |frames: Vec<Frame>| {
+        let at = frames[0].shift;
+        let path = Path::new(frames);
+        let pivot = Pivot { part: None, at, cell: path.pixel(looks)?, share: 0.0 };
+        grown(pivot, path, looks, times)
+    };
+    rod::rods(&used, times, extent).into_iter().find_map(grow)
+}
+
+/// Where most of the Gaussians are.
+fn middle_and_radius(g: &Gaussians) -> (DVec3, f64) {
+    let seen = (0..g.len()).filter(|&i| g.opacity_logit[i] > VISIBLE_LOGIT);
+    let means: Vec<DVec3> =
+        seen.map(|i| DVec3::from_array(g.mean[i].map(f64::from))).filter(|m| m.is_finite()).collect();
+    let quantile = |of: &dyn Fn(&DVec3) -> f64, share: f64| {
+        let mut values: Vec<f64> = means.iter().map(of).collect();
+        values.sort_by(f64::total_cmp);
+        values.get((share * values.len() as f64) as usize).copied().unwrap_or(0.0)
+    };
+    let middle = DVec3::new(quantile(&|m| m.x, 0.5), quantile(&|m| m.y, 0.5), quantile(&|m| m.z, 0.5));
+    (middle, FARTHER * quantile(&|m| m.distance(middle), MOST_WITHIN))
 }
 
 impl Found {
@@ -228,7 +269,7 @@ impl Found {
             radius: 0.5 * extent(&cells),
             path: extent(&places),
             gaussians: points.len(),
-            attached_to: Some(self.pivot.part),
+            attached_to: self.pivot.part,
         };
         let mut gaussians = like(&colored, &beside.gaussians);
         gaussians.log_scale.fill([(SIZE * self.pivot.cell).ln() as f32; 3]);

@@ -60,6 +60,9 @@ const OPACITY: f32 = 0.5;
 pub(crate) const FEWEST: usize = 100;
 const LARGEST_SHARE: f64 = 0.2;
 
+/// By so large shares of all times a path is moved to see what fits it by chance: one that comes round again fits again at few of them.
+const OTHER_TIMES: [f64; 5] = [0.309, 0.382, 0.5, 0.618, 0.691];
+
 /// An object that was found.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct LostObject {
@@ -211,6 +214,13 @@ fn distinct_times<'a>(views: impl Iterator<Item = &'a View>) -> Vec<f32> {
     times.sort_by(f32::total_cmp);
     times.dedup();
     times
+}
+
+/// The median of a share of what fits a path of so many times, as it is so many times later.
+pub(crate) fn by_chance(times: usize, share: impl Fn(usize) -> f64) -> f64 {
+    let mut shares = OTHER_TIMES.map(|of_all| share((of_all * times as f64).round() as usize));
+    shares.sort_by(f64::total_cmp);
+    shares[OTHER_TIMES.len() / 2]
 }
 
 /// Longest side of the box around places.

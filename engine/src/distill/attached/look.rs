@@ -46,6 +46,16 @@ impl Look {
         Self { camera, photo, amount, time, distance }
     }
 
+    /// `[H,W]` pixels that differ.
+    pub(super) fn differs(&self) -> Vec<bool> {
+        self.distance.iter().map(|d| *d <= 0.0).collect()
+    }
+
+    /// Width and height, px.
+    pub(super) fn size(&self) -> [u32; 2] {
+        [self.camera.width, self.camera.height]
+    }
+
     fn at(&self, point: DVec3) -> Option<At> {
         let c = &self.camera;
         let point = c.rotation * (point - c.position);

@@ -41,7 +41,11 @@ impl Path {
     /// Of a place in the frame of a part; `[times][M]` frames.
     pub(super) fn of_part(frames: &[Vec<Frame>], part: usize, at: DVec3) -> Self {
         let of_part = frames.iter().map(|of_time| of_time[part]);
-        let given: Vec<Frame> = of_part.map(|f| Frame { turn: f.turn, shift: f.apply(at) }).collect();
+        Self::new(of_part.map(|f| Frame { turn: f.turn, shift: f.apply(at) }).collect())
+    }
+
+    /// Of points from a place on, as they stand at each time.
+    pub(super) fn new(given: Vec<Frame>) -> Self {
         Self { corrections: vec![[DVec3::ZERO; 2]; given.len()], frames: given.clone(), given }
     }
 

@@ -1,4 +1,4 @@
-//! A rod in a hand, seen by a camera that goes around.
+//! A rod, in a hand or not, seen by a camera that goes around.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::sync::Arc;
@@ -52,9 +52,9 @@ fn find(shows: impl Fn(usize) -> usize) -> (Vec<Look>, Option<Found>) {
     let frames: Vec<Vec<Frame>> = (0..TIMES).map(|i| vec![hand(i, 0.7)]).collect();
     let looks: Vec<Look> = (0..TIMES).map(|i| look(i, shows(i))).collect();
     let times: Vec<f32> = (0..TIMES).map(|i| time(i) as f32).collect();
-    let cell = Path::of_part(&frames, 0, DVec3::ZERO).pixel(&looks).unwrap();
-    let pivot = Pivot { part: 0, at: DVec3::ZERO, cell, share: 1.0 };
-    let found = attached(pivot, &frames, &looks, &times);
+    let path = Path::of_part(&frames, 0, DVec3::ZERO);
+    let pivot = Pivot { part: Some(0), at: DVec3::ZERO, cell: path.pixel(&looks).unwrap(), share: 1.0 };
+    let found = grown(pivot, path, &looks, &times);
     (looks, found)
 }
 
@@ -86,4 +86,32 @@ fn a_rod_grows_from_a_hand_and_its_turns_are_found() {
 #[test]
 fn what_does_not_go_with_the_part_is_not_fixed_to_it() {
     assert!(find(|i| (i * 37 + 11) % TIMES).1.is_none());
+}
+
+/// The same rod, beside a part that says nothing of it.
+fn find_free(shows: impl Fn(usize) -> usize) -> Option<Found> {
+    let looks: Vec<Look> = (0..TIMES).map(|i| look(i, shows(i))).collect();
+    let times: Vec<f32> = (0..TIMES).map(|i| time(i) as f32).collect();
+    free(&looks, &times, (DVec3::ZERO, 1.0))
+}
+
+#[test]
+fn a_rod_that_nothing_holds_is_followed() {
+    let found = find_free(|i| i).unwrap();
+    assert_eq!(found.pivot.part, None);
+    let cell = found.pivot.cell;
+    let ends = found.shape.farthest();
+    let long = ends.iter().flat_map(|a| ends.iter().map(|b| a.distance(*b))).fold(0.0, f64::max);
+    assert!((0.9 * LENGTH..1.2 * LENGTH).contains(&long), "{long}");
+    let distance = |p: &DVec3, i: usize| rod(i).map(|r| r.distance(*p)).fold(f64::INFINITY, f64::min) / cell;
+    let farthest = |i: usize| found.cells(i).iter().map(|p| distance(p, i)).fold(0.0, f64::max);
+    let mut off: Vec<f64> = (0..TIMES).map(farthest).collect();
+    off.sort_by(f64::total_cmp);
+    assert!(off[TIMES / 2] < 3.0 && off[TIMES * 9 / 10] < 6.0, "{off:?}");
+}
+
+/// Each photo shows a rod, but no motion has them all.
+#[test]
+fn rods_of_no_one_motion_are_none() {
+    assert!(find_free(|i| (i * 37 + 11) % TIMES).is_none());
 }

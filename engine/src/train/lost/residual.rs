@@ -14,7 +14,8 @@ use super::colours::Colours;
 use super::seed::{Carving, Shown, carve, colour_of, mean_colour};
 use super::track::{Rule, Sight, Track, track};
 use super::{
-    FEWEST, LARGEST_SHARE, Look, LostObject, MOST_PHOTOS, MOVES, OPACITY, SIDE, SMALLEST, disc, distinct_times, extent,
+    FEWEST, LARGEST_SHARE, Look, LostObject, MOST_PHOTOS, MOVES, OPACITY, SIDE, SMALLEST, by_chance, disc,
+    distinct_times, extent,
 };
 use crate::data::dataset::View;
 use crate::data::loader::ImageLoader;
@@ -200,7 +201,7 @@ fn differ_on(places: &[DVec3], images: &[Shown]) -> bool {
         let seen: Vec<bool> = images.iter().filter_map(differs).collect();
         seen.iter().filter(|d| **d).count() as f64 / seen.len().max(1) as f64
     };
-    share(0) >= DIFFER.max(TIMES_CHANCE * share(times / 2))
+    share(0) >= DIFFER.max(TIMES_CHANCE * by_chance(times, share))
 }
 
 /// The object as a scene of one part, beside so many Gaussians like `others`; `None` where too few points are its own.
