@@ -103,18 +103,6 @@ impl Schedule {
         if self.stage == Stage::Rigid { self.config.schedule.coarse_to_fine } else { 0 }
     }
 
-    /// Iterations by which the window of a trial is open: two thirds of it.
-    pub fn trial_window(&self) -> u64 {
-        self.config.schedule.window_trial * 2 / 3
-    }
-
-    /// The last iteration without the photos by which two beginnings are compared, the same for both; 0: there is no such comparison.
-    pub fn kept_aside(&self) -> u64 {
-        let (s, opens) = (&self.config.schedule, self.trial_window());
-        let compared = self.stage == Stage::Rigid && opens > s.warm_up && [0, opens].contains(&s.time_window);
-        if compared { s.window_trial } else { 0 }
-    }
-
     fn density_until(&self) -> u64 {
         let d = &self.config.density;
         if self.stage == Stage::Nonrigid { self.config.nonrigid.density_until } else { d.until }
@@ -272,7 +260,6 @@ mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
     use super::*;
     use crate::scene::parameter::{LOG_SCALE, MEAN};
-    use crate::train::config::Preset;
 
     fn schedule(stage: Stage) -> Schedule {
         Schedule::new(&Config::default(), stage, 4.0)
@@ -336,21 +323,6 @@ mod tests {
         near(at(40_001).rate_network_f, 1e-5);
         near(at(1).bias_gaussians[0], 10.0);
         near(at(3000).bias_network_f[0], 10.0);
-    }
-
-    #[test]
-    fn photos_are_kept_aside_only_where_beginnings_are_compared() {
-        let aside = |stage: Stage, warm_up: u64, time_window: u64| {
-            let mut config = Preset::Dnerf.best();
-            (config.schedule.warm_up, config.schedule.time_window) = (warm_up, time_window);
-            Schedule::new(&config, stage, 4.0).kept_aside()
-        };
-        let trial = aside(Stage::Rigid, 3000, 0);
-        assert!(trial > 0);
-        // The other beginning of the trial, and a window that was asked for.
-        let opens = Schedule::new(&Preset::Dnerf.best(), Stage::Rigid, 4.0).trial_window();
-        assert_eq!([opens, 20_000].map(|w| aside(Stage::Rigid, 3000, w)), [trial, 0]);
-        assert_eq!([aside(Stage::Rigid, 9000, 0), aside(Stage::Static, 3000, 0)], [0, 0]);
     }
 
     #[test]

@@ -218,7 +218,7 @@ impl Trainer {
         let n = u64::from(parameters.count().max(1));
         let times: Vec<f64> = data.views.iter().map(|v| v.time).collect();
         let schedule = Schedule::new(&config.scaled(), stage, data.extent);
-        let aside = KeptAside::new(times.len(), schedule.kept_aside());
+        let aside = KeptAside::of(config, stage, times.len());
         let window = TimeWindow::new(&times, aside, config.schedule.time_window_centre, schedule.window());
         let pyramid = Pyramid::new(&data.views, schedule.coarse_to_fine(), |views| opaque_area(views, workers));
         let views = &pyramid.views;

@@ -4,6 +4,7 @@
 //! From one moment on (`schedule.time_window`) they are followed; but where parts move little, that moment's few photos
 //! are a worse start. Photos that neither was trained on tell which is better.
 
+use super::kept_aside::trial_window;
 use super::trainer::{Trainer, TrainingData};
 use crate::error::{Error, Result};
 use crate::render::{RenderOptions, Renderer};
@@ -93,7 +94,7 @@ fn other_beginning(
 ) -> Result<Option<(WindowTrial, Trainer)>> {
     run.settled()?;
     let mut config = run.config().clone();
-    config.schedule.time_window = run.schedule.trial_window();
+    config.schedule.time_window = trial_window(&config);
     let mut other = Trainer::new(&run.gpu, &config, data, first)?.with_profile(run.profile);
     while other.iteration() < run.iteration() {
         if !goes_on(other.iteration()) {
