@@ -122,7 +122,7 @@ fn slants(eye: DVec3, [a, b]: [DVec3; 2], depth: f64, length: f64) -> impl Itera
     let reach = (length * length - aside * aside).max(0.0).sqrt();
     let pose = |second: DVec3, cost: f64| Pose::new([first, second], [true; 2], cost);
     let both = if aside <= length {
-        [Some(pose(eye + (along - reach) * b, 0.0)), Some(pose(eye + (along + reach) * b, 0.0))]
+        [along - reach, along + reach].map(|depth| (depth > 0.0).then(|| pose(eye + depth * b, 0.0)))
     } else if aside <= (1.0 + LONGER_BY) * length {
         [Some(pose(first + (foot - first) * (length / aside), TOO_LONG)), None]
     } else {
