@@ -5,6 +5,8 @@
 //! small part turns is known badly, so that this holds near it only. From there the object grows cell by cell ([`Shape`]), and in turn
 //! the part's poses are corrected so that its cells lie where photos differ ([`Path`]). Every fourth time is left out of all that: what
 //! is found must lie where its photos differ, too.
+//!
+//! What is straight and goes with nothing that the model has ([`rod`]) grows in the same way, from the path of its pieces in the photos.
 
 mod band;
 mod chain;
@@ -95,7 +97,7 @@ struct Found {
     path: Path,
 }
 
-/// The objects that are fixed to parts of a scene, each as a scene of one more part; they are taken out of what is left.
+/// The objects that are fixed to parts of a scene, and rods that are not, each as a scene of one more part; they are taken out of what is left.
 pub(super) fn take_attached(residual: &mut Residual, scene: &Scene, config: &Config) -> Vec<(LostObject, Scene)> {
     let mut objects: Vec<(LostObject, Scene)> = Vec::new();
     let Some(table) = scene.deformation.table().filter(|_| residual.times.len() >= FEWEST_TIMES) else {
