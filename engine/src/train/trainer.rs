@@ -127,8 +127,9 @@ pub struct Trainer {
     pub(super) pyramid: Pyramid,
     pub(super) loader: ImageLoader,
     pub(super) sampler: ViewSampler,
-    /// Photos that take part until it is open; `None` where all do from the start.
+    /// Photos that beginnings are compared by.
     pub(super) aside: KeptAside,
+    /// Photos that take part until it is open; `None` where all do from the start.
     pub(super) window: Option<TimeWindow>,
     pub(super) iteration: u64,
     pub(super) parameters: Parameters,

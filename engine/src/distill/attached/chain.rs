@@ -20,11 +20,13 @@ const OF_PHOTO: usize = 200;
 const DEPTH: f64 = 0.08;
 const DEPTHS: usize = 64;
 
-/// Where a photo may show an object: of so many points of it.
+/// Where a photo may show an object.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Place<const POINTS: usize> {
+pub(super) struct Pose {
     /// World units.
-    pub(super) points: [DVec3; POINTS],
+    pub(super) ends: [DVec3; 2],
+    /// Which of them the photo shows.
+    pub(super) shown: [bool; 2],
     pub(super) cost: f64,
 }
 
@@ -32,16 +34,16 @@ pub(super) struct Place<const POINTS: usize> {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Chosen {
     pub(super) cost: f64,
-    /// Photos that it is seen in, ascending, and which of their places.
-    pub(super) places: Vec<(usize, usize)>,
+    /// Photos that it is seen in, ascending, and which of their poses.
+    pub(super) poses: Vec<(usize, usize)>,
 }
 
 /// A motion up to a photo.
 #[derive(Debug, Clone, Copy)]
-struct Chain<const POINTS: usize> {
+struct Chain {
     place: usize,
     cost: f64,
-    speed: Option<[DVec3; POINTS]>,
+    speed: Option<[DVec3; 2]>,
     /// Photo and chain before.
     before: Option<(usize, usize)>,
 }
@@ -56,11 +58,11 @@ pub(super) fn depths(eye: DVec3, (middle, radius): (DVec3, f64), length: f64) ->
 
 /// The cheapest motion through one place of each photo that is not passed over, of an object of this length. Photos are in order of their times
 /// `at`, which differ.
-pub(super) fn smoothest<const POINTS: usize>(places: &[Vec<Place<POINTS>>], at: &[f64], length: f64) -> Option<Chosen> {
-    let mut chains: Vec<Vec<Chain<POINTS>>> = Vec::with_capacity(places.len());
+pub(super) fn smoothest(places: &[Vec<Pose>], at: &[f64], length: f64) -> Option<Chosen> {
+    let mut chains: Vec<Vec<Chain>> = Vec::with_capacity(places.len());
     for (i, here) in places.iter().enumerate() {
         let first = i.saturating_sub(MOST_PASSED + 1);
-        let of_place = |(place, to): (usize, &Place<POINTS>)| {
+        let of_place = |(place, to): (usize, &Pose)| {
             let begin = Chain { place, cost: PASSED * i as f64 + to.cost, speed: None, before: None };
             let mut best = vec![begin];
             for before in first..i {
@@ -74,7 +76,7 @@ pub(super) fn smoothest<const POINTS: usize>(places: &[Vec<Place<POINTS>>], at: 
             }
             best
         };
-        let mut all: Vec<Chain<POINTS>> = here.par_iter().enumerate().flat_map_iter(of_place).collect();
+        let mut all: Vec<Chain> = here.par_iter().enumerate().flat_map_iter(of_place).collect();
         all.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         all.truncate(OF_PHOTO);
         chains.push(all);
@@ -90,11 +92,11 @@ pub(super) fn smoothest<const POINTS: usize>(places: &[Vec<Place<POINTS>>], at: 
         next = chain.before;
     }
     chosen.reverse();
-    Some(Chosen { cost, places: chosen })
+    Some(Chosen { cost, poses: chosen })
 }
 
 /// Adds a chain to the best ones of its place.
-fn keep<const POINTS: usize>(best: &mut Vec<Chain<POINTS>>, chain: Chain<POINTS>) {
+fn keep(best: &mut Vec<Chain>, chain: Chain) {
     if best.len() < OF_PLACE || best.last().is_some_and(|worst| chain.cost < worst.cost) {
         best.insert(best.partition_point(|c| c.cost <= chain.cost), chain);
         best.truncate(OF_PLACE);
@@ -102,15 +104,9 @@ fn keep<const POINTS: usize>(best: &mut Vec<Chain<POINTS>>, chain: Chain<POINTS>
 }
 
 /// What it costs to go on to another place after some time, and the speed there.
-fn step<const POINTS: usize>(
-    from: &Place<POINTS>,
-    speed: Option<[DVec3; POINTS]>,
-    to: &Place<POINTS>,
-    time: f64,
-    length: f64,
-) -> (f64, [DVec3; POINTS]) {
-    let now: [DVec3; POINTS] = std::array::from_fn(|k| (to.points[k] - from.points[k]) / time);
-    let squares = |v: &[DVec3; POINTS]| v.iter().map(|v| v.length_squared()).sum::<f64>() / (length * length);
+fn step(from: &Pose, speed: Option<[DVec3; 2]>, to: &Pose, time: f64, length: f64) -> (f64, [DVec3; 2]) {
+    let now: [DVec3; 2] = std::array::from_fn(|k| (to.ends[k] - from.ends[k]) / time);
+    let squares = |v: &[DVec3; 2]| v.iter().map(|v| v.length_squared()).sum::<f64>() / (length * length);
     let change = speed.map_or(0.0, |before| squares(&std::array::from_fn(|k| now[k] - before[k])) / time);
     (change / (CHANGE * CHANGE) + squares(&now) / (SPEED * SPEED), now)
 }
@@ -121,26 +117,27 @@ mod tests {
     use super::*;
     use crate::train::rng;
 
-    /// A ball that bounces between other things, each third time hidden.
+    /// A ball, both ends of it at once, that bounces between other things, each third time hidden.
     #[test]
     fn a_motion_is_found_among_others_and_past_what_hides_it() {
         let ball = |i: usize| DVec3::new(0.05 * i as f64, (0.3 * i as f64).sin().abs(), 0.0);
+        let pose = |at: DVec3| Pose { ends: [at; 2], shown: [true; 2], cost: 0.0 };
         let random = |k: u64| 2.0 * rng::uniform(3, 9, k) - 1.0;
         let other = |i: usize, k: usize| {
             let at = 30 * i as u64 + 3 * k as u64;
-            Place { points: [DVec3::new(random(at), random(at + 1), random(at + 2))], cost: 0.0 }
+            pose(DVec3::new(random(at), random(at + 1), random(at + 2)))
         };
         let places = |i: usize| {
-            let mut all: Vec<Place<1>> = (0..8).map(|k| other(i, k)).collect();
+            let mut all: Vec<Pose> = (0..8).map(|k| other(i, k)).collect();
             if !i.is_multiple_of(3) {
-                all.push(Place { points: [ball(i)], cost: 0.0 });
+                all.push(pose(ball(i)));
             }
             all
         };
         let at: Vec<f64> = (0..40).map(f64::from).collect();
-        let found = smoothest(&(0..40).map(places).collect::<Vec<_>>(), &at, 1.0).unwrap();
-        let right = found.places.iter().filter(|(i, k)| !i.is_multiple_of(3) && *k == 8).count();
-        assert!(right >= 24 && found.places.len() - right <= 3, "{found:?}");
-        assert!(smoothest::<1>(&[], &[], 1.0).is_none() && smoothest::<1>(&[vec![]], &[0.0], 1.0).is_none());
+        let found = smoothest(&(0..40).map(places).collect::<Vec<_>>(), &at, f64::sqrt(2.0)).unwrap();
+        let right = found.poses.iter().filter(|(i, k)| !i.is_multiple_of(3) && *k == 8).count();
+        assert!(right >= 24 && found.poses.len() - right <= 3, "{found:?}");
+        assert!(smoothest(&[], &[], 1.0).is_none() && smoothest(&[vec![]], &[0.0], 1.0).is_none());
     }
 }

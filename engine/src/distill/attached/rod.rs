@@ -7,10 +7,11 @@ use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 
 use super::band::Band;
-use super::chain::{Chosen, Place, depths, smoothest};
+use super::chain::{Chosen, Pose, depths, smoothest};
 use super::look::Look;
 use super::segment::{Segment, segments};
 use crate::distill::rigid::Frame;
+use crate::edit::outer;
 use crate::scene::Camera;
 
 /// Lengths that are tried, times that of the photos' longer pieces.
@@ -30,20 +31,6 @@ const SMOOTH: f64 = 0.04;
 /// Rounds of weighing ends anew.
 const ROUNDS: usize = 5;
 
-/// How the rod may stand where a photo shows a straight piece.
-#[derive(Debug, Clone, Copy)]
-struct Pose {
-    ends: Place<2>,
-    /// Which of them the photo shows.
-    shown: [bool; 2],
-}
-
-impl Pose {
-    fn new(ends: [DVec3; 2], shown: [bool; 2], cost: f64) -> Self {
-        Self { ends: Place { points: ends, cost }, shown }
-    }
-}
-
 /// Motions of the likeliest rods at each of these times, the best first: the middle, and turns of its way. `extent`: the middle and radius of
 /// the scene.
 pub(super) fn rods(looks: &[&Look], times: &[f32], extent: (DVec3, f64)) -> Vec<Vec<Frame>> {
@@ -57,8 +44,7 @@ pub(super) fn rods(looks: &[&Look], times: &[f32], extent: (DVec3, f64)) -> Vec<
         let poses: Vec<Vec<Pose>> =
             in_order.iter().zip(&pieces).map(|(look, pieces)| poses(&look.camera, pieces, length, extent)).collect();
         let at: Vec<f64> = in_order.iter().map(|look| look.time as f64).collect();
-        let places: Vec<Vec<Place<2>>> = poses.iter().map(|of| of.iter().map(|pose| pose.ends).collect()).collect();
-        let Chosen { cost, places: chosen } = smoothest(&places, &at, length)?;
+        let Chosen { cost, poses: chosen } = smoothest(&poses, &at, length)?;
         let enough = chosen.len() as f64 >= SEEN * in_order.len() as f64;
         let seen: Vec<(&Look, Pose)> = chosen.into_iter().map(|(i, pose)| (in_order[i], poses[i][pose])).collect();
         enough.then(|| Some((cost, frames(&seen, times.len(), length)?)))?
@@ -104,7 +90,7 @@ fn poses(camera: &Camera, pieces: &[Segment], length: f64, extent: (DVec3, f64))
                 // The other way round.
                 _ => found.extend(depths.clone().step_by(2).flat_map(|z| {
                     let turned = beyond(camera.position, [b, a], z, length);
-                    turned.map(|p| Pose::new([p.ends.points[1], p.ends.points[0]], [false, true], 0.0))
+                    turned.map(|p| Pose { ends: [p.ends[1], p.ends[0]], shown: [false, true], ..p })
                 })),
             }
         }
@@ -120,7 +106,7 @@ fn slants(eye: DVec3, [a, b]: [DVec3; 2], depth: f64, length: f64) -> impl Itera
     let foot = eye + along * b;
     let aside = foot.distance(first);
     let reach = (length * length - aside * aside).max(0.0).sqrt();
-    let pose = |second: DVec3, cost: f64| Pose::new([first, second], [true; 2], cost);
+    let pose = |second: DVec3, cost: f64| Pose { ends: [first, second], shown: [true; 2], cost };
     let both = if aside <= length {
         [along - reach, along + reach].map(|depth| (depth > 0.0).then(|| pose(eye + depth * b, 0.0)))
     } else if aside <= (1.0 + LONGER_BY) * length {
@@ -137,7 +123,11 @@ fn beyond(eye: DVec3, [a, b]: [DVec3; 2], depth: f64, length: f64) -> impl Itera
     let across = (b - b.dot(a) * a).normalize_or_zero();
     (0..SLANTS).map(move |k| {
         let angle = std::f64::consts::PI * (k as f64 + 0.5) / SLANTS as f64;
-        Pose::new([first, first + length * (angle.cos() * a + angle.sin() * across)], [true, false], 0.0)
+        Pose {
+            ends: [first, first + length * (angle.cos() * a + angle.sin() * across)],
+            shown: [true, false],
+            cost: 0.0,
+        }
     })
 }
 
@@ -162,7 +152,7 @@ fn end(seen: &[(&Look, Pose)], which: usize, times: usize, length: f64) -> Optio
         places = even(seen, &weights, which, times, length)?;
         for (weight, (look, pose)) in weights.iter_mut().zip(seen) {
             let (across, _) = known(look, pose, which, length);
-            let off = across * (places[look.time] - pose.ends.points[which]);
+            let off = across * (places[look.time] - pose.ends[which]);
             *weight = 1.0 / (1.0 + off.length_squared() / 4.0);
         }
     }
@@ -173,13 +163,13 @@ fn end(seen: &[(&Look, Pose)], which: usize, times: usize, length: f64) -> Optio
 /// rod), and all ways.
 fn known(look: &Look, pose: &Pose, which: usize, length: f64) -> (DMat3, f64) {
     let eye = look.camera.position;
-    let sight = (pose.ends.points[which] - eye).normalize_or_zero();
-    let outer = |v: DVec3| DMat3::from_cols(v * v.x, v * v.y, v * v.z);
-    let pixel = look.pixel(pose.ends.points[which]).unwrap_or(length);
+    let sight = (pose.ends[which] - eye).normalize_or_zero();
+    let pixel = look.pixel(pose.ends[which]).unwrap_or(length);
     let across = if pose.shown[which] {
-        DMat3::IDENTITY - outer(sight)
+        DMat3::IDENTITY - outer(sight, sight)
     } else {
-        outer(sight.cross(pose.ends.points[1 - which] - eye).normalize_or_zero())
+        let normal = sight.cross(pose.ends[1 - which] - eye).normalize_or_zero();
+        outer(normal, normal)
     };
     (across * (1.0 / (ACROSS * pixel)), 1.0 / (ALONG * length))
 }
@@ -191,7 +181,7 @@ fn even(seen: &[(&Look, Pose)], weights: &[f64], which: usize, times: usize, len
     for ((look, pose), weight) in seen.iter().zip(weights) {
         let (across, all) = known(look, pose, which, length);
         let square = across * across * *weight + DMat3::IDENTITY * (all * all);
-        let right = square * pose.ends.points[which];
+        let right = square * pose.ends[which];
         for i in 0..3 {
             b[3 * look.time + i] += right[i];
             (0..3).for_each(|j| a.add(3 * look.time + i, 3 * look.time + j, square.col(j)[i]));

@@ -309,6 +309,9 @@ mod tests {
         };
         let places: Vec<DVec3> = (0..20).map(circle).collect();
         assert!(differ_on(&places, &images(circle)));
+        // Also what goes round twice, and is at the same place half of all times later.
+        let twice = |time: usize| circle(2 * time);
+        assert!(differ_on(&(0..20).map(twice).collect::<Vec<_>>(), &images(twice)));
         // Not where every fourth photo shows something else, nor where they differ at all times.
         assert!(!differ_on(&places, &images(|time| circle(if time % 4 == 1 { time + 10 } else { time }))));
         assert!(!differ_on(&[DVec3::ZERO; 20], &images(|_| DVec3::ZERO)));
