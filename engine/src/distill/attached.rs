@@ -6,7 +6,8 @@
 //! the part's poses are corrected so that its cells lie where photos differ ([`Path`]). Every fourth time is left out of all that: what
 //! is found must lie where its photos differ, too.
 //!
-//! What is straight and goes with nothing that the model has ([`rod`]) grows in the same way, from the path of its pieces in the photos.
+//! What goes with nothing that the model has grows in the same way: what is straight from the path of its pieces in the photos ([`rod`]), other
+//! things from that of their discs ([`Residual::likely_paths`]). Of all that is found that is taken which explains most.
 
 mod band;
 mod chain;
@@ -41,7 +42,7 @@ use crate::train::rng;
 const FEWEST_TIMES: usize = 16;
 /// One time of so many is left out, and judges.
 const HELD: usize = 4;
-/// Most objects, and parts that are tried for one.
+/// Objects in a row that may have too few points to be one. Parts that are tried for one.
 const MOST: usize = 8;
 const TRIED: usize = 4;
 /// A rod is looked for within so many times the radius within which so many of the Gaussians are.
@@ -91,38 +92,67 @@ struct Pivot {
     share: f64,
 }
 
+/// Where an object may be.
+struct Guess {
+    pivot: Pivot,
+    path: Path,
+}
+
 struct Found {
     pivot: Pivot,
     shape: Shape,
     path: Path,
+    /// Cells that lie where photos that were left out differ, beyond those that do so by chance.
+    worth: f64,
 }
 
-/// The objects that are fixed to parts of a scene, and rods that are not, each as a scene of one more part; they are taken out of what is left.
-pub(super) fn take_attached(residual: &mut Residual, scene: &Scene, config: &Config) -> Vec<(LostObject, Scene)> {
-    let mut objects: Vec<(LostObject, Scene)> = Vec::new();
-    let Some(table) = scene.deformation.table().filter(|_| residual.times.len() >= FEWEST_TIMES) else {
-        return objects;
-    };
+/// The object that explains most of what is left, fixed to a part of a scene or on a path of its own, as a scene of one more part; it
+/// is taken out of what is left. What is fixed to it is found once the scene has it.
+pub(super) fn take_attached(residual: &mut Residual, scene: &Scene, config: &Config) -> Option<(LostObject, Scene)> {
+    let table = scene.deformation.table().filter(|_| residual.times.len() >= FEWEST_TIMES)?;
     let frames = frames(table, &residual.times);
-    let extent = middle_and_radius(&scene.gaussians);
-    while objects.len() < MOST {
+    let room = config.budget.max_gaussians.saturating_sub(scene.gaussians.len() as u32) as usize;
+    for _ in 0..MOST {
         let looks: Vec<Look> = residual.differences.iter().map(Look::new).collect();
-        let pivots = pivots(scene, &frames, &looks);
-        let attached = |pivot: &Pivot| {
-            let path = Path::of_part(&frames, pivot.part?, pivot.at);
-            grown(*pivot, path, &looks, &residual.times)
-        };
-        let found = pivots.iter().take(TRIED).find_map(attached).or_else(|| free(&looks, &residual.times, extent));
-        let Some(found) = found else { break };
+        let mut guesses = attached(scene, &frames, &looks);
+        guesses.extend(free(residual, &looks, middle_and_radius(&scene.gaussians)));
+        let found = best(guesses, &looks, &residual.times)?;
         for (difference, look) in residual.differences.iter_mut().zip(&looks) {
             let cells = found.cells(look.time);
             look.near(&cells, EXPLAINED).into_iter().for_each(|i| difference.left[i] = false);
         }
-        let count = scene.gaussians.len() + objects.iter().map(|(object, _)| object.gaussians).sum::<usize>();
-        let room = config.budget.max_gaussians.saturating_sub(count as u32) as usize;
-        objects.extend(found.part(&looks, &residual.times, scene, room, config.seed));
+        let part = found.part(&looks, &residual.times, scene, room, config.seed);
+        if part.is_some() {
+            return part;
+        }
     }
-    objects
+    None
+}
+
+/// Of what grows where something may be, what explains most.
+fn best(guesses: Vec<Guess>, looks: &[Look], times: &[f32]) -> Option<Found> {
+    let found: Vec<Found> = guesses.into_par_iter().filter_map(|guess| grown(guess, looks, times)).collect();
+    found.into_iter().max_by(|a, b| a.worth.total_cmp(&b.worth))
+}
+
+/// With the likeliest parts.
+fn attached(scene: &Scene, frames: &[Vec<Frame>], looks: &[Look]) -> Vec<Guess> {
+    let of_pivot = |pivot: Pivot| Some(Guess { path: Path::of_part(frames, pivot.part?, pivot.at), pivot });
+    pivots(scene, frames, looks).into_iter().take(TRIED).filter_map(of_pivot).collect()
+}
+
+/// By itself: rods, and what discs show.
+fn free(residual: &Residual, looks: &[Look], extent: (DVec3, f64)) -> Vec<Guess> {
+    let used: Vec<&Look> = looks.iter().filter(|look| !is_held(look.time)).collect();
+    let unturned = |place: DVec3| Frame { turn: DMat3::IDENTITY, shift: place };
+    let discs = residual.likely_paths(|time| !is_held(time));
+    let discs = discs.into_iter().map(|places| places.into_iter().map(unturned).collect());
+    let of_frames = |frames: Vec<Frame>| {
+        let at = frames[0].shift;
+        let path = Path::new(frames);
+        Some(Guess { pivot: Pivot { part: None, at, cell: path.pixel(looks)?, share: 0.0 }, path })
+    };
+    rod::rods(&used, &residual.times, extent).into_iter().chain(discs).filter_map(of_frames).collect()
 }
 
 /// `[times][M]` how the parts stand.
@@ -166,14 +196,14 @@ fn pivots(scene: &Scene, frames: &[Vec<Frame>], looks: &[Look]) -> Vec<Pivot> {
     found
 }
 
-/// Whether a photo takes no part in a search, and judges.
-fn is_held(look: &&Look) -> bool {
-    look.time % HELD == 1
+/// Whether photos of a time take no part in a search, and judge.
+fn is_held(time: usize) -> bool {
+    time % HELD == 1
 }
 
 /// What there is around a pivot that moves along a path; `None` where photos that were left out do not show it.
-fn grown(pivot: Pivot, mut path: Path, looks: &[Look], times: &[f32]) -> Option<Found> {
-    let (held, used): (Vec<&Look>, Vec<&Look>) = looks.iter().partition(is_held);
+fn grown(Guess { pivot, mut path }: Guess, looks: &[Look], times: &[f32]) -> Option<Found> {
+    let (held, used): (Vec<&Look>, Vec<&Look>) = looks.iter().partition(|look| is_held(look.time));
     let mut shape = Shape::at(pivot.cell);
     let (mut reach, mut idle) = (0.0, 0);
     for _ in 0..MOST_ROUNDS {
@@ -195,25 +225,14 @@ fn grown(pivot: Pivot, mut path: Path, looks: &[Look], times: &[f32]) -> Option<
     if held_share < HELD_SHARE.max(TIMES_CHANCE * chance) || shape.reach() < SHORTEST {
         return None;
     }
+    let worth = (held_share - chance) * points.len() as f64;
     let all: Vec<&Look> = looks.iter().collect();
     for _ in 0..LAST_ROUNDS {
         shape.grow(&path, &all, GROWN)?;
         path.correct(&shape, &all, times);
     }
     shape.thin(&path, &all);
-    Some(Found { pivot, shape, path })
-}
-
-/// A rod that nothing holds.
-fn free(looks: &[Look], times: &[f32], extent: (DVec3, f64)) -> Option<Found> {
-    let used: Vec<&Look> = looks.iter().filter(|look| !is_held(look)).collect();
-    let grow = |frames: Vec<Frame>| {
-        let at = frames[0].shift;
-        let path = Path::new(frames);
-        let pivot = Pivot { part: None, at, cell: path.pixel(looks)?, share: 0.0 };
-        grown(pivot, path, looks, times)
-    };
-    rod::rods(&used, times, extent).into_iter().find_map(grow)
+    Some(Found { pivot, shape, path, worth })
 }
 
 /// Where most of the Gaussians are.

@@ -23,6 +23,9 @@ use crate::train::trainer::StepReport;
 /// Cameras of a data set in which a bound is measured, at most.
 pub const CAMERAS: usize = 12;
 
+/// Most objects that are found one after the other.
+const MOST_ATTACHED: usize = 8;
+
 /// What became of a run's motion.
 #[derive(Debug, Clone)]
 pub struct Refitted {
@@ -142,8 +145,10 @@ fn add_lost_objects(
     let Some(mut residual) = Residual::new(gpu, student, photos, config)? else { return Ok(added) };
     let found = residual.take_objects(student, config);
     join(student, found, &mut added)?;
-    let found = take_attached(&mut residual, student, config);
-    join(student, found, &mut added)?;
+    for _ in 0..MOST_ATTACHED {
+        let Some(found) = take_attached(&mut residual, student, config) else { break };
+        join(student, vec![found], &mut added)?;
+    }
     Ok(added)
 }
 

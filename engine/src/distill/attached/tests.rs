@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use super::*;
 use crate::data::pixels::Pixels;
+use crate::image::Image;
 use crate::scene::Camera;
+use crate::train::lost::residual::Difference;
 
 const TIMES: usize = 60;
 const SIDE: u32 = 100;
@@ -33,34 +35,43 @@ fn camera(i: usize) -> Camera {
     Camera::look_at(eye, DVec3::ZERO, DVec3::Y, 0.8, [SIDE, SIDE])
 }
 
-/// A photo that differs where the rod of a time is.
-fn look(i: usize, shows: usize) -> Look {
+/// A photo that differs where these places are; without any, the model has a wall before the camera, and so has the photo.
+fn difference(i: usize, places: Option<Vec<DVec3>>, width: f64) -> Difference {
     let (camera, side) = (camera(i), SIDE as usize);
-    let rod: Vec<_> = rod(shows).filter_map(|p| camera.project(p)).collect();
-    let is_rod = |k: usize| {
+    let is_open = places.is_some();
+    let shown: Vec<_> = places.into_iter().flatten().filter_map(|p| camera.project(p)).collect();
+    let is_shown = |k: usize| {
         let pixel = glam::DVec2::new((k % side) as f64 + 0.5, (k / side) as f64 + 0.5);
-        rod.iter().any(|at| at.distance(pixel) <= 1.2)
+        shown.iter().any(|at| at.distance(pixel) <= width)
     };
-    let differs: Vec<bool> = (0..side * side).map(is_rod).collect();
-    let rgba = differs.iter().map(|d| if *d { 0xff20_8040 } else { 0xff00_0000 }).collect();
+    let rgba = (0..side * side).map(|k| if is_shown(k) { 0xff20_8040 } else { 0xff00_0000 }).collect();
     let photo = Arc::new(Pixels { width: SIDE, height: SIDE, rgba });
-    let amount = differs.iter().map(|d| f32::from(u8::from(*d))).collect();
-    Look::of(camera, photo, amount, i, &differs)
+    let pixel = if is_open { [0.0; 4] } else { [0.0, 0.0, 0.0, 1.0] };
+    let depth = vec![1.5 * pixel[3]; side * side];
+    let rendered = Image { width: SIDE, height: SIDE, rgba: pixel.repeat(side * side), depth };
+    Difference::new(camera, photo, &rendered, i, [0.0; 3])
 }
 
-fn find(shows: impl Fn(usize) -> usize) -> (Vec<Look>, Option<Found>) {
+/// Photos of what is at these places at each time.
+fn residual(shows: impl Fn(usize) -> Option<Vec<DVec3>>, width: f64) -> Residual {
+    let times = (0..TIMES).map(|i| time(i) as f32).collect();
+    Residual { times, differences: (0..TIMES).map(|i| difference(i, shows(i), width)).collect() }
+}
+
+/// A photo's rod is that of another time, or none.
+fn find(shows: impl Fn(usize) -> Option<usize>) -> (Vec<Look>, Option<Found>) {
     let frames: Vec<Vec<Frame>> = (0..TIMES).map(|i| vec![hand(i, 0.7)]).collect();
-    let looks: Vec<Look> = (0..TIMES).map(|i| look(i, shows(i))).collect();
-    let times: Vec<f32> = (0..TIMES).map(|i| time(i) as f32).collect();
+    let residual = residual(|i| Some(rod(shows(i)?).collect()), 1.2);
+    let looks: Vec<Look> = residual.differences.iter().map(Look::new).collect();
     let path = Path::of_part(&frames, 0, DVec3::ZERO);
     let pivot = Pivot { part: Some(0), at: DVec3::ZERO, cell: path.pixel(&looks).unwrap(), share: 1.0 };
-    let found = grown(pivot, path, &looks, &times);
+    let found = grown(Guess { pivot, path }, &looks, &residual.times);
     (looks, found)
 }
 
 #[test]
 fn a_rod_grows_from_a_hand_and_its_turns_are_found() {
-    let (looks, found) = find(|i| i);
+    let (looks, found) = find(Some);
     let found = found.unwrap();
     let (cell, reach) = (found.pivot.cell, found.shape.reach() * found.pivot.cell);
     assert!((0.9 * LENGTH..1.1 * LENGTH).contains(&reach), "{reach}");
@@ -85,19 +96,97 @@ fn a_rod_grows_from_a_hand_and_its_turns_are_found() {
 /// What photos show is at the right places, at the wrong times.
 #[test]
 fn what_does_not_go_with_the_part_is_not_fixed_to_it() {
-    assert!(find(|i| (i * 37 + 11) % TIMES).1.is_none());
+    assert!(find(|i| Some((i * 37 + 11) % TIMES)).1.is_none());
 }
 
-/// The same rod, beside a part that says nothing of it.
-fn find_free(shows: impl Fn(usize) -> usize) -> Option<Found> {
-    let looks: Vec<Look> = (0..TIMES).map(|i| look(i, shows(i))).collect();
-    let times: Vec<f32> = (0..TIMES).map(|i| time(i) as f32).collect();
-    free(&looks, &times, (DVec3::ZERO, 1.0))
+/// In half of the photos a wall is before the rod.
+#[test]
+fn what_is_hidden_says_nothing() {
+    let (looks, found) = find(|i| (i / 4 % 2 == 0).then_some(i));
+    let reach = found.map(|f| f.shape.reach() * f.pivot.cell).unwrap();
+    assert!((0.9 * LENGTH..1.1 * LENGTH).contains(&reach), "{reach}");
+    let ahead = |look: &Look, far: f64| {
+        let c = &look.camera;
+        c.position + c.rotation.transpose() * DVec3::new(0.0, 0.0, far)
+    };
+    let [open, hidden] = [0, 4].map(|i| &looks[i]);
+    assert!(hidden.distance(ahead(hidden, 1.0)).is_some() && hidden.distance(ahead(hidden, 2.0)).is_none());
+    assert!(hidden.slope(ahead(hidden, 2.0)).is_none() && open.distance(ahead(open, 2.0)).is_some());
+}
+
+/// What goes on a path of its own.
+fn find_free(shows: impl Fn(usize) -> Vec<DVec3>, width: f64) -> Option<Found> {
+    let residual = residual(|i| Some(shows(i)), width);
+    let looks: Vec<Look> = residual.differences.iter().map(Look::new).collect();
+    best(free(&residual, &looks, (DVec3::ZERO, 1.0)), &looks, &residual.times)
+}
+
+/// Of the middles of an object, a tenth of the times off by more than so many pixels, or fewer.
+fn farthest(found: &Found, middle: impl Fn(usize) -> DVec3) -> f64 {
+    let off = |i: usize| {
+        let cells = found.cells(i);
+        let own = cells.iter().sum::<DVec3>() / cells.len() as f64;
+        own.distance(middle(i)) / found.pivot.cell
+    };
+    let mut off: Vec<f64> = (0..TIMES).map(off).collect();
+    off.sort_by(f64::total_cmp);
+    off[TIMES * 9 / 10]
+}
+
+fn ball(i: usize) -> DVec3 {
+    let angle = std::f64::consts::TAU * time(i);
+    DVec3::new(0.7 * angle.sin(), -0.3, 0.3 * (2.0 * angle).cos())
+}
+
+#[test]
+fn what_is_no_rod_is_followed_by_its_discs() {
+    let found = find_free(|i| vec![ball(i)], 6.0).unwrap();
+    assert!(found.pivot.part.is_none() && found.shape.reach() > SHORTEST, "{}", found.shape.reach());
+    let off = farthest(&found, ball);
+    assert!(off < 2.0, "{off}");
+    assert!(find_free(|i| vec![ball((i * 37 + 11) % TIMES)], 6.0).is_none());
+}
+
+/// Of a ball that has a third of the colours of what is behind it.
+#[test]
+fn discs_with_gaps_are_followed() {
+    let step = |k: i32| 0.03 * f64::from(k);
+    let rows = (-6..=6).filter(|y| y % 3 != 0).flat_map(|y| (-6..=6).map(move |x| DVec3::new(step(x), step(y), 0.0)));
+    let striped: Vec<DVec3> = rows.filter(|o| o.length() < 0.19).collect();
+    let residual = residual(|i| Some(striped.iter().map(|o| ball(i) + *o).collect()), 0.7);
+    let paths = residual.likely_paths(|time| !is_held(time));
+    let path = &paths[0];
+    let mut off: Vec<f64> = (0..TIMES).map(|i| path[i].distance(ball(i)) / 0.04).collect();
+    off.sort_by(f64::total_cmp);
+    assert!(off[TIMES / 2] < 1.0 && off[TIMES * 9 / 10] < 2.5, "{off:?}");
+    assert!(residual.likely_paths(|_| false).is_empty());
+}
+
+#[test]
+fn what_explains_most_is_taken() {
+    let step = |k: i32| 0.03 * f64::from(k);
+    let offsets = (-6..=6).flat_map(|x| (-6..=6).map(move |y| DVec3::new(step(x), step(y), 0.0)));
+    let disc: Vec<DVec3> = offsets.filter(|o| o.length() < 0.19).collect();
+    let residual = residual(|i| Some(rod(i).chain(disc.iter().map(|o| ball(i) + *o)).collect()), 1.2);
+    let looks: Vec<Look> = residual.differences.iter().map(Look::new).collect();
+    let guess = |is_rod: bool| {
+        let unturned = |i: usize| Frame { turn: DMat3::IDENTITY, shift: ball(i) };
+        let path = Path::new((0..TIMES).map(|i| if is_rod { hand(i, 1.0) } else { unturned(i) }).collect());
+        let pivot = Pivot { part: is_rod.then_some(0), at: DVec3::ZERO, cell: path.pixel(&looks).unwrap(), share: 1.0 };
+        Guess { pivot, path }
+    };
+    let worth = [false, true].map(|is_rod| grown(guess(is_rod), &looks, &residual.times).unwrap().worth);
+    assert!(worth[0] > 1.2 * worth[1] && worth[1] > 0.0, "{worth:?}");
+    for first in [false, true] {
+        let guesses = vec![guess(first), guess(!first)];
+        assert_eq!(best(guesses, &looks, &residual.times).unwrap().pivot.part, None);
+    }
+    assert!(best(Vec::new(), &looks, &residual.times).is_none());
 }
 
 #[test]
 fn a_rod_that_nothing_holds_is_followed() {
-    let found = find_free(|i| i).unwrap();
+    let found = find_free(|i| rod(i).collect(), 1.2).unwrap();
     assert_eq!(found.pivot.part, None);
     let cell = found.pivot.cell;
     let ends = found.shape.farthest();
@@ -113,5 +202,5 @@ fn a_rod_that_nothing_holds_is_followed() {
 /// Each photo shows a rod, but no motion has them all.
 #[test]
 fn rods_of_no_one_motion_are_none() {
-    assert!(find_free(|i| (i * 37 + 11) % TIMES).is_none());
+    assert!(find_free(|i| rod((i * 37 + 11) % TIMES).collect(), 1.2).is_none());
 }

@@ -61,6 +61,12 @@ fn centre_around(mask: &[bool], width: usize, middle: DVec2, radius: f64) -> DVe
     if count > 0.0 { sum / count } else { middle }
 }
 
+/// A mask with what lies within so many pixels of it to both sides (morphological closing).
+pub(super) fn closed(mask: &[bool], size: [u32; 2], by: f32) -> Vec<bool> {
+    let outside: Vec<bool> = distance_to(mask, size).iter().map(|d| *d > by).collect();
+    distance_to(&outside, size).iter().map(|d| *d > by).collect()
+}
+
 /// `[H,W]` distance of each pixel of an image of this size to the next one of a mask, px; infinite where there is none.
 pub(crate) fn distance_to(mask: &[bool], size: [u32; 2]) -> Vec<f32> {
     let [width, height] = size.map(|s| s as usize);

@@ -14,7 +14,7 @@ use super::colours::Colours;
 use super::seed::{Carving, Shown, carve, colour_of, mean_colour};
 use super::track::{Rule, Sight, Track, track};
 use super::{
-    FEWEST, LARGEST_SHARE, Look, LostObject, MOST_PHOTOS, MOVES, OPACITY, SIDE, SMALLEST, by_chance, disc,
+    FEWEST, LARGEST_SHARE, Look, LostObject, MOST_PHOTOS, MOVES, OPACITY, OPAQUE, SIDE, SMALLEST, by_chance, disc,
     distinct_times, extent,
 };
 use crate::data::dataset::View;
@@ -41,6 +41,11 @@ const BY_DISCS: Rule = Rule { near: 0.75, share: 0.8, of_all: 0.4 };
 const BY_ALL: Rule = Rule { near: 0.75, share: 0.65, of_all: 0.0 };
 const DIFFER: f64 = 0.8;
 const TIMES_CHANCE: f64 = 2.0;
+/// When a path is worth looking at, and how many are.
+const LIKELY: Rule = Rule { near: 0.75, share: 0.5, of_all: 0.2 };
+const MOST_LIKELY: usize = 6;
+/// Gaps of so many pixels to each side are a likely object's own, where it has the colour of what the model shows there.
+const CLOSED: f32 = 1.5;
 /// Most objects.
 const MOST: usize = 8;
 /// Pixels of one colour are a part of the object: it may be larger. Points differ in most of the photos.
@@ -56,6 +61,8 @@ pub(crate) struct Difference {
     pub(crate) time: usize,
     /// `[H,W]` largest difference of a channel.
     pub(crate) amount: Vec<f32>,
+    /// `[H,W]` camera-space depth beyond which the model hides what there is; infinite where it is less than [`OPAQUE`].
+    pub(crate) hides: Vec<f32>,
     mask: Arc<[bool]>,
     /// `[H,W]` of that, what no object that was found explains.
     pub(crate) left: Vec<bool>,
@@ -100,6 +107,19 @@ impl Residual {
         }
         objects
     }
+
+    /// Paths of what may be an object in the photos of some times, what most of them show first. None is sure: that is left to who asks.
+    pub(crate) fn likely_paths(&self, takes_part: impl Fn(usize) -> bool) -> Vec<Vec<DVec3>> {
+        let some: Vec<&Difference> = self.differences.iter().filter(|d| takes_part(d.time)).collect();
+        let path = |colours: &Colours, class: usize| {
+            let sights: Vec<Sight> = some.iter().map(|d| d.look(colours, class, CLOSED).sight()).collect();
+            let track = track(&sights, self.times.len(), LIKELY)?;
+            (extent(&track.places) >= MOVES * track.radius).then_some(track)
+        };
+        let mut found = of_classes(&some, path);
+        found.sort_by_key(|track| std::cmp::Reverse(track.seen.len()));
+        found.into_iter().take(MOST_LIKELY).map(|track| track.places).collect()
+    }
 }
 
 /// Times of the photos, ascending, and what differs in each; of many photos some, of large ones reduced.
@@ -109,7 +129,8 @@ fn differences(gpu: &Gpu, scene: &Scene, photos: &[View], config: &Config) -> Re
     let step = photos.len().div_ceil(MOST_PHOTOS).max(1);
     let views: Arc<[View]> = photos.iter().step_by(step).map(|v| v.reduced(1 << halvings)).collect();
     let times = distinct_times(views.iter());
-    let options = RenderOptions { near: config.near, background: config.background, ..RenderOptions::default() };
+    let (near, background) = (config.near, config.background);
+    let options = RenderOptions { near, background, depth: true, ..RenderOptions::default() };
     let mut renderer = Renderer::new(gpu, scene, &options)?;
     let loader = ImageLoader::for_training(views.clone(), config.budget.image_bytes, 1)?;
     let mut found = Vec::with_capacity(views.len());
@@ -125,7 +146,7 @@ fn differences(gpu: &Gpu, scene: &Scene, photos: &[View], config: &Config) -> Re
 
 impl Difference {
     /// `rendered` is over the background.
-    fn new(camera: Camera, photo: Arc<Pixels>, rendered: &Image, time: usize, background: [f32; 3]) -> Self {
+    pub(crate) fn new(camera: Camera, photo: Arc<Pixels>, rendered: &Image, time: usize, background: [f32; 3]) -> Self {
         let [ours, theirs] = [rendered, &photo.over(background)].map(|image| image.rgba.as_chunks::<4>().0.to_vec());
         let difference = |(a, b): (&[f32; 4], &[f32; 4])| (0..3).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
         let takes_part = photo.rgba.iter().map(|p| *p != LEFT_OUT);
@@ -134,7 +155,10 @@ impl Difference {
             pairs.map(|(pair, takes_part)| if takes_part { difference(pair) } else { 0.0 }).collect();
         let left: Vec<bool> = amount.iter().map(|a| *a > DIFFERS).collect();
         let rgb = theirs.iter().map(|[r, g, b, _]| [*r, *g, *b]).collect();
-        Self { camera, mask: left.as_slice().into(), amount, left, rgb, photo, time }
+        let hides =
+            |(pixel, depth): (&[f32; 4], &f32)| if pixel[3] >= OPAQUE { depth / pixel[3] } else { f32::INFINITY };
+        let hides = ours.iter().zip(&rendered.depth).map(hides).collect();
+        Self { camera, hides, mask: left.as_slice().into(), amount, left, rgb, photo, time }
     }
 
     /// Colours of what is left.
@@ -142,11 +166,12 @@ impl Difference {
         self.rgb.iter().zip(&self.left).filter_map(|(rgb, left)| left.then_some(*rgb))
     }
 
-    /// The discs of what is left and of a class.
-    fn look(&self, colours: &Colours, class: usize) -> Look {
+    /// The discs of what is left and of a class, and of gaps in it of up to so many pixels to each side.
+    fn look(&self, colours: &Colours, class: usize, gaps: f32) -> Look {
         let size = [self.camera.width, self.camera.height];
         let is_it = |(left, rgb): (&bool, &[f32; 3])| *left && colours.of(*rgb) == class;
         let mask: Vec<bool> = self.left.iter().zip(&self.rgb).map(is_it).collect();
+        let mask = if gaps > 0.0 { disc::closed(&mask, size, gaps) } else { mask };
         let discs = disc::largest(&mask, size, SMALLEST * f64::from(size[0].min(size[1])));
         let (camera, photo) = (self.camera.clone(), self.photo.clone());
         Look { camera, photo, time: self.time, discs, opaque: 0 }
@@ -171,26 +196,28 @@ impl Difference {
     }
 }
 
+/// What is found of each class of what is left, in their order.
+fn of_classes<T: Send>(differences: &[&Difference], find: impl Fn(&Colours, usize) -> Option<T> + Sync) -> Vec<T> {
+    let pixels: Vec<[f32; 3]> = differences.iter().flat_map(|d| d.colours()).collect();
+    let divisions = CLASSES.map(|count| Colours::new(&pixels, count));
+    let classes = divisions.iter().zip(CLASSES);
+    let classes: Vec<(&Colours, usize)> = classes.flat_map(|(c, count)| (0..count).map(move |k| (c, k))).collect();
+    classes.into_par_iter().filter_map(|(colours, class)| find(colours, class)).collect()
+}
+
 /// What moves and is of one class of what is left: of all that do, what most photos show.
 fn follow(differences: &[Difference], times: usize) -> Option<Followed> {
-    let pixels: Vec<[f32; 3]> = differences.iter().flat_map(Difference::colours).collect();
-    let divisions = CLASSES.map(|count| Colours::new(&pixels, count));
-    let classes: Vec<(&Colours, usize)> = divisions
-        .iter()
-        .zip(CLASSES)
-        .flat_map(|(colours, count)| (0..count).map(move |class| (colours, class)))
-        .collect();
     let images: Vec<Shown> = differences.iter().map(Difference::shown).collect();
-    let path = |(colours, class): &(&Colours, usize)| {
-        let looks: Vec<Look> = differences.iter().map(|d| d.look(colours, *class)).collect();
+    let path = |colours: &Colours, class: usize| {
+        let looks: Vec<Look> = differences.iter().map(|d| d.look(colours, class, 0.0)).collect();
         let sights: Vec<Sight> = looks.iter().map(Look::sight).collect();
         let track = track(&sights, times, BY_ALL)?;
         let shown = looks.iter().filter(|look| !look.discs.is_empty()).count();
         let counts = BY_DISCS.holds(track.seen.len(), shown, looks.len()) || differ_on(&track.places, &images);
         (counts && extent(&track.places) >= MOVES * track.radius).then_some(Followed { track, looks })
     };
-    let found: Vec<Option<Followed>> = classes.par_iter().map(path).collect();
-    found.into_iter().flatten().rev().max_by_key(|f| f.track.seen.len())
+    let found = of_classes(&differences.iter().collect::<Vec<_>>(), path);
+    found.into_iter().rev().max_by_key(|f| f.track.seen.len())
 }
 
 /// Whether photos differ on a path, whatever their colours there, and because it is there then.
