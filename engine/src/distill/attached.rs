@@ -60,6 +60,8 @@ const FIRST_SHARE: f64 = 0.5;
 /// with the poses of another time, or it is a place where all photos differ.
 const HELD_SHARE: f64 = 0.6;
 const TIMES_CHANCE: f64 = 2.0;
+/// What is fixed to a part is worth so many times as much: a path of its own that fits no better says less.
+const FIXED: f64 = 1.25;
 /// Pixels within which a cell lies where a photo differs: while the object grows, and at the end.
 const GROWING: f32 = 2.0;
 const GROWN: f32 = 1.0;
@@ -132,7 +134,8 @@ pub(super) fn take_attached(residual: &mut Residual, scene: &Scene, config: &Con
 /// Of what grows where something may be, what explains most.
 fn best(guesses: Vec<Guess>, looks: &[Look], times: &[f32]) -> Option<Found> {
     let found: Vec<Found> = guesses.into_par_iter().filter_map(|guess| grown(guess, looks, times)).collect();
-    found.into_iter().max_by(|a, b| a.worth.total_cmp(&b.worth))
+    let worth = |found: &Found| found.worth * if found.pivot.part.is_some() { FIXED } else { 1.0 };
+    found.into_iter().max_by(|a, b| worth(a).total_cmp(&worth(b)))
 }
 
 /// With the likeliest parts.

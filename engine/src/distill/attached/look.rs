@@ -13,9 +13,6 @@ use crate::train::lost::residual::Difference;
 const FARTHEST: f32 = 8.0;
 /// Nothing nearer to a camera is looked at, world units.
 const NEAR: f64 = 0.05;
-/// A point is hidden if it lies this many pixels' width behind what the model shows, and the photo does not differ within so many px.
-const BEHIND: f64 = 4.0;
-const DIFFERS: f32 = 1.0;
 
 pub(super) struct Look {
     pub(super) camera: Camera,
@@ -26,8 +23,6 @@ pub(super) struct Look {
     pub(super) time: usize,
     /// `[H,W]` px to the next pixel that differs.
     distance: Vec<f32>,
-    /// `[H,W]` depth beyond which the model hides a point, unless the photo differs there.
-    hides: Vec<f32>,
 }
 
 /// Where a photo has a point.
@@ -44,7 +39,7 @@ impl Look {
         let mut distance = distance_to(&d.left, [d.camera.width, d.camera.height]);
         distance.iter_mut().for_each(|d| *d = d.min(FARTHEST));
         let (camera, photo, time) = (d.camera.clone(), d.photo.clone(), d.time);
-        Self { camera, photo, amount: d.amount.clone(), time, distance, hides: d.hides.clone() }
+        Self { camera, photo, amount: d.amount.clone(), time, distance }
     }
 
     /// `[H,W]` pixels that differ.
@@ -72,23 +67,14 @@ impl Look {
         self.distance[y * self.camera.width as usize + x]
     }
 
-    /// Pixels between a point (world) and what differs; `None` for one that the photo does not have, or that is hidden there.
+    /// Pixels between a point (world) and what differs; `None` for one that the photo does not have.
     pub(super) fn distance(&self, point: DVec3) -> Option<f32> {
-        self.seen(point).map(|a| self.distance_at(a.x, a.y))
-    }
-
-    /// Where the photo has a point, unless the model hides it.
-    fn seen(&self, point: DVec3) -> Option<At> {
-        self.at(point).filter(|a| {
-            let i = a.y * self.camera.width as usize + a.x;
-            let beyond = a.point.z * (1.0 - BEHIND / self.camera.fx);
-            self.distance[i] <= DIFFERS || beyond <= f64::from(self.hides[i])
-        })
+        self.at(point).map(|a| self.distance_at(a.x, a.y))
     }
 
     /// The same, and by how much it grows with the point.
     pub(super) fn slope(&self, point: DVec3) -> Option<(f64, DVec3)> {
-        let At { point, x, y } = self.seen(point)?;
+        let At { point, x, y } = self.at(point)?;
         let c = &self.camera;
         let [last_x, last_y] = [c.width as usize - 1, c.height as usize - 1];
         let ([left, right], [up, down]) =

@@ -74,12 +74,12 @@ impl Path {
         if f64::from(count) < have * looks.len() as f64 { 0.0 } else { near as f64 / f64::from(count.max(1)) }
     }
 
-    /// Share of these points that lie where a photo differs, as they stand so many times later; `None` where it has less than half of them.
+    /// Share of these points that lie where a photo differs, as they stand so many times later; `None` where it has none of them.
     pub(super) fn share_of(&self, points: &[DVec3], look: &Look, within: f32, later: usize) -> Option<f64> {
         let time = (look.time + later) % self.frames.len();
         let distances = points.iter().filter_map(|p| look.distance(self.place(time, *p)));
         let (count, near) = distances.fold((0, 0), |(n, k), d| (n + 1, k + usize::from(d <= within)));
-        (count > 0 && 2 * count as usize >= points.len()).then(|| near as f64 / f64::from(count))
+        (count > 0).then(|| near as f64 / f64::from(count))
     }
 
     /// The same on average over photos.
