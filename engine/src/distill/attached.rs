@@ -152,7 +152,7 @@ fn free(residual: &Residual, looks: &[Look], extent: (DVec3, f64)) -> Vec<Guess>
     let discs = discs.into_iter().map(|places| places.into_iter().map(unturned).collect());
     let of_frames = |frames: Vec<Frame>| {
         let at = frames[0].shift;
-        let path = Path::new(frames);
+        let path = Path::alone(frames);
         Some(Guess { pivot: Pivot { part: None, at, cell: path.pixel(looks)?, share: 0.0 }, path })
     };
     rod::rods(&used, &residual.times, extent).into_iter().chain(discs).filter_map(of_frames).collect()

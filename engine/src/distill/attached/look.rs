@@ -13,6 +13,9 @@ use crate::train::lost::residual::Difference;
 const FARTHEST: f32 = 8.0;
 /// Nothing nearer to a camera is looked at, world units.
 const NEAR: f64 = 0.05;
+/// A point is hidden if it lies this many pixels' width behind what the model shows, and the photo does not differ within so many px.
+const BEHIND: f64 = 4.0;
+const DIFFERS: f32 = 1.0;
 
 pub(super) struct Look {
     pub(super) camera: Camera,
@@ -23,6 +26,8 @@ pub(super) struct Look {
     pub(super) time: usize,
     /// `[H,W]` px to the next pixel that differs.
     distance: Vec<f32>,
+    /// `[H,W]` depth beyond which the model hides a point.
+    hides: Vec<f32>,
 }
 
 /// Where a photo has a point.
@@ -39,7 +44,7 @@ impl Look {
         let mut distance = distance_to(&d.left, [d.camera.width, d.camera.height]);
         distance.iter_mut().for_each(|d| *d = d.min(FARTHEST));
         let (camera, photo, time) = (d.camera.clone(), d.photo.clone(), d.time);
-        Self { camera, photo, amount: d.amount.clone(), time, distance }
+        Self { camera, photo, amount: d.amount.clone(), time, distance, hides: d.hides.clone() }
     }
 
     /// `[H,W]` pixels that differ.
@@ -70,6 +75,15 @@ impl Look {
     /// Pixels between a point (world) and what differs; `None` for one that the photo does not have.
     pub(super) fn distance(&self, point: DVec3) -> Option<f32> {
         self.at(point).map(|a| self.distance_at(a.x, a.y))
+    }
+
+    /// Whether the model has something before a point, and the photo does not differ there.
+    pub(super) fn is_hidden(&self, point: DVec3) -> bool {
+        self.at(point).is_some_and(|a| {
+            let i = a.y * self.camera.width as usize + a.x;
+            let front = a.point.z * (1.0 - BEHIND / self.camera.fx);
+            self.distance[i] > DIFFERS && front > f64::from(self.hides[i])
+        })
     }
 
     /// The same, and by how much it grows with the point.

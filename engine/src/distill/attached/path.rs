@@ -35,18 +35,23 @@ pub(super) struct Path {
     corrections: Vec<[DVec3; 2]>,
     /// With the corrections.
     frames: Vec<Frame>,
+    /// It goes by itself: photos have no vote on what the model hides. A part hides what is behind it, and its outline, where that is
+    /// blurred, would seem to be an object that goes with it.
+    is_alone: bool,
 }
 
 impl Path {
     /// Of a place in the frame of a part; `[times][M]` frames.
     pub(super) fn of_part(frames: &[Vec<Frame>], part: usize, at: DVec3) -> Self {
         let of_part = frames.iter().map(|of_time| of_time[part]);
-        Self::new(of_part.map(|f| Frame { turn: f.turn, shift: f.apply(at) }).collect())
+        let given = of_part.map(|f| Frame { turn: f.turn, shift: f.apply(at) }).collect();
+        Self { is_alone: false, ..Self::alone(given) }
     }
 
-    /// Of points from a place on, as they stand at each time.
-    pub(super) fn new(given: Vec<Frame>) -> Self {
-        Self { corrections: vec![[DVec3::ZERO; 2]; given.len()], frames: given.clone(), given }
+    /// Of points from a place on, as they stand at each time, of nothing that the model has.
+    pub(super) fn alone(given: Vec<Frame>) -> Self {
+        let corrections = vec![[DVec3::ZERO; 2]; given.len()];
+        Self { corrections, frames: given.clone(), given, is_alone: true }
     }
 
     /// Its turn from the part's frame at a time.
@@ -66,20 +71,26 @@ impl Path {
         sizes.get(sizes.len() / 2).copied()
     }
 
+    /// Pixels between a place and what a photo differs in; `None` where the photo does not have it.
+    fn distance(&self, look: &Look, place: DVec3) -> Option<f32> {
+        look.distance(place).filter(|_| !(self.is_alone && look.is_hidden(place)))
+    }
+
     /// Share of the photos that differ where they have a point of the part; 0 where less than so many of them have it.
     pub(super) fn share<L: std::borrow::Borrow<Look>>(&self, point: DVec3, looks: &[L], within: f32, have: f64) -> f64 {
-        let has = |l: &L| l.borrow().distance(self.place(l.borrow().time, point));
+        let has = |l: &L| self.distance(l.borrow(), self.place(l.borrow().time, point));
         let (count, near) =
             looks.iter().filter_map(has).fold((0, 0), |(n, k), d| (n + 1, k + usize::from(d <= within)));
         if f64::from(count) < have * looks.len() as f64 { 0.0 } else { near as f64 / f64::from(count.max(1)) }
     }
 
-    /// Share of these points that lie where a photo differs, as they stand so many times later; `None` where it has none of them.
+    /// Share of these points that lie where a photo differs, as they stand so many times later; `None` where it has none of them, or hides most.
     pub(super) fn share_of(&self, points: &[DVec3], look: &Look, within: f32, later: usize) -> Option<f64> {
         let time = (look.time + later) % self.frames.len();
-        let distances = points.iter().filter_map(|p| look.distance(self.place(time, *p)));
+        let distances = points.iter().filter_map(|p| self.distance(look, self.place(time, *p)));
         let (count, near) = distances.fold((0, 0), |(n, k), d| (n + 1, k + usize::from(d <= within)));
-        (count > 0).then(|| near as f64 / f64::from(count))
+        let fewest = if self.is_alone { points.len().div_ceil(2) } else { 1 };
+        (count as usize >= fewest.max(1)).then(|| near as f64 / f64::from(count))
     }
 
     /// The same on average over photos.
@@ -129,7 +140,8 @@ impl Path {
         let mut pull = Pull::default();
         for point in points {
             let at = self.place(look.time, *point);
-            let Some((distance, by)) = look.slope(at).filter(|(d, _)| *d < HIDDEN) else { continue };
+            let is_seen = self.distance(look, at).is_some();
+            let Some((distance, by)) = look.slope(at).filter(|(d, _)| is_seen && *d < HIDDEN) else { continue };
             let weight = 1.0 / (1.0 + (distance / HALF).powi(2));
             pull.take((at - centre).cross(by), by, weight, distance);
         }

@@ -14,7 +14,7 @@ use super::colours::Colours;
 use super::seed::{Carving, Shown, carve, colour_of, mean_colour};
 use super::track::{Rule, Sight, Track, track};
 use super::{
-    FEWEST, LARGEST_SHARE, Look, LostObject, MOST_PHOTOS, MOVES, OPACITY, SIDE, SMALLEST, by_chance, disc,
+    FEWEST, LARGEST_SHARE, Look, LostObject, MOST_PHOTOS, MOVES, OPACITY, OPAQUE, SIDE, SMALLEST, by_chance, disc,
     distinct_times, extent,
 };
 use crate::data::dataset::View;
@@ -61,6 +61,8 @@ pub(crate) struct Difference {
     pub(crate) time: usize,
     /// `[H,W]` largest difference of a channel.
     pub(crate) amount: Vec<f32>,
+    /// `[H,W]` camera-space depth beyond which the model hides what there is; infinite where it is less than [`OPAQUE`].
+    pub(crate) hides: Vec<f32>,
     mask: Arc<[bool]>,
     /// `[H,W]` of that, what no object that was found explains.
     pub(crate) left: Vec<bool>,
@@ -127,7 +129,8 @@ fn differences(gpu: &Gpu, scene: &Scene, photos: &[View], config: &Config) -> Re
     let step = photos.len().div_ceil(MOST_PHOTOS).max(1);
     let views: Arc<[View]> = photos.iter().step_by(step).map(|v| v.reduced(1 << halvings)).collect();
     let times = distinct_times(views.iter());
-    let options = RenderOptions { near: config.near, background: config.background, ..RenderOptions::default() };
+    let (near, background) = (config.near, config.background);
+    let options = RenderOptions { near, background, depth: true, ..RenderOptions::default() };
     let mut renderer = Renderer::new(gpu, scene, &options)?;
     let loader = ImageLoader::for_training(views.clone(), config.budget.image_bytes, 1)?;
     let mut found = Vec::with_capacity(views.len());
@@ -152,7 +155,10 @@ impl Difference {
             pairs.map(|(pair, takes_part)| if takes_part { difference(pair) } else { 0.0 }).collect();
         let left: Vec<bool> = amount.iter().map(|a| *a > DIFFERS).collect();
         let rgb = theirs.iter().map(|[r, g, b, _]| [*r, *g, *b]).collect();
-        Self { camera, mask: left.as_slice().into(), amount, left, rgb, photo, time }
+        let hides =
+            |(pixel, depth): (&[f32; 4], &f32)| if pixel[3] >= OPAQUE { depth / pixel[3] } else { f32::INFINITY };
+        let hides = ours.iter().zip(&rendered.depth).map(hides).collect();
+        Self { camera, hides, mask: left.as_slice().into(), amount, left, rgb, photo, time }
     }
 
     /// Colours of what is left.
