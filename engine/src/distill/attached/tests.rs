@@ -128,7 +128,7 @@ fn find_free(shows: impl Fn(usize) -> Vec<DVec3>, width: f64) -> Option<Found> {
     best(free(&residual, &looks, (DVec3::ZERO, 1.0)), &looks, &residual.times)
 }
 
-/// Of the middles of an object, a tenth of the times off by more than so many pixels, or fewer.
+/// Pixels by which the middle of what was found is off at nine of ten times, at most.
 fn farthest(found: &Found, middle: impl Fn(usize) -> DVec3) -> f64 {
     let off = |i: usize| {
         let cells = found.cells(i);
@@ -146,7 +146,7 @@ fn ball(i: usize) -> DVec3 {
 }
 
 #[test]
-fn what_is_no_rod_is_followed_by_its_discs() {
+fn what_is_no_rod_is_followed_too() {
     let found = find_free(|i| vec![ball(i)], 6.0).unwrap();
     assert!(found.pivot.part.is_none() && found.shape.reach() > SHORTEST, "{}", found.shape.reach());
     let off = farthest(&found, ball);
